@@ -1,0 +1,45 @@
+"""The errors a user meets; each message is one line that says what to mend."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from capture_sim.simulation import Result
+
+
+class CaptureSimError(Exception):
+    """Base of all errors that capture_sim raises on purpose."""
+
+
+class SceneError(CaptureSimError):
+    """A scene, or a change to one, is not usable.
+
+    The message names the field, the value, the unit and the allowed range.
+    """
+
+
+class SimulationError(CaptureSimError):
+    """The integration had to stop; what was computed before stays available.
+
+    The message names the simulated time, the phase and the cause.
+
+    Attributes
+    ----------
+    partial
+        The samples of the interrupted call up to there, (n,) of dtype SAMPLE.
+    result
+        The run up to there, where :func:`capture_sim.simulate` raised it.
+    """
+
+    result: Result | None = None
+
+    def __init__(self, message: str, partial: np.ndarray) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
+class RecordingError(CaptureSimError):
+    """A recording could not be written or read."""

@@ -1,0 +1,150 @@
+"""Scenes: reading, extending, overriding, and what is refused."""
+
+import dataclasses
+
+import pytest
+
+from capture_sim import SceneError, load_scene, scene_names
+from capture_sim.scene import PlanarState, Vehicle, as_mapping
+from capture_sim.scene_files import load_scene_text
+
+# what is wrong, and what the one line must say: field, value, unit, range
+BAD = [
+    ("chaser.mass=-1", ["chaser.mass = -1 kg", "> 0"]),
+    ("target.inertia=0", ["target.inertia = 0 kg m^2", "> 0"]),
+    ("probe.density=heavy", ["probe.density = 'heavy' kg/m^3", "a number, > 0"]),
+    ("contact.restitution=1.2", ["contact.restitution = 1.2", ">= 0 and <= 1"]),
+    ("contact.restitution=-0.1", ["contact.restitution = -0.1", ">= 0 and <= 1"]),
+    ("contact.law=hertz", ["contact.law = 'hertz'", "lankarani_nikravesh", "exact"]),
+    ("cone.L_c=0", ["cone.L_c = 0 m", "> 0"]),
+    ("cone.beta=1.6", ["cone.beta = 1.6 rad", "< 1.5708"]),
+    ("cone.R_c=0.01", ["cone.R_c = 0.01 m", ">= 0.015", "tip"]),
+    ("buffer.k_A=.nan", ["buffer.k_A = nan N/m", ">= 0"]),
+    ("buffer.c_A=-13", ["buffer.c_A = -13 N s/m", ">= 0"]),
+    ("buffer.stiffness=500", ["buffer.stiffness: unknown field", "k_A"]),
+    ("bufer.k_A=500", ["bufer: unknown field", "did you mean buffer?"]),
+    ("buffer=12", ["buffer = 12", "mapping"]),
+    ("friction.mu=-0.3", ["friction.mu = -0.3", ">= 0"]),
+    ("rail.length=0.5", ["rail.length = 0.5 m", "< 0.20", "before the contact"]),
+    ("rail=null", ["string", "rail"]),
+    ("string.drop_height=0.2", ["string.drop_height = 0.2 m", "<= 0.15"]),
+    ("string.hanging_mass=0.2", ["string", "exactly two of"]),
+    ("string.impact_speed=1.5", ["string.drop_height = 0.1 m", "1.5 m/s in free fall"]),
+    ("supports.chaser.c_rr=2", ["supports.chaser.c_rr = 2", ">= 0 and <= 1"]),
+    (
+        "supports.target.balls=[[0.1,0],[0.2,0.1],[0.2,-0.1]]",
+        ["supports.target.balls", "m: allowed", "would lift off"],
+    ),
+    ("supports.chaser.balls=[[0,0],[0.1,0],[0.2,0]]", ["supports.chaser.balls", "in one line"]),
+    ("supports.chaser.balls=[[0,0]]", ["supports.chaser.balls", "three points"]),
+    ("latch.radius=0.2", ["latch.radius = 0.2 m", "< 0.05"]),
+    ("initial.target.x=0.45", ["initial: the tip starts", "m inside", "initial.target.x"]),
+    ("initial.target.vx=-0.1", ["initial.target.vx = -0.1 m/s", "0 while the scene has a rail"]),
+    ("initial.target.y=0.5", ["passes the cone by"]),
+    ("initial.chaser.omega=0.1", ["initial.chaser.omega = 0.1 rad/s", "0 on the rail"]),
+    ("initial.target.theta=10", ["initial.target.theta = 10 rad", "<= 3.14159"]),
+    ("run.rate=300", ["run.rate = 300", "Hz", "whole number"]),
+    ("run.t_end=0", ["run.t_end = 0 s", "> 0"]),
+    ("run.method=euler", ["run.method = 'euler'", "dop853"]),
+    ("run.max_steps=1e3.5", ["run.max_steps", "whole number"]),
+    ("gravity=true", ["gravity = True m/s^2", "a number"]),
+    ("chaser.mass", ["override 'chaser.mass'", "part.field=value"]),
+    ("chaser.mass=[", ["override", "not valid YAML"]),
+    ("detector.radius=0", ["detector.radius = 0 m", "> 0"]),
+]
+
+
+@pytest.mark.parametrize("override, says", BAD, ids=[b[0] for b in BAD])
+def test_bad_value_is_refused_in_one_clear_line(override, says):
+    with pytest.raises(SceneError) as caught:
+        load_scene("tilt_0", [override])
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in says:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("extends: tilt_0\nbuffer: {k_A: 1, k_A: 2}", ["k_A", "given twice", "line 2"]),
+        ("extends: nowhere", ["'nowhere'", "unknown", "tilt_0"]),
+        ("extends: tilt_0\nchaser: {mass: [}", ["not valid YAML", "line 2"]),
+        ("- a\n- b", ["a scene is a mapping", "list"]),
+        ("extends: 3", ["extends = 3"]),
+        ("chaser: {mass: 1, inertia: 1}", ["missing"]),
+        ("extends: _table_2", ["initial: missing"]),
+        ("extends: self", ["extends itself"]),
+    ],
+)
+def test_bad_file_is_refused_in_one_clear_line(tmp_path, text, says):
+    path = tmp_path / "self.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path.name) in message or "missing" in message or "unknown" in message
+    for part in says:
+        assert part in message
+
+
+def test_missing_file_and_unknown_name():
+    with pytest.raises(SceneError, match=r"no such file"):
+        load_scene("somewhere/else.yaml")
+    with pytest.raises(SceneError, match=r"did you mean tilt_p10\?"):
+        load_scene("tilt_p1")
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_scene_survives_being_written_and_read(name):
+    scene = load_scene(name)
+    assert load_scene_text(scene.to_yaml()) == scene
+    assert scene.name == name
+
+
+def test_file_extends_and_overrides_reach_every_value(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("extends: tilt_p10\nbuffer: {c_A: 20}\nlatch: null\n", encoding="utf-8")
+    scene = load_scene(path, ["buffer.k_A=600", "contact.tip.E=2.1e11", "run.rtol=1e-9"])
+    base = load_scene("tilt_p10")
+    assert (scene.buffer.c_A, scene.buffer.k_A, scene.buffer.k_T) == (20.0, 600.0, 200.0)
+    assert scene.contact.tip.E == 2.1e11
+    assert scene.run.rtol == 1e-9
+    assert scene.latch is None
+    assert scene.initial == base.initial
+    assert scene.name == "mine"
+
+
+def test_scene_is_frozen_and_checked_when_made_in_python():
+    scene = load_scene("tilt_0")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scene.chaser.mass = 3.0
+    with pytest.raises(SceneError, match=r"Vehicle.mass = -3 kg: allowed is > 0"):
+        Vehicle(mass=-3, inertia=1.0)
+    with pytest.raises(SceneError, match=r"PlanarState.theta"):
+        PlanarState(theta=float("inf"))
+    with pytest.raises(SceneError, match=r"rail must end before"):
+        dataclasses.replace(scene, rail=dataclasses.replace(scene.rail, length=1.0))
+
+
+def test_every_number_has_a_unit_and_a_meaning():
+    def visit(part):
+        for f in dataclasses.fields(part):
+            value = getattr(part, f.name)
+            if dataclasses.is_dataclass(value):
+                visit(value)
+            elif isinstance(value, (int, float)) and not isinstance(value, bool):
+                assert f.metadata.get("unit"), f"{type(part).__name__}.{f.name}"
+
+    visit(load_scene("tilt_0"))
+
+
+def test_inertia_of_probe_and_cylinder_are_those_of_the_shared_figures():
+    scene = load_scene("paper_designed")
+    assert scene.probe.mass == pytest.approx(0.178185, abs=5e-7)
+    assert scene.probe.com_offset == pytest.approx(0.0900, abs=5e-5)
+    assert scene.probe.inertia == pytest.approx(8.7206e-4, abs=5e-9)
+    assert scene.cylinder.inertia == pytest.approx(1.5527e-3, abs=5e-8)
+    assert scene.rest_length == pytest.approx(0.215)
+    assert as_mapping(scene)["cone"]["beta"] == pytest.approx(0.7853981633974483)
