@@ -1,0 +1,1 @@
+"""How the bench moves: kinematics, forces and energies, as pure compiled functions."""

@@ -1,0 +1,91 @@
+"""Geometry of the cone: where the tip meets its walls.
+
+In the target's frame the line BE lies at x = -L_T.  Both walls are described in
+(u, Y): u is the distance ahead of BE, towards the chaser; Y the offset from the axis
+towards the wall in question (+y for the one, -y for the other).  A wall runs from
+(0, R_c) over the generatrix L_c at the half-angle beta, and is a thin plate: the tip may
+meet its face, its inner edge and its outer lip.
+"""
+
+from __future__ import annotations
+
+import math
+
+from capture_sim.kernels import kernel
+
+
+@kernel
+def nearest_on_wall(
+    u: float, Y: float, R_c: float, L_c: float, cos_b: float, sin_b: float
+) -> tuple[float, float, float]:
+    """Return the tip's distance to a wall and the unit normal (n_u, n_Y) towards the tip.
+
+    Lengths in m; the distance is to the tip's centre and never negative.
+    """
+    along = u * cos_b + (Y - R_c) * sin_b
+    if along <= 0.0:
+        du, dY = u, Y - R_c
+    elif along >= L_c:
+        du, dY = u - L_c * cos_b, Y - R_c - L_c * sin_b
+    else:
+        across = u * sin_b - (Y - R_c) * cos_b
+        if across >= 0.0:
+            return across, sin_b, -cos_b
+        return -across, -sin_b, cos_b
+    distance = math.sqrt(du * du + dY * dY)
+    if distance == 0.0:
+        # centre exactly on the edge: any normal will do, take the face's
+        return 0.0, sin_b, -cos_b
+    return distance, du / distance, dY / distance
+
+
+def travel_to_wall(
+    u: float,
+    Y: float,
+    du: float,
+    dY: float,
+    reach: float,
+    R_c: float,
+    L_c: float,
+    beta: float,
+) -> float:
+    """Return how far a tip moves along a straight line until it touches a wall, m.
+
+    Parameters
+    ----------
+    u, Y
+        Where the tip's centre starts, m.
+    du, dY
+        Unit direction of its motion.
+    reach
+        The tip's radius R_t, m.
+    R_c, L_c, beta
+        The cone, m and rad.
+
+    Returns
+    -------
+    float
+        Distance >= 0; ``inf`` if the line passes the wall by.
+
+    Notes
+    -----
+    Closed form: the set of centres that touch is the wall's two offset lines, closed by
+    circles round its ends.
+    """
+    cos_b, sin_b = math.cos(beta), math.sin(beta)
+    hits = [math.inf]
+    # the face's offset line: across = reach, on the side where the tip starts
+    across = u * sin_b - (Y - R_c) * cos_b
+    rate = du * sin_b - dY * cos_b
+    if rate != 0.0:
+        travel = (math.copysign(reach, across) - across) / rate
+        along = (u + travel * du) * cos_b + (Y + travel * dY - R_c) * sin_b
+        if travel >= 0.0 and 0.0 <= along <= L_c:
+            hits.append(travel)
+    for end_u, end_Y in ((0.0, R_c), (L_c * cos_b, R_c + L_c * sin_b)):
+        pu, pY = u - end_u, Y - end_Y
+        half = pu * du + pY * dY
+        root = half * half - (pu * pu + pY * pY - reach * reach)
+        if root >= 0.0 and -half - math.sqrt(root) >= 0.0:
+            hits.append(-half - math.sqrt(root))
+    return min(hits)

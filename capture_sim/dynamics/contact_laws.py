@@ -1,0 +1,103 @@
+r"""Normal contact force with hysteresis damping.
+
+    F = K delta^1.5 (1 + a delta' / v_0),   never below 0
+
+The laws differ in the hysteresis factor ``a(e)`` only (``chi = a K / v_0``).  Between two
+free bodies this force returns the restitution ``e_out`` with
+
+    a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
+
+whatever the masses, K and the exponent: divide the equation of the approach by that of the
+depth, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from scipy.optimize import brentq
+
+from capture_sim.kernels import kernel
+
+
+def returned_restitution(a: float) -> float:
+    """Return the restitution that hysteresis factor ``a`` (>= 0) really gives.
+
+    Solves a (1 + e) = ln[(1 + a) / (1 - a e)] for e; 1 for a = 0.
+    """
+    if a <= 0.0:
+        return 1.0
+    # with x = -ln(1 - a e) the pole at e = 1/a is gone and the root lies in an interval of 1
+    low = a - math.log1p(a)
+
+    def gap(x: float) -> float:
+        return low - x - math.expm1(-x)
+
+    x = brentq(gap, low, low + 1.0, xtol=1e-15, rtol=1e-14)
+    return float(-math.expm1(-x) / a)
+
+
+def exact_factor(e: float) -> float:
+    """Return the hysteresis factor that returns the restitution ``e`` exactly.
+
+    Raises
+    ------
+    ValueError
+        For e <= 0: no finite damping stops a body dead.
+    """
+    if e <= 0.0:
+        raise ValueError("the exact law needs a restitution above 0")
+    if e >= 1.0:
+        return 0.0
+
+    def gap(x: float) -> float:
+        # x = -ln(1 - a e) takes out the pole at a e = 1
+        a = -math.expm1(-x) / e
+        return a * (1.0 + e) - math.log1p(a) - x
+
+    high = 1.0
+    while gap(high) > 0.0:
+        high *= 2.0
+    low = high
+    while gap(low) <= 0.0:
+        low *= 0.5
+        if low < 1e-12:
+            return 0.0
+    x = brentq(gap, low, high, xtol=1e-15, rtol=1e-14)
+    return float(-math.expm1(-x) / e)
+
+
+#: a(e) of each law; sources in docs/model.md.
+HYSTERESIS_FACTOR: dict[str, Callable[[float], float]] = {
+    "lankarani_nikravesh": lambda e: 0.75 * (1.0 - e * e),
+    "hunt_crossley": lambda e: 1.5 * (1.0 - e),
+    "herbert_mcwhannell": lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0),
+    "lee_wang": lambda e: 0.75 * (1.0 - e),
+    "gonthier": lambda e: (1.0 - e * e) / e,
+    "zhiying_qishao": lambda e: 0.75 * (1.0 - e * e) * math.exp(2.0 * (1.0 - e)),
+    "flores": lambda e: 8.0 * (1.0 - e) / (5.0 * e),
+    "hu_guo": lambda e: 1.5 * (1.0 - e) / e,
+    "carvalho_martins": lambda e: 1.5 * (1.0 - e) * (11.0 - e) / (1.0 + 9.0 * e),
+    "exact": exact_factor,
+}
+
+#: Laws whose factor grows without bound as e goes to 0.
+NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
+
+
+@kernel
+def normal_force(depth: float, rate: float, K: float, chi: float) -> tuple[float, float]:
+    """Return the normal force and its elastic part, N.
+
+    ``depth`` delta, m; ``rate`` delta', m/s; ``K`` N/m^1.5; ``chi`` N s/m^2.5.
+    Lankarani and Nikravesh (1990), eq. (1); it never pulls.
+    """
+    if depth <= 0.0:
+        return 0.0, 0.0
+    root = depth * math.sqrt(depth)
+    elastic = K * root
+    force = elastic + chi * root * rate
+    if force < 0.0:
+        force = 0.0
+    return force, elastic

@@ -1,0 +1,153 @@
+"""Three ball-shaped supports: loads, rolling resistance, and when a vehicle stays put.
+
+Each ball resists by c_rr N against its own velocity.  At rest the three forces are
+whatever balances the applied wrench, as long as none has to exceed c_rr N; the wrenches
+that can be balanced form a convex set (the friction limit surface of Goyal, Ruina and
+Papadopoulos, 1991).  ``load_factor`` tells how much of it an applied wrench uses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capture_sim.kernels import kernel
+
+
+def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> np.ndarray:
+    """Return the normal load of each ball by static equilibrium, N.
+
+    Parameters
+    ----------
+    balls
+        (3, 2) positions in the vehicle's frame, m.
+    weight
+        N.
+    x_com, y_com
+        Centre of mass in the same frame, m.
+
+    Returns
+    -------
+    ndarray
+        (3,) N; a negative one means that the vehicle tips over.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the balls stand in one line.
+    """
+    matrix = np.vstack([np.ones(3), balls[:, 0], balls[:, 1]])
+    loads: np.ndarray = np.linalg.solve(matrix, weight * np.array([1.0, x_com, y_com]))
+    return loads
+
+
+@kernel
+def rolling_wrench(
+    vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray, v_eps: float
+) -> tuple[float, float, float, float]:
+    """Return rolling resistance on a vehicle: force x, y (N), torque (N m), power lost (W).
+
+    ``balls`` (3, 3): x, y in the vehicle's frame (m) and limit c_rr N (N); ``c, s`` cosine
+    and sine of its heading.  Below ``v_eps`` (m/s) the resistance falls off smoothly.
+    """
+    fx = 0.0
+    fy = 0.0
+    torque = 0.0
+    power = 0.0
+    for i in range(3):
+        rx = c * balls[i, 0] - s * balls[i, 1]
+        ry = s * balls[i, 0] + c * balls[i, 1]
+        ux = vx - omega * ry
+        uy = vy + omega * rx
+        square = ux * ux + uy * uy
+        g = balls[i, 2] / math.sqrt(square + v_eps * v_eps)
+        fx -= g * ux
+        fy -= g * uy
+        torque -= g * (rx * uy - ry * ux)
+        power += g * square
+    return fx, fy, torque, power
+
+
+@kernel
+def fastest_ball(
+    vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray
+) -> float:
+    """Return the speed of the fastest ball, m/s."""
+    fastest = 0.0
+    for i in range(3):
+        rx = c * balls[i, 0] - s * balls[i, 1]
+        ry = s * balls[i, 0] + c * balls[i, 1]
+        ux = vx - omega * ry
+        uy = vy + omega * rx
+        fastest = max(fastest, ux * ux + uy * uy)
+    return math.sqrt(fastest)
+
+
+@kernel
+def load_factor(
+    fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray
+) -> float:
+    """Return which share of the supports' limit a wrench uses; above 1 the vehicle moves.
+
+    It is the largest of (power of the wrench) / (power the balls can take) over all
+    motions of the body; found by iteratively reweighted least squares, so it is
+    approached from below.
+    """
+    limit = balls[0, 2] + balls[1, 2] + balls[2, 2]
+    force = math.sqrt(fx * fx + fy * fy)
+    if force == 0.0 and torque == 0.0:
+        return 0.0
+    if limit <= 0.0:
+        return math.inf
+    arm = 0.0
+    for i in range(3):
+        arm = max(arm, math.hypot(balls[i, 0], balls[i, 1]))
+    if arm == 0.0:
+        arm = 1.0
+    w0, w1, w2 = fx, fy, torque / arm
+    norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
+    w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm
+    best = math.inf
+    g0 = balls[0, 2]
+    g1 = balls[1, 2]
+    g2 = balls[2, 2]
+    floor = 1e-12
+    for _ in range(60):
+        axx = ayy = att = axt = ayt = 0.0
+        for i in range(3):
+            g = g0 if i == 0 else (g1 if i == 1 else g2)
+            rx = (c * balls[i, 0] - s * balls[i, 1]) / arm
+            ry = (s * balls[i, 0] + c * balls[i, 1]) / arm
+            axx += g
+            axt -= g * ry
+            ayt += g * rx
+            att += g * (rx * rx + ry * ry)
+        ayy = axx
+        # A xi = w by elimination; A is symmetric and positive definite
+        schur = att - axt * axt / axx - ayt * ayt / ayy
+        if schur <= 1e-14 * axx:
+            schur = 1e-14 * axx
+        t = (w2 - axt / axx * w0 - ayt / ayy * w1) / schur
+        x = (w0 - axt * t) / axx
+        y = (w1 - ayt * t) / ayy
+        power = w0 * x + w1 * y + w2 * t
+        x, y, t = x / power, y / power, t / power
+        resisted = 0.0
+        for i in range(3):
+            rx = (c * balls[i, 0] - s * balls[i, 1]) / arm
+            ry = (s * balls[i, 0] + c * balls[i, 1]) / arm
+            speed = math.hypot(x - t * ry, y + t * rx)
+            resisted += balls[i, 2] * speed
+            g = balls[i, 2] / max(speed, floor)
+            if i == 0:
+                g0 = g
+            elif i == 1:
+                g1 = g
+            else:
+                g2 = g
+        done = resisted >= best * (1.0 - 1e-10)
+        best = min(best, resisted)
+        if done:
+            break
+    return norm / best

@@ -1,0 +1,65 @@
+"""Compilation of the numerical kernels.
+
+Numba's cache looks at the file of the outermost function only, and would serve stale
+code after a change in a callee.  So the cache lies in a folder named by a hash of all
+kernel sources: a change anywhere compiles anew, nothing else does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_PACKAGE = Path(__file__).resolve().parent
+_SOURCES = sorted(
+    [*(_PACKAGE / "dynamics").glob("*.py"), *(_PACKAGE / "integration").glob("*.py")]
+) + [_PACKAGE / name for name in ("kernels.py", "engine.py", "samples.py")]
+
+
+def source_hash() -> str:
+    """Return a hash of all kernel sources and of the compiler's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in _SOURCES:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Return the folder of the compiled kernels of this very source."""
+    root = os.environ.get("CAPTURE_SIM_CACHE") or os.environ.get("XDG_CACHE_HOME")
+    base = Path(root) if root else Path.home() / ".cache"
+    return base / "capture_sim" / f"kernels-{source_hash()}"
+
+
+def is_compiled() -> bool:
+    """Tell whether the kernels of this source have been compiled here before."""
+    return any(cache_folder().rglob("engine.advance*.nbc"))
+
+
+def kernel(function: F) -> F:
+    """Compile a function that is called from other kernels."""
+    compiled: F = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})(function)
+    return compiled
+
+
+def entry_kernel(function: F) -> F:
+    """Compile a function that Python calls, and keep the result on disk."""
+    previous = numba.config.CACHE_DIR
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        numba.config.CACHE_DIR = str(folder)
+        compiled: F = numba.njit(error_model="numpy", cache=True)(function)
+    except OSError:
+        # nowhere to keep it: compile anew in each process
+        compiled = numba.njit(error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+    return compiled
