@@ -1,0 +1,1 @@
+"""Integrators and root finding; knows nothing of vehicles."""
