@@ -1,0 +1,276 @@
+"""The bench: a scene in, samples and events out.
+
+The same object serves the offline run and the simulator node; what it hands out does not
+depend on how the time is cut into calls.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim import engine
+from capture_sim.dynamics.equations import MODE, N_TOTAL
+from capture_sim.dynamics.parameters import pack
+from capture_sim.errors import SimulationError
+from capture_sim.integration.pairs import PAIRS
+from capture_sim.launching import LaunchPlan, plan_launch
+from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
+from capture_sim.scene import Scene
+from capture_sim.scene_files import load_scene
+
+_EVENT_ROOM = 256
+
+_CAUSES = {
+    engine.NOT_FINITE: "the state is not finite any more",
+    engine.STEP_TOO_SMALL: "the step fell below 1e-15 s: run.rtol is too small for this scene",
+    engine.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
+    engine.PILE_UP: "more than 100 events fell on one instant",
+}
+
+
+_compiled = False
+
+
+def compile_kernels() -> None:
+    """Load the compiled kernels, or compile them where this source has not run before.
+
+    Takes some ten seconds the first time; called on its own it keeps that out of timings.
+    """
+    global _compiled
+    if not _compiled:
+        _compiled = True
+        bench = Bench(load_scene("paper_designed"))
+        bench.advance(bench.times(0, 2))
+
+
+class Statistics(NamedTuple):
+    """What a run has cost."""
+
+    steps: int
+    rejected: int
+    evaluations: int
+
+
+class Bench:
+    """One run of a scene, from the release on.
+
+    Parameters
+    ----------
+    scene
+        What is on the bench.
+    plan
+        How it is launched; None lets :func:`capture_sim.launching.plan_launch` decide.
+
+    Attributes
+    ----------
+    events : list of Event
+        In order; the release first.  Grows in :meth:`advance`.
+    done : bool
+        The run is over.
+
+    Examples
+    --------
+    >>> from capture_sim import Bench, load_scene
+    >>> bench = Bench(load_scene("paper_designed"))
+    >>> samples = bench.advance(bench.times(0, 100))
+    >>> samples["q"].shape
+    (100, 8)
+    """
+
+    def __init__(self, scene: Scene, plan: LaunchPlan | None = None) -> None:
+        self.scene = scene
+        self.plan = plan_launch(scene) if plan is None else plan
+        self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
+        self._pair = PAIRS[scene.run.method]()
+        q, v = scene.initial_coordinates()
+        self._y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
+        self._work = [np.zeros(N_TOTAL) for _ in range(4)]
+        self._K = np.zeros((self._pair.A.shape[0], N_TOTAL))
+        self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
+        self._scratch = np.zeros(11)
+        self._scale = error_scale(self._par)
+        self._mode = np.zeros(1, MODE)
+        self._run = np.zeros(1, engine.RUN)
+        self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
+        self._begin()
+        self._touches: list[np.void] = []
+        self.events: list[Event] = []
+        self._log(EventKind.RELEASE, 0.0, q, v, detail=self._describe_release())
+
+    def _begin(self) -> None:
+        run, mode, par = self._run[0], self._mode[0], self._par[0]
+        run["t_stop"] = self.scene.run.t_end
+        run["h_next"] = 1e-6
+        run["error"] = 1e-4
+        run["fresh"] = 1
+        run["on_rail"] = self.scene.rail is not None
+        run["taut"] = self.scene.string is not None
+        run["speed"] = math.hypot(self._y[8], self._y[9]) if run["on_rail"] else 0.0
+        if par["has_supports"]:
+            still = not np.any(self._y[13:16])
+            mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
+            still = not np.any(self._y[8:11]) and not run["on_rail"]
+            mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
+        run["energy_0"] = engine.energy_at_release(
+            self._par, self._mode, self._run, self._y, self._scratch, np.zeros(1, SAMPLE)
+        )
+
+    def _describe_release(self) -> str:
+        if self.scene.string is None:
+            return "no string"
+        return f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
+
+    @property
+    def done(self) -> bool:
+        """Whether the run is over."""
+        return bool(self._run[0]["done"])
+
+    @property
+    def touches(self) -> np.ndarray:
+        """All touches that have ended so far, (n,) of dtype TOUCH."""
+        return np.array(self._touches, dtype=TOUCH)
+
+    @property
+    def statistics(self) -> Statistics:
+        """Steps taken and rejected, and evaluations of the equations of motion."""
+        run = self._run[0]
+        return Statistics(int(run["steps"]), int(run["rejected"]), int(run["evaluations"]))
+
+    def times(self, first: int, count: int) -> np.ndarray:
+        """Return the times (s) of ``count`` samples from number ``first`` on, up to the end."""
+        rate, t_end = self.scene.run.state_rate, self.scene.run.t_end
+        t: np.ndarray = np.arange(first, first + count) / rate
+        return t[t <= t_end]
+
+    def advance(self, times: np.ndarray) -> np.ndarray:
+        """Run on and sample.
+
+        Parameters
+        ----------
+        times
+            (n,) ascending, s since the release, none before the last one asked for; none at
+            all runs to the end.
+
+        Returns
+        -------
+        ndarray
+            (m,) of dtype SAMPLE, m <= n; fewer than asked when the run is over.
+
+        Raises
+        ------
+        SimulationError
+            Names time, phase and cause; ``partial`` holds the samples up to there.
+        """
+        times = np.ascontiguousarray(times, dtype=float)
+        if not self.done and (times.size == 0 or times[-1] >= self.scene.run.t_end):
+            # nothing lies beyond: a time that is never reached runs to the end
+            times = np.append(times, np.inf)
+        samples = np.zeros(times.shape[0], SAMPLE)
+        served = 0
+        y_new, y_stage, y_at, y_end = self._work
+        while True:
+            self._run[0]["n_events"] = 0
+            status, count = engine.advance(
+                self._par,
+                self._mode,
+                self._run,
+                tuple(self._pair),
+                self._y,
+                y_new,
+                y_stage,
+                y_at,
+                y_end,
+                self._K,
+                self._F,
+                self._scale,
+                self._scratch,
+                times[served:],
+                samples[served:],
+                self._event_room,
+            )
+            served += count
+            self._drain()
+            if status == engine.EVENTS_FULL:
+                continue
+            if status != engine.SERVED:
+                raise self._failure(int(status), samples[:served])
+            return samples[:served]
+
+    def _failure(self, status: int, partial: np.ndarray) -> SimulationError:
+        run = self._run[0]
+        sample = np.zeros(1, SAMPLE)
+        engine.energy_at_release(self._par, self._mode, self._run, self._y, self._scratch, sample)
+        phase = Phase(int(sample[0]["phase"])).name.lower()
+        return SimulationError(
+            f"{self.scene.name}: stopped at t = {run['t0']:.9g} s in phase {phase}: "
+            f"{_CAUSES[status]}",
+            partial,
+        )
+
+    def _drain(self) -> None:
+        for raw in self._event_room[: self._run[0]["n_events"]]:
+            kind = EventKind(int(raw["kind"]))
+            touch = None
+            if kind is EventKind.LIFT_OFF:
+                touch = raw["touch"].copy()
+                self._touches.append(touch)
+            wall = int(raw["wall"]) if kind in (EventKind.TOUCH, EventKind.LIFT_OFF) else 0
+            self._log(
+                kind,
+                float(raw["t"]),
+                raw["q"].copy(),
+                raw["v"].copy(),
+                wall,
+                _detail(kind, raw),
+                touch,
+            )
+
+    def _log(
+        self,
+        kind: EventKind,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        wall: int = 0,
+        detail: str = "",
+        touch: np.void | None = None,
+    ) -> None:
+        self.events.append(Event(kind, t, q, v, wall, detail, touch))
+
+
+def _detail(kind: EventKind, raw: np.void) -> str:
+    value = float(raw["value"])
+    if kind is EventKind.LANDED:
+        return f"hanging mass down, chaser at {value:.6g} m/s"
+    if kind is EventKind.RAIL_END:
+        return f"chaser free at {value:.6g} m/s"
+    if kind is EventKind.TOUCH:
+        return f"{'+y' if raw['wall'] > 0 else '-y'} wall at {value:.6g} m/s"
+    if kind is EventKind.LIFT_OFF:
+        return f"{'+y' if raw['wall'] > 0 else '-y'} wall after a peak of {value:.6g} N"
+    if kind in (EventKind.AT_REST, EventKind.MOVING):
+        return "chaser" if raw["wall"] == 1 else "target"
+    if kind is EventKind.LATCHED:
+        return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
+    return ""
+
+
+def error_scale(par: np.ndarray) -> np.ndarray:
+    """Return the error allowed per step of each state (16,): rtol of the scene's own scale.
+
+    The scale is a length (the tip's radius) and a speed (of the approach), not the state's
+    present value: the same error counts the same wherever on the floor the bench stands.
+    Angles count by what they move the tip.
+    """
+    p = par[0]
+    arm = float(p["a"] + p["h_0"])
+    length, speed = float(p["length_scale"]), float(p["speed_scale"])
+    places = np.array([length, length, length / arm, length / arm, length] + [length] * 3)
+    rates = np.array([speed, speed, speed / arm, speed / arm, speed] + [speed] * 3)
+    places[7], rates[7] = length / float(p["L_T"] + p["R_c"]), speed / float(p["L_T"] + p["R_c"])
+    energies = np.full(7, float(p["m_P"]) * speed**2)
+    scale: np.ndarray = float(p["rtol"]) * np.concatenate([places, rates, energies])
+    return scale

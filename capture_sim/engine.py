@@ -1,0 +1,730 @@
+"""The run as one compiled loop: stretches of motion between located events.
+
+A *stretch* is a piece of motion under one set of equations: on the rail (closed form) or
+one step of the integrator.  Samples are read from the stretch they fall into; a stretch
+is cut where an event is located in it, and the event's consequences are drawn at the cut.
+Nothing depends on where samples are asked for, so any cutting of the sample times into
+calls gives the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capture_sim.dynamics.equations import (
+    HYSTERESIS,
+    IMPULSE,
+    N_STATE,
+    ROLLING,
+    accelerate,
+    rate_of_change,
+    tip_in_cone,
+    wall_gap,
+)
+from capture_sim.dynamics.observation import (
+    elastic_contact_energy,
+    kinetic_energy,
+    observe,
+    speed_travel,
+    wall_force,
+)
+from capture_sim.dynamics.supports import fastest_ball, load_factor
+from capture_sim.integration.explicit import dense, make_stepper, next_factor
+from capture_sim.integration.roots import cubic_minimum, may_cross
+from capture_sim.kernels import entry_kernel, kernel
+from capture_sim.samples import TOUCH
+
+try_step, prepare_dense = make_stepper(rate_of_change)
+
+#: Where a run stands; the loop's own notebook.
+RUN = np.dtype(
+    [
+        ("t0", "f8"),  # start of the present stretch
+        ("t1", "f8"),  # its end
+        ("h", "f8"),  # full length of the integrator's step it was cut from
+        ("stretch", "i8"),  # NONE, RAIL or STEP
+        ("pending", "i8"),  # event at its end, -1 for none
+        ("pending_wall", "i8"),
+        ("dense_ready", "i8"),
+        ("fresh", "i8"),  # equations have changed: K[0] is stale
+        ("h_next", "f8"),
+        ("error", "f8"),
+        ("on_rail", "i8"),
+        ("taut", "i8"),
+        ("travel", "f8"),  # along the rail at t0
+        ("speed", "f8"),  # along the rail at t0
+        ("acceleration", "f8"),
+        ("t_stop", "f8"),
+        ("done", "i8"),
+        ("steps", "i8"),
+        ("rejected", "i8"),
+        ("evaluations", "i8"),
+        ("pile", "i8"),  # events in a row without progress
+        ("energy_0", "f8"),
+        ("lost_landing", "f8"),
+        ("lost_latch", "f8"),
+        ("touches", "i8"),
+        ("touch_start", "f8", (2,)),
+        ("touch_speed", "f8", (2,)),
+        ("touch_peak", "f8", (2,)),
+        ("touch_peak_time", "f8", (2,)),
+        ("touch_impulse", "f8", (2,)),  # the integrals when it began
+        ("touch_hysteresis", "f8", (2,)),
+        ("force", "f8", (2,)),  # normal force at t0, and its rate
+        ("force_rate", "f8", (2,)),
+        ("clamped", "i8"),
+        ("n_events", "i8"),
+    ],
+    align=True,
+)
+
+EVENT = np.dtype(
+    [
+        ("kind", "i8"),
+        ("t", "f8"),
+        ("wall", "i8"),
+        ("value", "f8"),
+        ("q", "f8", (8,)),
+        ("v", "f8", (8,)),
+        ("touch", TOUCH),
+    ],
+    align=True,
+)
+
+NONE, RAIL, STEP = 0, 1, 2
+RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = range(9)
+NO_EVENT = -1
+
+# how the loop ended
+SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP = range(6)
+
+# event functions that a step is searched for
+_GAP, _DEPTH, _LATCH_DISTANCE = 0, 1, 2
+
+_EVENT_ROOM = 8  # events that one stretch may cause
+_SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
+_REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
+
+
+@kernel
+def log_event(events, run, kind, t, y, wall, value):
+    """Append an event with the state ``y`` and an empty touch."""
+    e = events[run.n_events]
+    e.kind = kind
+    e.t = t
+    e.wall = wall
+    e.value = value
+    for i in range(8):
+        e.q[i] = y[i]
+        e.v[i] = y[8 + i]
+    run.n_events += 1
+
+
+@kernel
+def end_touch(events, run, mode, t, y, i):
+    """Close the touch of wall ``i`` and log it."""
+    log_event(events, run, LIFT_OFF, t, y, 1 - 2 * i, run.touch_peak[i])
+    touch = events[run.n_events - 1].touch
+    touch.start = run.touch_start[i]
+    touch.end = t
+    touch.wall = 1 - 2 * i
+    touch.approach_speed = run.touch_speed[i]
+    touch.peak_force = run.touch_peak[i]
+    touch.peak_time = run.touch_peak_time[i]
+    touch.impulse = y[IMPULSE + i] - run.touch_impulse[i]
+    touch.dissipated = y[HYSTERESIS + i] - run.touch_hysteresis[i]
+    mode.touching[i] = 0
+
+
+@kernel
+def begin_touch(events, run, mode, par, t, y, i):
+    """Latch the approach speed of wall ``i`` and switch its force on."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    _, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    speed = max(-rate, 0.0)
+    mode.touching[i] = 1
+    mode.chi[i] = par.hysteresis * par.K / max(speed, par.v_0_floor)
+    run.touches += 1
+    run.touch_start[i] = t
+    run.touch_speed[i] = speed
+    run.touch_peak[i] = 0.0
+    run.touch_peak_time[i] = t
+    run.touch_impulse[i] = y[IMPULSE + i]
+    run.touch_hysteresis[i] = y[HYSTERESIS + i]
+    run.force[i] = 0.0
+    run.force_rate[i] = 1.0
+    log_event(events, run, TOUCH_BEGINS, t, y, 1 - 2 * i, speed)
+    # a Hertz impact at this speed of the probe alone lasts about as long as this touch
+    v = max(speed, par.v_0_floor)
+    depth = (1.25 * par.m_P * v * v / par.K) ** 0.4
+    run.h_next = min(run.h_next, 0.05 * depth / v)
+
+
+@kernel
+def event_value(y, par, kind, i):
+    """Return an event function and its rate; it goes below zero when the event happens."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    if kind == _LATCH_DISTANCE:
+        ux = px + par.L_T
+        distance = math.hypot(ux, py)
+        rate = 0.0
+        if distance > 0.0:
+            rate = (ux * wx + py * wy) / distance
+        return distance - par.latch_radius, rate
+    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    if kind == _GAP:
+        return gap, rate
+    return -gap, -rate
+
+
+@kernel
+def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b):
+    """Return where an event function passes zero between x_a (>= 0) and x_b (< 0).
+
+    Newton's method, bisecting where that would leave the bracket; to rounding.
+    """
+    x = 0.5 * (x_a + x_b)
+    for _ in range(80):
+        dense(y, F, rows, x, y_x)
+        g, d = event_value(y_x, par, kind, i)
+        if g >= 0.0:
+            x_a = x
+        else:
+            x_b = x
+        if x_b - x_a <= 4e-16 * x_b:
+            break
+        step = 0.0
+        if d != 0.0:
+            step = -g / (d * h)
+        trial = x + step
+        if d == 0.0 or not (x_a < trial < x_b):
+            trial = 0.5 * (x_a + x_b)
+        elif abs(step) <= 2e-16 * x:
+            x = trial
+            break
+        x = trial
+    return x
+
+
+@kernel
+def first_crossing(y, F, rows, h, y_x, par, kind, i):
+    """Return the first place (0..1) in a step where an event function goes below zero; 2 if none.
+
+    The step is looked at in quarters; in each, the cubic through value and slope of both
+    ends points to where a dip would be.
+    """
+    x_a = 0.0
+    dense(y, F, rows, 0.0, y_x)
+    g_a, d_a = event_value(y_x, par, kind, i)
+    if g_a <= 0.0 and d_a < 0.0:
+        return 0.0
+    g_a = max(g_a, 0.0)
+    for quarter in range(4):
+        x_b = 0.25 * (quarter + 1)
+        dense(y, F, rows, x_b, y_x)
+        g_b, d_b = event_value(y_x, par, kind, i)
+        low_a, low_g, low_d = x_a, g_a, d_a
+        high_b, high_g, high_d = x_b, g_b, d_b
+        for _ in range(6):
+            if high_g < 0.0:
+                break
+            width = high_b - low_a
+            place, low = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
+            slack = 0.02 * h * width * (abs(low_d) + abs(high_d))
+            if place < 0.0 or low > slack:
+                break
+            x_m = low_a + place * width
+            dense(y, F, rows, x_m, y_x)
+            g_m, d_m = event_value(y_x, par, kind, i)
+            if g_m < 0.0 or d_m < 0.0:
+                if g_m < 0.0:
+                    high_b, high_g, high_d = x_m, g_m, d_m
+                else:
+                    low_a, low_g, low_d = x_m, g_m, d_m
+            else:
+                high_b, high_g, high_d = x_m, g_m, d_m
+        if high_g < 0.0:
+            # the bracket must start above zero: a touch that has just ended starts at it
+            if low_g == 0.0:
+                trial = low_a + 0.5 * (high_b - low_a)
+                for _ in range(60):
+                    dense(y, F, rows, trial, y_x)
+                    g_t, _ = event_value(y_x, par, kind, i)
+                    if g_t > 0.0:
+                        break
+                    high_b = trial
+                    trial = low_a + 0.5 * (trial - low_a)
+                if trial - low_a < 1e-15:
+                    return low_a
+                low_a = trial
+            return refine(y, F, rows, h, y_x, par, kind, i, low_a, high_b)
+        x_a, g_a, d_a = x_b, g_b, d_b
+    return 2.0
+
+
+@kernel
+def ratio_of_limit(y, par, mode, f, scratch, which):
+    """Return which share of its supports' limit a vehicle needs to stand still."""
+    sx, sy, sm, tx, ty, tm = accelerate(y, par, mode, f, scratch)
+    if which == 0:
+        return load_factor(sx, sy, sm, math.cos(y[2]), math.sin(y[2]), par.balls_S)
+    return load_factor(tx, ty, tm, math.cos(y[7]), math.sin(y[7]), par.balls_T)
+
+
+@kernel
+def when_it_moves(y, F, rows, y_x, par, mode, f, scratch, which):
+    """Return the place (0..1) in a step at which a resting vehicle's limit is reached."""
+    x_a, x_b = 0.0, 1.0
+    for _ in range(60):
+        x = 0.5 * (x_a + x_b)
+        dense(y, F, rows, x, y_x)
+        if ratio_of_limit(y_x, par, mode, f, scratch, which) > 1.0:
+            x_b = x
+        else:
+            x_a = x
+        if x_b - x_a <= 1e-15:
+            break
+    return x_b
+
+
+@kernel
+def peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end):
+    """Return place and value of the largest normal force of wall ``i`` up to ``x_end``."""
+    golden = 0.6180339887498949
+    a, b = 0.0, x_end
+    x1 = b - golden * (b - a)
+    x2 = a + golden * (b - a)
+    dense(y, F, rows, x1, y_x)
+    f1 = wall_force(y_x, par, mode, i)
+    dense(y, F, rows, x2, y_x)
+    f2 = wall_force(y_x, par, mode, i)
+    for _ in range(40):
+        if f1 < f2:
+            a, x1, f1 = x1, x2, f2
+            x2 = a + golden * (b - a)
+            dense(y, F, rows, x2, y_x)
+            f2 = wall_force(y_x, par, mode, i)
+        else:
+            b, x2, f2 = x2, x1, f1
+            x1 = b - golden * (b - a)
+            dense(y, F, rows, x1, y_x)
+            f1 = wall_force(y_x, par, mode, i)
+        if b - a < 1e-7:
+            break
+    if f1 > f2:
+        return x1, f1
+    return x2, f2
+
+
+@kernel
+def plan_rail_stretch(par, run):
+    """Set up the present stretch on the rail: constant acceleration until the next event."""
+    run.stretch = RAIL
+    run.pending = NO_EVENT
+    if run.taut:
+        pull = par.m_hanging * par.gravity - par.rolling_limit_S
+        run.acceleration = pull / (par.m_total + par.m_hanging + par.pulley_mass)
+        if run.speed == 0.0 and pull <= 0.0:
+            run.acceleration = 0.0
+        goal, event = par.drop_height - run.travel, LANDED
+    else:
+        run.acceleration = -par.rolling_limit_S / par.m_total if run.speed > 0.0 else 0.0
+        goal, event = par.rail_length - run.travel, RAIL_END
+    run.t1 = math.inf
+    square = run.speed * run.speed + 2.0 * run.acceleration * goal
+    if goal <= 0.0:
+        run.t1 = run.t0
+        run.pending = event
+    elif square > 0.0 and run.speed + math.sqrt(square) > 0.0:
+        run.t1 = run.t0 + 2.0 * goal / (run.speed + math.sqrt(square))
+        run.pending = event
+    elif run.acceleration < 0.0:
+        # comes to rest on the rail before the goal
+        run.t1 = run.t0 - run.speed / run.acceleration
+        run.pending = AT_REST
+    if run.t1 > run.t_stop:
+        run.t1 = run.t_stop
+        run.pending = END
+
+
+@kernel
+def rail_state(par, run, t, y, y_x):
+    """Write the state on the rail at ``t`` into ``y_x``: the buffer rides along at rest."""
+    along = speed_travel(run, t)
+    speed = run.speed + run.acceleration * (t - run.t0)
+    for i in range(y.shape[0]):
+        y_x[i] = y[i]
+    y_x[0] = y[0] + along * par.rail_x
+    y_x[1] = y[1] + along * par.rail_y
+    y_x[8] = speed * par.rail_x
+    y_x[9] = speed * par.rail_y
+    y_x[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
+
+
+@kernel
+def close_rail_stretch(par, run, mode, events, y, y_x):
+    """Move to the end of a stretch on the rail and draw the consequences."""
+    t = run.t1
+    rail_state(par, run, t, y, y_x)
+    run.travel += speed_travel(run, t)
+    run.speed += run.acceleration * (t - run.t0)
+    if run.pending == LANDED:
+        run.travel = par.drop_height
+    for i in range(y.shape[0]):
+        y[i] = y_x[i]
+    run.t0 = t
+    if run.pending == LANDED:
+        run.lost_landing += 0.5 * (par.m_hanging + par.pulley_mass) * run.speed * run.speed
+        run.taut = 0
+        log_event(events, run, LANDED, t, y, 0, run.speed)
+    elif run.pending == RAIL_END:
+        run.on_rail = 0
+        run.fresh = 1
+        log_event(events, run, RAIL_END, t, y, 0, run.speed)
+    elif run.pending == AT_REST:
+        run.speed = 0.0
+        y[8] = 0.0
+        y[9] = 0.0
+        mode.rest_S = 1
+        log_event(events, run, AT_REST, t, y, 1, 0.0)
+
+
+@kernel
+def stop_vehicle(par, run, mode, events, t, y, which):
+    """Put a vehicle at rest on its supports; what speed it had left goes to them."""
+    before = kinetic_energy(y, par)
+    first = 8 if which == 0 else 13
+    for i in range(first, first + 3):
+        y[i] = 0.0
+    y[ROLLING] += before - kinetic_energy(y, par)
+    if which == 0:
+        mode.rest_S = 1
+    else:
+        mode.rest_T = 1
+    run.fresh = 1
+    log_event(events, run, AT_REST, t, y, which + 1, 0.0)
+
+
+@kernel
+def is_slow(y, par, which):
+    """Tell whether a vehicle is slow enough to be put at rest."""
+    if which == 0:
+        speed = fastest_ball(y[8], y[9], y[10], math.cos(y[2]), math.sin(y[2]), par.balls_S)
+    else:
+        speed = fastest_ball(y[13], y[14], y[15], math.cos(y[7]), math.sin(y[7]), par.balls_T)
+    return speed < _REST_SPEED * par.v_eps_ball
+
+
+@kernel
+def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scale, scratch):
+    """Take one accepted step of the integrator and cut it at the first event in it.
+
+    Returns the loop's status; SERVED if all is well.
+    """
+    rows = pair[4].shape[0]
+    stages = pair[5]
+    run.stretch = STEP
+    run.dense_ready = 0
+    run.pending = NO_EVENT
+    if run.fresh:
+        rate_of_change(run.t0, y, K[0], par, mode, scratch)
+        run.evaluations += 1
+        run.fresh = 0
+        if par.has_supports:
+            # a change of forces may ask more of the supports at once than they can hold
+            for which in range(2):
+                resting = mode.rest_S if which == 0 else mode.rest_T
+                if resting and ratio_of_limit(y, par, mode, K[1], scratch, which) > 1.0:
+                    run.h = 0.0
+                    run.t1 = run.t0
+                    run.pending = MOVING
+                    run.pending_wall = which
+                    return SERVED
+    else:
+        for i in range(K.shape[1]):
+            K[0, i] = K[stages, i]
+    h = min(run.h_next, 1.01 * (run.t_stop - run.t0))
+    while True:
+        if h < _SMALLEST_STEP:
+            if run.t_stop - run.t0 < _SMALLEST_STEP:
+                h = _SMALLEST_STEP
+            else:
+                return STEP_TOO_SMALL
+        error = try_step(par, mode, scratch, pair, run.t0, y, h, K, y_s, y_new, N_STATE, scale)
+        run.evaluations += stages
+        factor = next_factor(error, run.error, pair[6])
+        if error <= 1.0:
+            break
+        run.rejected += 1
+        if not error < 1e300:
+            for i in range(N_STATE):
+                if not math.isfinite(K[0, i]):
+                    return NOT_FINITE
+        h *= min(factor, 1.0)
+    run.steps += 1
+    if run.steps > par.max_steps:
+        return TOO_MANY_STEPS
+    run.error = error
+    run.h = h
+    run.h_next = h * factor
+    run.t1 = run.t0 + h
+
+    # the first event in the step, if any
+    cut = 2.0
+    for i in range(2):
+        if mode.latched:
+            break
+        kind = _DEPTH if mode.touching[i] else _GAP
+        g_a, d_a = event_value(y, par, kind, i)
+        g_b, d_b = event_value(y_new, par, kind, i)
+        if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
+            if not run.dense_ready:
+                prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
+                run.dense_ready = 1
+            x = first_crossing(y, F, rows, h, y_x, par, kind, i)
+            if x < cut:
+                cut = x
+                run.pending = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
+                run.pending_wall = i
+    if par.has_latch and not mode.latched:
+        g_a, d_a = event_value(y, par, _LATCH_DISTANCE, 0)
+        g_b, d_b = event_value(y_new, par, _LATCH_DISTANCE, 0)
+        if may_cross(g_a, d_a * h, g_b, d_b * h, 0.05):
+            if not run.dense_ready:
+                prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
+                run.dense_ready = 1
+            x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
+            if x < cut:
+                cut = x
+                run.pending = LATCHED
+    if par.has_supports:
+        for which in range(2):
+            resting = mode.rest_S if which == 0 else mode.rest_T
+            if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
+                if not run.dense_ready:
+                    prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
+                    run.dense_ready = 1
+                x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
+                if x < cut:
+                    cut = x
+                    run.pending = MOVING
+                    run.pending_wall = which
+    if cut <= 1.0:
+        run.t1 = run.t0 + cut * h
+    if run.t1 >= run.t_stop:
+        run.t1 = run.t_stop
+        run.pending = END
+    return SERVED
+
+
+@kernel
+def watch_force(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, y_end, x_end):
+    """Keep each touch's peak of force, found inside the stretch where it lies."""
+    rows = pair[4].shape[0]
+    for i in range(2):
+        if not mode.touching[i]:
+            continue
+        force = wall_force(y_end, par, mode, i)
+        # rate by a small move along the flow; it only decides where to look
+        small = 1e-4 * run.h
+        for k in range(N_STATE):
+            y_s[k] = y_end[k] + small * K[pair[5], k]
+        # a stretch cut short ends with the touch, or is to be looked through anyway
+        rate = (wall_force(y_s, par, mode, i) - force) / small if x_end == 1.0 else -1.0
+        if run.force_rate[i] > 0.0 and rate < 0.0:
+            width = x_end * run.h
+            place, low = cubic_minimum(
+                -run.force[i], -run.force_rate[i] * width, -force, -rate * width
+            )
+            if x_end != 1.0 or (place >= 0.0 and -low > 0.98 * run.touch_peak[i]):
+                if not run.dense_ready:
+                    prepare_dense(
+                        par,
+                        mode,
+                        scratch,
+                        pair,
+                        run.t0,
+                        y,
+                        run.h,
+                        K,
+                        y_s,
+                        N_STATE,
+                        F,
+                    )
+                    run.dense_ready = 1
+                x, peak = peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end)
+                if peak > run.touch_peak[i]:
+                    run.touch_peak[i] = peak
+                    run.touch_peak_time[i] = run.t0 + x * run.h
+        if force > run.touch_peak[i]:
+            run.touch_peak[i] = force
+            run.touch_peak_time[i] = run.t1
+        run.force[i] = force
+        run.force_rate[i] = rate
+
+
+@kernel
+def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch):
+    """Move to the end of an integrator's stretch and draw the consequences."""
+    rows = pair[4].shape[0]
+    x_end = 1.0
+    if run.h > 0.0:
+        if run.t1 < run.t0 + run.h:
+            x_end = (run.t1 - run.t0) / run.h
+            if not run.dense_ready:
+                prepare_dense(par, mode, scratch, pair, run.t0, y, run.h, K, y_s, N_STATE, F)
+                run.dense_ready = 1
+            dense(y, F, rows, x_end, y_end)
+            run.fresh = 1
+        else:
+            for i in range(y.shape[0]):
+                y_end[i] = y_new[i]
+        if mode.touching[0] or mode.touching[1]:
+            watch_force(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, y_end, x_end)
+        for i in range(y.shape[0]):
+            y[i] = y_end[i]
+    if run.t1 > run.t0 + _SMALLEST_STEP:
+        run.pile = 0
+    else:
+        run.pile += 1
+    t = run.t1
+    run.t0 = t
+    if run.pending == NO_EVENT:
+        if par.has_supports:
+            for which in range(2):
+                resting = mode.rest_S if which == 0 else mode.rest_T
+                if (
+                    not resting
+                    and is_slow(y, par, which)
+                    and ratio_of_limit(y, par, mode, y_x, scratch, which) < 1.0
+                ):
+                    stop_vehicle(par, run, mode, events, t, y, which)
+    elif run.pending == TOUCH_BEGINS:
+        begin_touch(events, run, mode, par, t, y, run.pending_wall)
+        run.fresh = 1
+    elif run.pending == LIFT_OFF:
+        end_touch(events, run, mode, t, y, run.pending_wall)
+        run.fresh = 1
+    elif run.pending == MOVING:
+        if run.pending_wall == 0:
+            mode.rest_S = 0
+        else:
+            mode.rest_T = 0
+        run.fresh = 1
+        log_event(events, run, MOVING, t, y, run.pending_wall + 1, 0.0)
+    elif run.pending == LATCHED:
+        px, py, wx, wy = tip_in_cone(y, par)
+        for i in range(2):
+            if mode.touching[i]:
+                gap, _, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+                run.lost_latch += elastic_contact_energy(gap, par.K)
+                end_touch(events, run, mode, t, y, i)
+        mode.latched = 1
+        mode.latch_x = px
+        mode.latch_y = py
+        run.t_stop = min(run.t_stop, t + par.after_latch)
+        run.fresh = 1
+        log_event(events, run, LATCHED, t, y, 0, math.hypot(px + par.L_T, py))
+
+
+@entry_kernel
+def advance(
+    parameters,
+    modes,
+    runs,
+    pair,
+    y,
+    y_new,
+    y_s,
+    y_x,
+    y_end,
+    K,
+    F,
+    scale,
+    scratch,
+    times,
+    samples,
+    events,
+):
+    """Run until all ``times`` are sampled, the run is over, or the events' room is used up.
+
+    Returns
+    -------
+    (status, served)
+        One of SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP;
+        and how many samples were written.
+    """
+    par = parameters[0]
+    mode = modes[0]
+    run = runs[0]
+    rows = pair[4].shape[0]
+    k = 0
+    while k < times.shape[0]:
+        if run.stretch != NONE and times[k] <= run.t1:
+            if run.stretch == RAIL:
+                rail_state(par, run, times[k], y, y_x)
+            elif run.h == 0.0:
+                for i in range(y.shape[0]):
+                    y_x[i] = y[i]
+            else:
+                if not run.dense_ready:
+                    prepare_dense(
+                        par,
+                        mode,
+                        scratch,
+                        pair,
+                        run.t0,
+                        y,
+                        run.h,
+                        K,
+                        y_s,
+                        N_STATE,
+                        F,
+                    )
+                    run.dense_ready = 1
+                dense(y, F, rows, (times[k] - run.t0) / run.h, y_x)
+            observe(times[k], y_x, par, mode, run, scratch, samples[k])
+            k += 1
+            continue
+        if run.done:
+            break
+        if run.n_events + _EVENT_ROOM > events.shape[0]:
+            return EVENTS_FULL, k
+        if run.stretch == RAIL:
+            close_rail_stretch(par, run, mode, events, y, y_x)
+        elif run.stretch == STEP:
+            close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch)
+        if run.stretch != NONE and run.pending == END:
+            for i in range(2):
+                if mode.touching[i]:
+                    end_touch(events, run, mode, run.t0, y, i)
+            log_event(events, run, END, run.t0, y, 0, 0.0)
+            run.done = 1
+            run.stretch = NONE
+            break
+        if run.pile > 100:
+            return PILE_UP, k
+        if run.on_rail:
+            plan_rail_stretch(par, run)
+        else:
+            status = plan_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scale, scratch)
+            if status != SERVED:
+                run.stretch = NONE
+                return status, k
+    return SERVED, k
+
+
+@entry_kernel
+def energy_at_release(parameters, modes, runs, y, scratch, samples):
+    """Return the energy that the ledger starts from, J."""
+    observe(0.0, y, parameters[0], modes[0], runs[0], scratch, samples[0])
+    s = samples[0]
+    return s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
+
+
+@entry_kernel
+def evaluate(parameters, modes, y, f, scratch):
+    """Evaluate the equations of motion once, for benchmarks and other integrators."""
+    rate_of_change(0.0, y, f, parameters[0], modes[0], scratch)

@@ -1,0 +1,140 @@
+"""What the bench hands out: samples, touches and events, as plain NumPy data.
+
+The names are those of ``msg/BenchState.msg`` and ``msg/BenchEvent.msg``, where the
+unit of every field stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+
+class Phase(IntEnum):
+    """Phase of a run; each integrates only the freedoms it has."""
+
+    HELD = 0
+    TAUT = 1
+    COAST = 2
+    FREE = 3
+    CONTACT = 4
+    LATCHED = 5
+
+
+class EventKind(IntEnum):
+    """What happened at a located instant."""
+
+    RELEASE = 0
+    LANDED = 1
+    RAIL_END = 2
+    TOUCH = 3
+    LIFT_OFF = 4
+    AT_REST = 5
+    MOVING = 6
+    LATCHED = 7
+    END = 8
+
+    @property
+    def label(self) -> str:
+        """The name used in messages and tables."""
+        return self.name.lower()
+
+
+#: Order of ``q`` and ``v``.
+COORDINATES = ("x_S", "y_S", "theta_S", "theta_P", "h", "x_T", "y_T", "theta_T")
+
+#: One sample of everything; fields and units as in msg/BenchState.msg.
+SAMPLE = np.dtype(
+    [
+        ("t", "f8"),
+        ("phase", "i8"),
+        ("walls", "i8"),
+        ("at_rest", "i8"),
+        ("touches", "i8"),
+        ("q", "f8", (8,)),
+        ("v", "f8", (8,)),
+        ("axial_stroke", "f8"),
+        ("axial_force", "f8"),
+        ("torsion", "f8"),
+        ("torsion_torque", "f8"),
+        ("tip_axial", "f8"),
+        ("tip_lateral", "f8"),
+        ("tip_distance", "f8"),
+        ("penetration", "f8", (2,)),
+        ("penetration_rate", "f8", (2,)),
+        ("normal_force", "f8", (2,)),
+        ("friction_force", "f8", (2,)),
+        ("contact_force", "f8", (2,)),
+        ("contact_torque", "f8"),
+        ("latch_force", "f8", (2,)),
+        ("impulse", "f8", (2,)),
+        ("string_tension", "f8"),
+        ("mass_height", "f8"),
+        ("mass_speed", "f8"),
+        ("kinetic", "f8"),
+        ("elastic_axial", "f8"),
+        ("elastic_torsion", "f8"),
+        ("elastic_contact", "f8"),
+        ("elastic_latch", "f8"),
+        ("work_string", "f8"),
+        ("dissipated_axial", "f8"),
+        ("dissipated_torsion", "f8"),
+        ("dissipated_contact", "f8"),
+        ("dissipated_friction", "f8"),
+        ("dissipated_rolling", "f8"),
+        ("dissipated_latch", "f8"),
+        ("dissipated_landing", "f8"),
+        ("energy_residual", "f8"),
+    ]
+)
+
+#: One touch of a wall, from located start to located end.
+TOUCH = np.dtype(
+    [
+        ("start", "f8"),  # s
+        ("end", "f8"),  # s; the run's end for a touch that was still on
+        ("wall", "i8"),  # +1 or -1
+        ("approach_speed", "f8"),  # m/s, along the normal, at the start
+        ("peak_force", "f8"),  # N, normal, found between steps
+        ("peak_time", "f8"),  # s
+        ("impulse", "f8"),  # N s, normal
+        ("dissipated", "f8"),  # J, contact hysteresis
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at a located instant.
+
+    ``touch`` is filled for ``LIFT_OFF`` (a 0-d array of dtype TOUCH).
+    """
+
+    kind: EventKind
+    t: float  # s, since the release
+    q: np.ndarray  # (8,)
+    v: np.ndarray  # (8,)
+    wall: int = 0
+    detail: str = ""
+    touch: np.void | None = field(default=None, compare=False)
+
+
+#: The fields of a sample that make up the energy ledger, J.
+ENERGIES = (
+    "kinetic",
+    "elastic_axial",
+    "elastic_torsion",
+    "elastic_contact",
+    "elastic_latch",
+    "work_string",
+    "dissipated_axial",
+    "dissipated_torsion",
+    "dissipated_contact",
+    "dissipated_friction",
+    "dissipated_rolling",
+    "dissipated_latch",
+    "dissipated_landing",
+    "energy_residual",
+)

@@ -1,0 +1,130 @@
+"""The equations of motion against a second formulation, and what must be conserved."""
+
+import numpy as np
+import pytest
+from independent_model import (
+    bias,
+    buffer_forces,
+    kinetic,
+    mass_matrix,
+    momentum,
+    tip,
+)
+
+from capture_sim import Bench, engine, load_scene, simulate
+from capture_sim.dynamics.equations import MODE, N_TOTAL
+
+
+@pytest.fixture
+def scene():
+    return load_scene("paper_designed", ["buffer.c_T=0.7"])
+
+
+def random_states(scene, n, seed=1):
+    rng = np.random.default_rng(seed)
+    q0, _ = scene.initial_coordinates()
+    for _ in range(n):
+        q = q0 + rng.normal(size=8) * np.array([1, 1, 2, 0.5, 0.02, 1, 1, 2])
+        q[3] = q[2] + rng.normal() * 0.5
+        yield q, rng.normal(size=8) * np.array([1, 1, 3, 3, 1, 1, 1, 3])
+
+
+def accelerations(scene, q, v):
+    bench = Bench(scene)
+    y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
+    f = np.zeros(N_TOTAL)
+    engine.evaluate(bench._par, np.zeros(1, MODE), y, f, np.zeros(11))
+    return f[8:16]
+
+
+def test_free_accelerations_agree_with_bodies_one_by_one(scene):
+    for q, v in random_states(scene, 50):
+        expected = np.linalg.solve(
+            mass_matrix(scene, q), buffer_forces(scene, q, v) - bias(scene, q, v)
+        )
+        found = accelerations(scene, q, v)
+        assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * np.abs(expected).max())
+
+
+def test_massless_cylinder_agrees_too():
+    scene = load_scene("paper_designed", ["cylinder.mass=0"])
+    for q, v in random_states(scene, 10):
+        expected = np.linalg.solve(
+            mass_matrix(scene, q), buffer_forces(scene, q, v) - bias(scene, q, v)
+        )
+        assert accelerations(scene, q, v) == pytest.approx(
+            expected, rel=1e-7, abs=1e-7 * np.abs(expected).max()
+        )
+
+
+def test_contact_force_acts_as_a_force_on_both_bodies(scene):
+    """In contact, M q'' + b - Q is J^T F of one force at one point, opposite on the target."""
+    result = simulate(scene, t_end=0.3, t_eval=np.linspace(0.001, 0.3, 4001))
+    touching = result.samples[result.samples["walls"] > 0]
+    assert touching.size > 1000
+    for sample in touching[::97]:
+        q, v = sample["q"], sample["v"]
+        bench = Bench(scene)
+        mode = np.zeros(1, MODE)
+        mode["touching"][0] = [sample["walls"] & 1, sample["walls"] >> 1]
+        speeds = {
+            t["wall"]: t["approach_speed"]
+            for t in result.touches
+            if t["start"] <= sample["t"] <= t["end"]
+        }
+        for i, wall in enumerate((1, -1)):
+            if wall in speeds:
+                par = bench._par[0]
+                mode["chi"][0][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
+        y, f = np.concatenate([q, v, np.zeros(N_TOTAL - 16)]), np.zeros(N_TOTAL)
+        engine.evaluate(bench._par, mode, y, f, np.zeros(11))
+        Q = mass_matrix(scene, q) @ f[8:16] + bias(scene, q, v) - buffer_forces(scene, q, v)
+        force = sample["contact_force"]
+        scale = max(np.hypot(*force), 1.0)
+        assert Q[0:2] == pytest.approx(force, abs=1e-6 * scale)
+        assert Q[5:7] == pytest.approx(-force, abs=1e-6 * scale)
+        # moments about the world's origin cancel: same point, opposite forces
+        at_tip = tip(scene, q)
+        on_chaser = at_tip[0] * force[1] - at_tip[1] * force[0] + sample["contact_torque"]
+        on_target = q[5] * -force[1] + q[6] * force[0] + Q[7]
+        assert on_chaser + on_target == pytest.approx(0.0, abs=1e-6 * scale)
+
+
+@pytest.mark.parametrize("name", ["paper_undamped", "paper_designed", "paper_case_1"])
+def test_momentum_is_conserved(name):
+    scene = load_scene(name)
+    result = simulate(scene)
+    start = momentum(scene, result.q[0], result.v[0])
+    found = np.array(
+        [momentum(scene, q, v) for q, v in zip(result.q[::50], result.v[::50], strict=True)]
+    )
+    scale = np.abs(start).max()
+    assert result.touches.size > 10
+    assert np.abs(found - start).max() <= 1e-10 * scale
+
+
+@pytest.mark.parametrize("name", ["paper_undamped", "paper_designed", "tilt_p10", "tilt_m10"])
+def test_energy_ledger_closes(name):
+    scene = load_scene(name)
+    result = simulate(scene)
+    approach = 0.5 * scene.chaser_total_mass * 0.1**2
+    assert np.abs(result.energy["energy_residual"]).max() <= 1e-6 * approach
+    # the ledger's kinetic energy against the bodies one by one
+    free = result.samples[result.samples["phase"] >= 3]
+    for sample in free[::500]:
+        assert sample["kinetic"] == pytest.approx(
+            kinetic(scene, sample["q"], sample["v"]), rel=1e-12
+        )
+    for name_, values in result.energy.items():
+        if name_.startswith("dissipated"):
+            assert np.all(np.diff(values) >= -1e-12), name_
+
+
+def test_impulse_of_the_touches_is_the_change_of_momentum():
+    scene = load_scene("paper_designed", ["friction.mu=0"])
+    result = simulate(scene, t_end=1.0)
+    first = result.events[1]
+    lift = next(e for e in result.events if e.kind.label == "lift_off")
+    # without friction the force on the target has the direction of the wall's normal
+    change = scene.target.mass * np.hypot(*(lift.v[5:7] - first.v[5:7]))
+    assert result.touches[0]["impulse"] == pytest.approx(change, rel=1e-7)

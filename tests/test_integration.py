@@ -1,0 +1,190 @@
+"""The integrators on problems with known solutions, and the bench against SciPy's."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import RK45, solve_ivp
+
+from capture_sim import Bench, engine, load_scene, simulate
+from capture_sim.dynamics.equations import MODE, N_TOTAL
+from capture_sim.integration.explicit import dense, make_stepper
+from capture_sim.integration.pairs import PAIRS
+from capture_sim.integration.roots import cubic_minimum, may_cross
+from capture_sim.kernels import kernel
+
+
+@kernel
+def pendulum(t, y, f, par, mode, scratch):
+    """Mathematical pendulum; the third place integrates the power of its weight."""
+    f[0] = y[1]
+    f[1] = -math.sin(y[0]) + 0.1 * math.cos(3.0 * t)
+    f[2] = -math.sin(y[0]) * y[1]
+
+
+STEPPER = make_stepper(pendulum)
+
+
+def fixed_steps(name, n, t_end=2.0, fractions=()):
+    """Integrate with n equal steps; dense values at fractions of the last step."""
+    pair = PAIRS[name]()
+    y, scale = np.array([1.0, 0.3, 0.0]), np.ones(2)
+    K, F = np.zeros((pair.A.shape[0], 3)), np.zeros((pair.G.shape[0], 3))
+    y_s, y_new, out = np.zeros(3), np.zeros(3), np.zeros(3)
+    h = t_end / n
+    none = np.zeros(0)
+    between = []
+    for i in range(n):
+        t = i * h
+        pendulum(t, y, K[0], none, none, none)
+        STEPPER.try_step(none, none, none, tuple(pair), t, y, h, K, y_s, y_new, 2, scale)
+        if i == n - 1:
+            STEPPER.prepare_dense(none, none, none, tuple(pair), t, y, h, K, y_s, 2, F)
+            for x in fractions:
+                dense(y, F, pair.G.shape[0], x, out)
+                between.append((t + x * h, out.copy()))
+        y = y_new.copy()
+    return y, between
+
+
+@pytest.fixture(scope="module")
+def reference():
+    def motion(t, y):
+        return [
+            y[1],
+            -math.sin(y[0]) + 0.1 * math.cos(3 * t),
+            -math.sin(y[0]) * y[1],
+        ]
+
+    return solve_ivp(
+        motion, (0, 2), [1.0, 0.3, 0.0], method="DOP853", rtol=1e-13, atol=1e-15, dense_output=True
+    )
+
+
+@pytest.mark.parametrize("name, coarse", [("dopri5", 16), ("dop853", 4)])
+def test_order_of_the_step_and_of_its_integrals(name, coarse, reference):
+    exact = reference.y[:, -1]
+    errors = [np.linalg.norm(fixed_steps(name, coarse * k)[0] - exact) for k in (1, 2, 4)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > PAIRS[name]().order - 0.5)
+
+
+@pytest.mark.parametrize("name, n, error", [("dopri5", 20, 3e-7), ("dop853", 8, 1e-8)])
+def test_dense_output_between_steps(name, n, error, reference):
+    _, between = fixed_steps(name, n, fractions=(0.0, 0.25, 0.5, 0.9, 1.0))
+    for t, y in between:
+        assert y == pytest.approx(reference.sol(t), abs=error)
+
+
+def test_dopri5_is_the_pair_that_scipy_has():
+    solver = RK45(lambda t, y: [y[1], -math.sin(y[0])], 0, [1.0, 0.0], 1, first_step=0.1)
+    solver.step()
+    assert solver.h_previous == pytest.approx(0.1)
+    pair = PAIRS["dopri5"]()
+    assert pair.A[pair.stages, : pair.stages] == pytest.approx(solver.B)
+
+
+def test_cubic_sees_a_dip_between_two_positive_ends():
+    place, low = cubic_minimum(1.0, -6.0, 1.0, 6.0)
+    assert place == pytest.approx(0.5)
+    assert low == pytest.approx(-0.5)
+    assert may_cross(1.0, -6.0, 1.0, 6.0, 0.05)
+    assert not may_cross(1.0, -0.1, 1.0, 0.1, 0.05)
+    assert may_cross(1.0, 0.0, -0.1, 0.0, 0.05)
+
+
+@pytest.mark.parametrize("method", ["dopri5", "dop853"])
+def test_state_converges_with_the_tolerance(method):
+    tight = simulate(load_scene("paper_designed", ["run.rtol=1e-12"]), t_end=0.35, t_eval=[0.35])
+    errors = []
+    for rtol in (1e-6, 1e-8, 1e-10):
+        scene = load_scene("paper_designed", [f"run.rtol={rtol}", f"run.method={method}"])
+        found = simulate(scene, t_end=0.35, t_eval=[0.35])
+        errors.append(np.abs(found.q[0] - tight.q[0]).max())
+        assert found.touches.size == tight.touches.size
+    assert errors[0] < 1e-6
+    assert errors[1] < 1e-8
+    assert errors[2] < 1e-9
+
+
+def test_first_touches_agree_with_scipy_touch_by_touch():
+    """SciPy's DOP853 on the same equations, its events located one after the other."""
+    scene = load_scene("paper_designed", ["run.rtol=1e-11"])
+    result = simulate(scene, t_end=0.05)
+    bench = Bench(scene)
+    f, scratch = np.zeros(N_TOTAL), np.zeros(11)
+    mode = np.zeros(1, MODE)
+    q, v = scene.initial_coordinates()
+    y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
+    cone, R = scene.cone, scene.probe.tip_radius
+
+    def motion(t, y):
+        engine.evaluate(bench._par, mode, np.ascontiguousarray(y), f, scratch)
+        return f.copy()
+
+    def gap(t, y):
+        # distance of the tip's centre to the -y wall as a segment, from its two ends
+        tip = y[0:2] + scene.buffer.a * np.array([math.cos(y[2]), math.sin(y[2])])
+        tip = tip + y[4] * np.array([math.cos(y[3]), math.sin(y[3])])
+        c, s = math.cos(y[7]), math.sin(y[7])
+        turn = np.array([[c, -s], [s, c]])
+        inner = y[5:7] + turn @ [-cone.L_T, -cone.R_c]
+        along = turn @ [-math.cos(cone.beta), -math.sin(cone.beta)]
+        x = min(max((tip - inner) @ along, 0.0), cone.L_c)
+        return float(np.hypot(*(tip - inner - x * along)) - R)
+
+    par = bench._par[0]
+    t, touching, times = 0.0, False, []
+    while len(times) < 8:
+        gap.terminal, gap.direction = True, 1 if touching else -1
+        # a start on the wall must be left before the next crossing is looked for
+        ahead = solve_ivp(motion, (t, t + 2e-6), y, method="DOP853", rtol=1e-12, atol=1e-15)
+        piece = solve_ivp(
+            motion,
+            (t + 2e-6, 0.05),
+            ahead.y[:, -1],
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-15,
+            events=gap,
+            max_step=5e-4,
+        )
+        t, y = piece.t_events[0][0], piece.y_events[0][0]
+        times.append(t)
+        touching = not touching
+        if touching:
+            before, after = gap(t, y - 1e-7 * motion(t, y)), gap(t, y + 1e-7 * motion(t, y))
+            mode["touching"][0][1] = 1
+            mode["chi"][0][1] = par["hysteresis"] * par["K"] / ((before - after) / 2e-7)
+        else:
+            mode["touching"][0][1] = 0
+    found = np.array([[touch["start"], touch["end"]] for touch in result.touches]).ravel()[:8]
+    assert found == pytest.approx(times, abs=2e-9)
+
+
+def test_any_cutting_of_the_sample_times_gives_the_same_bits():
+    scene = load_scene("tilt_m10")
+    whole = simulate(scene)
+    bench = Bench(scene)
+    rng = np.random.default_rng(5)
+    parts, first = [], 0
+    while not bench.done:
+        count = int(rng.integers(1, 700))
+        parts.append(bench.advance(bench.times(first, count)))
+        first += count
+    assert np.concatenate(parts).tobytes() == whole.samples.tobytes()
+    assert [(e.kind, e.t) for e in bench.events] == [(e.kind, e.t) for e in whole.events]
+    assert bench.touches.tobytes() == whole.touches.tobytes()
+
+
+def test_extra_sample_times_change_nothing_and_are_met():
+    scene = load_scene("tilt_0")
+    asked = np.array([0.0, 0.12345, 2.7938, 4.096, 4.0961, 5.0005, 99.0])
+    result = simulate(scene, t_eval=asked)
+    assert np.array_equal(result.t, asked[:-1])
+    whole = simulate(scene)
+    assert [(e.kind, e.t, *e.q) for e in result.events] == [
+        (e.kind, e.t, *e.q) for e in whole.events
+    ]
+    on_grid = whole.samples[whole.t == 4.096]
+    assert result.samples[3].tobytes() == on_grid[0].tobytes()

@@ -1,0 +1,213 @@
+"""The launch by the hanging mass against its closed form, and the vehicles' supports."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize
+
+from capture_sim import SceneError, load_scene, simulate
+from capture_sim.dynamics.supports import ball_loads, load_factor, rolling_wrench
+from capture_sim.launching import Launcher, LauncherPhase, plan_launch
+
+
+def event(result, label):
+    return next(e for e in result.events if e.kind.label == label)
+
+
+@pytest.mark.parametrize("inertia", [0.0, 2e-4])
+def test_launch_agrees_with_its_closed_form(inertia):
+    scene = load_scene("tilt_0", [f"string.pulley_inertia={inertia}"])
+    result = simulate(scene)
+    g, c = scene.gravity, scene.supports.chaser.c_rr
+    m = scene.chaser.mass + scene.cylinder.mass + scene.probe.mass
+    mh, H = result.plan.hanging_mass, scene.string.drop_height
+    a = (mh * g - c * m * g) / (m + mh + inertia / scene.string.pulley_radius**2)
+    landed = event(result, "landed")
+    assert landed.t == pytest.approx(math.sqrt(2 * H / a), rel=1e-9)
+    assert landed.v[0] == pytest.approx(math.sqrt(2 * a * H), rel=1e-9)
+    pulled = result.t <= landed.t
+    assert result.q[pulled, 0] == pytest.approx(0.5 * a * result.t[pulled] ** 2, abs=1e-9)
+    assert result.v[pulled, 0] == pytest.approx(a * result.t[pulled], abs=1e-9)
+    left = event(result, "rail_end")
+    coasting = (result.t > landed.t) & (result.t <= left.t)
+    tau = result.t[coasting] - landed.t
+    assert result.q[coasting, 0] == pytest.approx(
+        H + landed.v[0] * tau - 0.5 * c * g * tau**2, abs=1e-9
+    )
+    assert left.q[0] == pytest.approx(scene.rail.length, rel=1e-12)
+
+
+def test_launch_agrees_with_both_bodies_integrated_one_by_one():
+    """Chaser and mass as two bodies, the string's tension found from both, by SciPy."""
+    scene = load_scene("tilt_0")
+    result = simulate(scene)
+    g = scene.gravity
+    m, mh = scene.chaser_total_mass, result.plan.hanging_mass
+    balls = np.array(scene.supports.chaser.balls)
+    ahead = (
+        scene.cylinder.mass * (scene.buffer.a - scene.cylinder.length / 2)
+        + scene.probe.mass * (scene.buffer.a + scene.rest_length - scene.probe.com_offset)
+    ) / m
+    loads = ball_loads(balls, m * g, ahead, 0.0)
+    resist = scene.supports.chaser.c_rr * loads.sum()
+
+    def motion(t, s):
+        # m a = T - resist;  mh a = mh g - T
+        tension = (m * mh * g + mh * resist) / (m + mh)
+        return [s[1], (tension - resist) / m, s[3], g - tension / mh]
+
+    landed = event(result, "landed")
+    solution = solve_ivp(motion, (0, landed.t), [0, 0, 0, 0], rtol=1e-12, atol=1e-14)
+    assert solution.y[0, -1] == pytest.approx(landed.q[0], abs=1e-9)
+    assert solution.y[1, -1] == pytest.approx(landed.v[0], abs=1e-9)
+    assert solution.y[2, -1] == pytest.approx(scene.string.drop_height, abs=1e-9)
+    pulled = result.samples[result.t < landed.t]
+    tension = (m * mh * g + mh * resist) / (m + mh)
+    assert pulled["string_tension"] == pytest.approx(tension, rel=1e-12)
+    assert pulled["mass_height"] == pytest.approx(
+        scene.string.drop_height - pulled["q"][:, 0], abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])
+def test_impact_speed_by_the_hanging_mass(name):
+    result = simulate(load_scene(name))
+    landed = event(result, "landed")
+    after = result.samples[result.t > landed.t]
+    assert np.all(after["string_tension"] == 0.0)
+    assert np.all(result.samples["string_tension"][result.t < landed.t] > 0.0)
+    assert result.summary["impact_speed"] == pytest.approx(0.1, rel=0.01)
+    assert result.summary["impact_speed"] == pytest.approx(result.plan.impact_speed, rel=1e-4)
+    touch = event(result, "touch")
+    assert touch.t == pytest.approx(result.plan.contact_time, abs=2e-4)
+    assert touch.q[0] == pytest.approx(result.plan.travel, abs=2e-5)
+
+
+def test_mass_height_and_speed_follow_from_each_other():
+    by_speed = plan_launch(load_scene("tilt_0"))
+    mass, height = by_speed.hanging_mass, by_speed.drop_height
+    by_mass = plan_launch(
+        load_scene("tilt_0", [f"string.hanging_mass={mass!r}", "string.drop_height=null"])
+    )
+    assert by_mass.drop_height == pytest.approx(height, rel=1e-12)
+    forward = plan_launch(
+        load_scene("tilt_0", [f"string.hanging_mass={mass!r}", "string.impact_speed=null"])
+    )
+    assert forward.impact_speed == pytest.approx(0.1, rel=1e-12)
+    with pytest.raises(SceneError, match=r"string.hanging_mass = 0.01 kg: allowed is > 0.023"):
+        load_scene("tilt_0", ["string.hanging_mass=0.01", "string.drop_height=null"])
+
+
+def test_launcher_follows_the_launch():
+    launcher = Launcher(load_scene("tilt_0"))
+    assert launcher.status.state is LauncherPhase.ARMED
+    assert launcher.observe(0.0, False, False).state is LauncherPhase.ARMED
+    assert launcher.release().state is LauncherPhase.RELEASED
+    assert launcher.observe(0.05, False, False).state is LauncherPhase.RELEASED
+    assert launcher.observe(0.105, True, False).state is LauncherPhase.LANDED
+    launcher.observe(0.101, True, False)
+    done = launcher.observe(0.06, True, True)
+    assert (done.state, done.measured_speed) == (LauncherPhase.DELIVERED, 0.101)
+    assert launcher.abort("late").state is LauncherPhase.DELIVERED
+
+
+def test_chaser_coasts_to_rest_and_stays_there():
+    """Rolling resistance stops a free vehicle at v^2 / (2 c g), and holds it."""
+    scene = load_scene(
+        "tilt_0",
+        ["rail=null", "string=null", "initial.chaser.vx=0.03", "run.t_end=50"],
+    )
+    result = simulate(scene)
+    g, c = scene.gravity, scene.supports.chaser.c_rr
+    stop = event(result, "at_rest")
+    assert stop.t == pytest.approx(0.03 / (c * g), rel=2e-3)
+    assert stop.q[0] == pytest.approx(0.03**2 / (2 * c * g), rel=1e-4)
+    after = result.samples[result.t > stop.t]
+    assert np.all(after["q"][:, :3] == after["q"][0, :3])
+    assert np.all(after["v"][:, :3] == 0.0)
+    assert result.samples["dissipated_rolling"][-1] == pytest.approx(
+        0.5 * scene.chaser_total_mass * 0.03**2, rel=1e-3
+    )
+    # nothing has touched the target: it has not moved by a bit
+    assert np.all(result.q[:, 5:] == result.q[0, 5:])
+    assert result.verdict.label in ("missed", "stuck")
+
+
+def test_loads_balance_weight_and_moment():
+    balls = np.array([[0.12, 0.0], [-0.06, 0.104], [-0.06, -0.104]])
+    loads = ball_loads(balls, 200.0, 0.01, -0.004)
+    assert loads.sum() == pytest.approx(200.0)
+    assert loads @ balls == pytest.approx([2.0, -0.8])
+
+
+BALLS = np.array([[0.1, 0.0, 2.0], [-0.05, 0.0866025403784, 2.0], [-0.05, -0.0866025403784, 2.0]])
+
+
+def test_limit_of_the_supports_where_it_is_known():
+    # a pure force is held by all three balls together, a pure torque by each at its arm
+    assert load_factor(3.0, 0.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
+    assert load_factor(0.0, -6.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(1.0, rel=1e-6)
+    assert load_factor(0.0, 0.0, 0.3, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
+    assert load_factor(0.0, 0.0, 0.0, 1.0, 0.0, BALLS) == 0.0
+
+
+def test_limit_of_the_supports_against_an_optimiser():
+    rng = np.random.default_rng(3)
+    balls = np.array([[0.12, 0.01, 1.0], [-0.06, 0.104, 2.5], [-0.05, -0.11, 0.7]])
+    for _ in range(30):
+        angle = rng.uniform(-3, 3)
+        c, s = math.cos(angle), math.sin(angle)
+        w = rng.normal(size=3) * np.array([3, 3, 0.3])
+        at = balls[:, :2] @ np.array([[c, s], [-s, c]])
+
+        def resisted(motion, at=at):
+            vx = motion[0] - motion[2] / 0.1 * at[:, 1]
+            vy = motion[1] + motion[2] / 0.1 * at[:, 0]
+            return float(balls[:, 2] @ np.hypot(vx, vy))
+
+        scaled = w / np.array([1, 1, 0.1])
+        best = min(
+            minimize(
+                resisted,
+                start / (start @ scaled),
+                constraints={"type": "eq", "fun": lambda x, b=scaled: x @ b - 1},
+                method="SLSQP",
+                options={"ftol": 1e-14, "maxiter": 1000},
+            ).fun
+            for start in (scaled, *(scaled + 0.5 * rng.normal(size=(4, 3))))
+        )
+        found = load_factor(w[0], w[1], w[2], c, s, balls)
+        assert found == pytest.approx(1 / best, rel=2e-3)
+        assert found >= 1 / best * (1 - 2e-3)
+
+
+def test_rolling_resistance_opposes_each_ball():
+    fx, fy, torque, power = rolling_wrench(0.1, 0.0, 0.0, 1.0, 0.0, BALLS, 1e-9)
+    assert (fx, fy, torque) == pytest.approx((-6.0, 0.0, 0.0), abs=1e-12)
+    assert power == pytest.approx(0.6)
+    fx, fy, torque, power = rolling_wrench(0.0, 0.0, 2.0, 1.0, 0.0, BALLS, 1e-9)
+    assert (fx, fy) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert torque == pytest.approx(-0.6)
+    assert power == pytest.approx(1.2)
+
+
+def test_vehicle_held_by_its_supports_moves_only_beyond_their_limit():
+    """A tip pressed on the wall below the limit does not move the target."""
+    scene = load_scene("tilt_0")
+    strong = dataclasses.replace(
+        scene,
+        supports=dataclasses.replace(
+            scene.supports, target=dataclasses.replace(scene.supports.target, c_rr=1.0)
+        ),
+    )
+    result = simulate(strong)
+    touched = result.samples["touches"][-1] > 0
+    assert touched
+    largest = result.touches["peak_force"].max()
+    if largest < 0.5 * strong.target.mass * strong.gravity:
+        assert np.all(result.q[:, 5:] == result.q[0, 5:])
+    weak = simulate(scene)
+    assert np.abs(weak.q[-1, 5:] - weak.q[0, 5:]).max() > 1e-3
