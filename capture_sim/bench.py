@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim import engine
-from capture_sim.dynamics.equations import MODE, N_TOTAL
+from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
 from capture_sim.dynamics.parameters import pack
 from capture_sim.errors import SimulationError
-from capture_sim.integration.pairs import PAIRS
+from capture_sim.integration.pairs import PAIRS, padded
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene import Scene
@@ -31,6 +31,7 @@ _CAUSES = {
 }
 
 
+_AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
 _compiled = False
 
 
@@ -84,14 +85,15 @@ class Bench:
         self.scene = scene
         self.plan = plan_launch(scene) if plan is None else plan
         self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
-        self._pair = PAIRS[scene.run.method]()
+        self._pair = padded(PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
-        self._work = [np.zeros(N_TOTAL) for _ in range(4)]
-        self._K = np.zeros((self._pair.A.shape[0], N_TOTAL))
+        sizes = (N_TOTAL, N_STATE, N_TOTAL, N_TOTAL, engine.N_WATCHED, engine.N_WATCHED)
+        self._work = [np.zeros(size) for size in sizes]
+        self._K = np.zeros((self._pair.A.shape[1], N_TOTAL))
         self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
-        self._scratch = np.zeros(11)
-        self._scale = error_scale(self._par)
+        self._scratch = np.zeros(N_SCRATCH)
+        self._weights = 1.0 / error_scale(self._par)
         self._mode = np.zeros(1, MODE)
         self._run = np.zeros(1, engine.RUN)
         self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
@@ -170,7 +172,7 @@ class Bench:
             times = np.append(times, np.inf)
         samples = np.zeros(times.shape[0], SAMPLE)
         served = 0
-        y_new, y_stage, y_at, y_end = self._work
+        y_new, y_stage, y_at, y_end, e_5, e_3 = self._work
         while True:
             self._run[0]["n_events"] = 0
             status, count = engine.advance(
@@ -183,9 +185,11 @@ class Bench:
                 y_stage,
                 y_at,
                 y_end,
+                e_5,
+                e_3,
                 self._K,
                 self._F,
-                self._scale,
+                self._weights,
                 self._scratch,
                 times[served:],
                 samples[served:],
@@ -217,7 +221,7 @@ class Bench:
             if kind is EventKind.LIFT_OFF:
                 touch = raw["touch"].copy()
                 self._touches.append(touch)
-            wall = int(raw["wall"]) if kind in (EventKind.TOUCH, EventKind.LIFT_OFF) else 0
+            wall = int(raw["wall"]) if kind in _AT_WALL else 0
             self._log(
                 kind,
                 float(raw["t"]),
@@ -253,6 +257,10 @@ def _detail(kind: EventKind, raw: np.void) -> str:
         return f"{'+y' if raw['wall'] > 0 else '-y'} wall after a peak of {value:.6g} N"
     if kind in (EventKind.AT_REST, EventKind.MOVING):
         return "chaser" if raw["wall"] == 1 else "target"
+    if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
+        return f"{'compressed' if raw['wall'] < 0 else 'extended'} at {value:.6g} m/s"
+    if kind in (EventKind.STICK, EventKind.SLIP):
+        return f"{'+y' if raw['wall'] > 0 else '-y'} wall, friction {value:.6g} N to hold"
     if kind is EventKind.LATCHED:
         return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
     return ""
@@ -271,6 +279,6 @@ def error_scale(par: np.ndarray) -> np.ndarray:
     places = np.array([length, length, length / arm, length / arm, length] + [length] * 3)
     rates = np.array([speed, speed, speed / arm, speed / arm, speed] + [speed] * 3)
     places[7], rates[7] = length / float(p["L_T"] + p["R_c"]), speed / float(p["L_T"] + p["R_c"])
-    energies = np.full(7, float(p["m_P"]) * speed**2)
+    energies = np.full(engine.N_WATCHED - 16, float(p["m_P"]) * speed**2)
     scale: np.ndarray = float(p["rtol"]) * np.concatenate([places, rates, energies])
     return scale

@@ -16,6 +16,9 @@ from capture_sim.scene import Scene
 # the detector works on measurements, a few hundred a second: no compiled code needed
 _nearest_on_wall = nearest_on_wall.py_func  # type: ignore[attr-defined]
 
+# time stamps are decimal fractions: 0.2 s may come out a rounding short
+_TICK = 1e-9
+
 
 class CaptureState(IntEnum):
     """State of the capture, as in msg/CaptureStatus.msg."""
@@ -147,7 +150,7 @@ class CaptureDetector:
             self._enter(CaptureState.CAPTURED, t, "tip passed BE")
             return
         self._zone_since = _since(self._zone_since, t, tip.distance <= limits.radius)
-        if self._zone_since is not None and t - self._zone_since >= limits.dwell:
+        if self._zone_since is not None and t - self._zone_since >= limits.dwell - _TICK:
             self._enter(
                 CaptureState.CAPTURED,
                 t,
@@ -163,7 +166,7 @@ class CaptureDetector:
             return
         outside = tip.distance > limits.radius
         self._still_since = _since(self._still_since, t, outside and tip.speed < limits.still_speed)
-        if self._still_since is not None and t - self._still_since >= limits.still_time:
+        if self._still_since is not None and t - self._still_since >= limits.still_time - _TICK:
             self._enter(CaptureState.STUCK, t, f"stands {tip.distance * 1e3:.2f} mm short of BE")
 
     def _judge_at_end(self, t: float, tip: _Tip) -> None:

@@ -13,28 +13,39 @@ import math
 
 import numpy as np
 
+from capture_sim.dynamics.contact_laws import normal_force
 from capture_sim.dynamics.equations import (
     HYSTERESIS,
     IMPULSE,
     N_STATE,
+    N_TOTAL,
+    NORMAL,
     ROLLING,
+    RUB,
+    STOP,
     accelerate,
+    accelerate_sticking,
     rate_of_change,
+    slip_of,
     tip_in_cone,
     wall_gap,
 )
+from capture_sim.dynamics.friction import COULOMB
 from capture_sim.dynamics.observation import (
     elastic_contact_energy,
     kinetic_energy,
     observe,
     speed_travel,
-    wall_force,
 )
 from capture_sim.dynamics.supports import fastest_ball, load_factor
+from capture_sim.dynamics.trig import sine_cosine
 from capture_sim.integration.explicit import dense, make_stepper, next_factor
 from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import entry_kernel, kernel
 from capture_sim.samples import TOUCH
+
+#: The states and the energies count in the error, the impulses do not.
+N_WATCHED = STOP + 1
 
 try_step, prepare_dense = make_stepper(rate_of_change)
 
@@ -74,7 +85,10 @@ RUN = np.dtype(
         ("touch_hysteresis", "f8", (2,)),
         ("force", "f8", (2,)),  # normal force at t0, and its rate
         ("force_rate", "f8", (2,)),
-        ("clamped", "i8"),
+        ("gap", "f8", (3,)),  # at t0: of both walls and to the latch, m
+        ("gap_rate", "f8", (3,)),
+        ("measured", "i8"),  # the gaps belong to t0
+        ("substeps", "i8"),  # events located within one fixed step
         ("n_events", "i8"),
     ],
     align=True,
@@ -95,17 +109,19 @@ EVENT = np.dtype(
 
 NONE, RAIL, STEP = 0, 1, 2
 RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = range(9)
+STOP_HIT, STOP_LEFT, STICK, SLIP = range(9, 13)
 NO_EVENT = -1
 
 # how the loop ended
 SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP = range(6)
 
 # event functions that a step is searched for
-_GAP, _DEPTH, _LATCH_DISTANCE = 0, 1, 2
+_GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
 
 _EVENT_ROOM = 8  # events that one stretch may cause
 _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
+_MOST_SUBSTEPS = 8  # events located within one fixed step: bounds its cost
 
 
 @kernel
@@ -146,6 +162,8 @@ def begin_touch(events, run, mode, par, t, y, i):
     speed = max(-rate, 0.0)
     mode.touching[i] = 1
     mode.chi[i] = par.hysteresis * par.K / max(speed, par.v_0_floor)
+    mode.sticking[i] = 0
+    mode.direction[i] = 1.0 if slip_of(y, par, i) >= 0.0 else -1.0
     run.touches += 1
     run.touch_start[i] = t
     run.touch_speed[i] = speed
@@ -163,20 +181,57 @@ def begin_touch(events, run, mode, par, t, y, i):
 
 
 @kernel
+def distances(y, par):
+    """Return gaps and their rates: +y wall, -y wall, latch; m and m/s."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    g0, d0, _, _ = wall_gap(px, py, wx, wy, 1.0, par)
+    g1, d1, _, _ = wall_gap(px, py, wx, wy, -1.0, par)
+    g2 = 1.0
+    d2 = 0.0
+    if par.has_latch:
+        ux = px + par.L_T
+        distance = math.sqrt(ux * ux + py * py)
+        g2 = distance - par.latch_radius
+        if distance > 0.0:
+            d2 = (ux * wx + py * wy) / distance
+    return g0, d0, g1, d1, g2, d2
+
+
+@kernel
+def remember_distances(run, g0, d0, g1, d1, g2, d2):
+    """Keep the gaps at the start of the next stretch."""
+    run.gap[0] = g0
+    run.gap_rate[0] = d0
+    run.gap[1] = g1
+    run.gap_rate[1] = d1
+    run.gap[2] = g2
+    run.gap_rate[2] = d2
+    run.measured = 1
+
+
+@kernel
+def stop_distance(y, par, side):
+    """Return the probe's way to a stroke stop and its rate; ``side`` -1 compressed, +1."""
+    end = par.stop_compressed if side < 0 else par.stop_extended
+    return side * (end - (y[4] - par.h_0)), -side * y[12]
+
+
+@kernel
 def event_value(y, par, kind, i):
     """Return an event function and its rate; it goes below zero when the event happens."""
-    px, py, wx, wy = tip_in_cone(y, par)
+    if kind == _STOP_GAP:
+        return stop_distance(y, par, i)
+    if kind == _STOP_DEPTH:
+        g, d = stop_distance(y, par, i)
+        return -g, -d
+    g0, d0, g1, d1, g2, d2 = distances(y, par)
     if kind == _LATCH_DISTANCE:
-        ux = px + par.L_T
-        distance = math.hypot(ux, py)
-        rate = 0.0
-        if distance > 0.0:
-            rate = (ux * wx + py * wy) / distance
-        return distance - par.latch_radius, rate
-    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+        return g2, d2
+    if i == 1:
+        g0, d0 = g1, d1
     if kind == _GAP:
-        return gap, rate
-    return -gap, -rate
+        return g0, d0
+    return -g0, -d0
 
 
 @kernel
@@ -187,7 +242,7 @@ def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b):
     """
     x = 0.5 * (x_a + x_b)
     for _ in range(80):
-        dense(y, F, rows, x, y_x)
+        dense(y, F, rows, x, y_x, N_STATE)
         g, d = event_value(y_x, par, kind, i)
         if g >= 0.0:
             x_a = x
@@ -216,14 +271,14 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
     ends points to where a dip would be.
     """
     x_a = 0.0
-    dense(y, F, rows, 0.0, y_x)
+    dense(y, F, rows, 0.0, y_x, N_STATE)
     g_a, d_a = event_value(y_x, par, kind, i)
     if g_a <= 0.0 and d_a < 0.0:
         return 0.0
     g_a = max(g_a, 0.0)
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
-        dense(y, F, rows, x_b, y_x)
+        dense(y, F, rows, x_b, y_x, N_STATE)
         g_b, d_b = event_value(y_x, par, kind, i)
         low_a, low_g, low_d = x_a, g_a, d_a
         high_b, high_g, high_d = x_b, g_b, d_b
@@ -236,7 +291,7 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
             if place < 0.0 or low > slack:
                 break
             x_m = low_a + place * width
-            dense(y, F, rows, x_m, y_x)
+            dense(y, F, rows, x_m, y_x, N_STATE)
             g_m, d_m = event_value(y_x, par, kind, i)
             if g_m < 0.0 or d_m < 0.0:
                 if g_m < 0.0:
@@ -250,7 +305,7 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
             if low_g == 0.0:
                 trial = low_a + 0.5 * (high_b - low_a)
                 for _ in range(60):
-                    dense(y, F, rows, trial, y_x)
+                    dense(y, F, rows, trial, y_x, N_STATE)
                     g_t, _ = event_value(y_x, par, kind, i)
                     if g_t > 0.0:
                         break
@@ -267,10 +322,15 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
 @kernel
 def ratio_of_limit(y, par, mode, f, scratch, which):
     """Return which share of its supports' limit a vehicle needs to stand still."""
-    sx, sy, sm, tx, ty, tm = accelerate(y, par, mode, f, scratch)
+    if mode.sticking[0] or mode.sticking[1]:
+        sx, sy, sm, tx, ty, tm = accelerate_sticking(y, par, mode, f, scratch)
+    else:
+        sx, sy, sm, tx, ty, tm = accelerate(y, par, mode, f, scratch)
     if which == 0:
-        return load_factor(sx, sy, sm, math.cos(y[2]), math.sin(y[2]), par.balls_S)
-    return load_factor(tx, ty, tm, math.cos(y[7]), math.sin(y[7]), par.balls_T)
+        s, c = sine_cosine(y[2])
+        return load_factor(sx, sy, sm, c, s, par.balls_S)
+    s, c = sine_cosine(y[7])
+    return load_factor(tx, ty, tm, c, s, par.balls_T)
 
 
 @kernel
@@ -279,7 +339,7 @@ def when_it_moves(y, F, rows, y_x, par, mode, f, scratch, which):
     x_a, x_b = 0.0, 1.0
     for _ in range(60):
         x = 0.5 * (x_a + x_b)
-        dense(y, F, rows, x, y_x)
+        dense(y, F, rows, x, y_x, N_STATE)
         if ratio_of_limit(y_x, par, mode, f, scratch, which) > 1.0:
             x_b = x
         else:
@@ -290,29 +350,89 @@ def when_it_moves(y, F, rows, y_x, par, mode, f, scratch, which):
 
 
 @kernel
+def slip_margin(y, par, mode, f, scratch, i):
+    """Return how far the tip on wall ``i`` is from changing between sticking and sliding.
+
+    Sliding: the slip in its direction, m/s.  Sticking: the force that is left, N.
+    """
+    if not mode.sticking[i]:
+        return slip_of(y, par, i) * mode.direction[i]
+    accelerate_sticking(y, par, mode, f, scratch)
+    return par.mu_s * scratch[NORMAL + i] - abs(scratch[RUB + i])
+
+
+@kernel
+def when_slip_changes(y, F, rows, y_x, par, mode, f, scratch, i):
+    """Return the place (0..1) in a step at which the slip margin of wall ``i`` is used up."""
+    x_a, x_b = 0.0, 1.0
+    # sliding may start from slip zero: look for a place where it is under way
+    for _ in range(40):
+        trial = 0.5 * (x_a + x_b)
+        dense(y, F, rows, trial, y_x, N_STATE)
+        if slip_margin(y_x, par, mode, f, scratch, i) > 0.0:
+            x_a = trial
+            break
+        x_b = trial
+    for _ in range(60):
+        x = 0.5 * (x_a + x_b)
+        dense(y, F, rows, x, y_x, N_STATE)
+        if slip_margin(y_x, par, mode, f, scratch, i) > 0.0:
+            x_a = x
+        else:
+            x_b = x
+        if x_b - x_a <= 1e-15:
+            break
+    return x_b
+
+
+@kernel
+def change_slip(par, run, mode, events, t, y, f, scratch, i):
+    """Let the tip on wall ``i`` stick if friction can hold it, else slide the way it must."""
+    was = mode.sticking[i]
+    mode.sticking[i] = 1
+    accelerate_sticking(y, par, mode, f, scratch)
+    needed = scratch[RUB + i]
+    if not was and abs(needed) < par.mu_s * scratch[NORMAL + i]:
+        log_event(events, run, STICK, t, y, 1 - 2 * i, needed)
+        return
+    mode.sticking[i] = 0
+    # friction opposes the motion that it could not prevent
+    mode.direction[i] = 1.0 if needed < 0.0 else -1.0
+    log_event(events, run, SLIP, t, y, 1 - 2 * i, needed)
+
+
+@kernel
+def force_at(y, par, mode, i):
+    """Return the normal force on the tip from wall ``i``, N."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    force, _ = normal_force(-gap, -rate, par.K, mode.chi[i])
+    return force
+
+
+@kernel
 def peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end):
     """Return place and value of the largest normal force of wall ``i`` up to ``x_end``."""
     golden = 0.6180339887498949
     a, b = 0.0, x_end
     x1 = b - golden * (b - a)
     x2 = a + golden * (b - a)
-    dense(y, F, rows, x1, y_x)
-    f1 = wall_force(y_x, par, mode, i)
-    dense(y, F, rows, x2, y_x)
-    f2 = wall_force(y_x, par, mode, i)
-    for _ in range(40):
+    dense(y, F, rows, x1, y_x, N_STATE)
+    f1 = force_at(y_x, par, mode, i)
+    dense(y, F, rows, x2, y_x, N_STATE)
+    f2 = force_at(y_x, par, mode, i)
+    # the peak is flat: 1e-5 of the step in place is 1e-10 in force
+    while b - a > 1e-5:
         if f1 < f2:
             a, x1, f1 = x1, x2, f2
             x2 = a + golden * (b - a)
-            dense(y, F, rows, x2, y_x)
-            f2 = wall_force(y_x, par, mode, i)
+            dense(y, F, rows, x2, y_x, N_STATE)
+            f2 = force_at(y_x, par, mode, i)
         else:
             b, x2, f2 = x2, x1, f1
             x1 = b - golden * (b - a)
-            dense(y, F, rows, x1, y_x)
-            f1 = wall_force(y_x, par, mode, i)
-        if b - a < 1e-7:
-            break
+            dense(y, F, rows, x1, y_x, N_STATE)
+            f1 = force_at(y_x, par, mode, i)
     if f1 > f2:
         return x1, f1
     return x2, f2
@@ -411,14 +531,86 @@ def stop_vehicle(par, run, mode, events, t, y, which):
 def is_slow(y, par, which):
     """Tell whether a vehicle is slow enough to be put at rest."""
     if which == 0:
-        speed = fastest_ball(y[8], y[9], y[10], math.cos(y[2]), math.sin(y[2]), par.balls_S)
+        s, c = sine_cosine(y[2])
+        speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
     else:
-        speed = fastest_ball(y[13], y[14], y[15], math.cos(y[7]), math.sin(y[7]), par.balls_T)
+        s, c = sine_cosine(y[7])
+        speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
     return speed < _REST_SPEED * par.v_eps_ball
 
 
 @kernel
-def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scale, scratch):
+def make_dense(par, run, mode, pair, y, y_s, K, F, scratch):
+    """Prepare the dense output of the present step, once."""
+    if not run.dense_ready:
+        prepare_dense(par, mode, scratch, pair, run.t0, y, run.h, K, y_s, F)
+        run.dense_ready = 1
+
+
+@kernel
+def step_length(par, run):
+    """Return the length of the next step and whether its error decides."""
+    if par.fixed_step == 0.0:
+        return min(run.h_next, 1.01 * (run.t_stop - run.t0))
+    # to the next multiple of the fixed step; what an event has cut off is caught up
+    n = math.floor(run.t0 / par.fixed_step + 1.0 + 1e-9)
+    if run.substeps == 0 or n * par.fixed_step - run.t0 > 0.999 * par.fixed_step:
+        run.substeps = 0
+    return n * par.fixed_step - run.t0
+
+
+@kernel
+def take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch):
+    """Take one accepted step; returns the loop's status."""
+    h = step_length(par, run)
+    stages = pair[5]
+    while True:
+        if h < _SMALLEST_STEP:
+            if run.t_stop - run.t0 >= _SMALLEST_STEP and par.fixed_step == 0.0:
+                return STEP_TOO_SMALL
+            h = _SMALLEST_STEP
+        error = try_step(par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights)
+        run.evaluations += stages
+        if par.fixed_step > 0.0:
+            total = 0.0
+            for i in range(N_STATE):
+                total += y_new[i]
+            if not math.isfinite(total):
+                return NOT_FINITE
+            break
+        factor = next_factor(error, run.error, pair[6])
+        if error <= 1.0:
+            run.error = error
+            run.h_next = h * factor
+            break
+        run.rejected += 1
+        if not error < 1e300:
+            for i in range(N_STATE):
+                if not (math.isfinite(K[0, i]) and math.isfinite(y[i])):
+                    return NOT_FINITE
+            # what is not a number must not come back by way of a zero weight
+            for j in range(1, K.shape[0]):
+                for i in range(N_TOTAL):
+                    K[j, i] = 0.0
+        h *= min(factor, 1.0)
+    run.steps += 1
+    run.h = h
+    run.t1 = run.t0 + h
+    return TOO_MANY_STEPS if run.steps > par.max_steps else SERVED
+
+
+@kernel
+def cut_at(run, x, event, wall, cut):
+    """Keep the earliest event of a step; returns its place."""
+    if x >= cut:
+        return cut
+    run.pending = event
+    run.pending_wall = wall
+    return x
+
+
+@kernel
+def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch):
     """Take one accepted step of the integrator and cut it at the first event in it.
 
     Returns the loop's status; SERVED if all is well.
@@ -443,117 +635,98 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scale, scratch):
                     run.pending_wall = which
                     return SERVED
     else:
-        for i in range(K.shape[1]):
+        for i in range(N_TOTAL):
             K[0, i] = K[stages, i]
-    h = min(run.h_next, 1.01 * (run.t_stop - run.t0))
-    while True:
-        if h < _SMALLEST_STEP:
-            if run.t_stop - run.t0 < _SMALLEST_STEP:
-                h = _SMALLEST_STEP
-            else:
-                return STEP_TOO_SMALL
-        error = try_step(par, mode, scratch, pair, run.t0, y, h, K, y_s, y_new, N_STATE, scale)
-        run.evaluations += stages
-        factor = next_factor(error, run.error, pair[6])
-        if error <= 1.0:
-            break
-        run.rejected += 1
-        if not error < 1e300:
-            for i in range(N_STATE):
-                if not math.isfinite(K[0, i]):
-                    return NOT_FINITE
-        h *= min(factor, 1.0)
-    run.steps += 1
-    if run.steps > par.max_steps:
-        return TOO_MANY_STEPS
-    run.error = error
-    run.h = h
-    run.h_next = h * factor
-    run.t1 = run.t0 + h
+    if not run.measured:
+        g0, d0, g1, d1, g2, d2 = distances(y, par)
+        remember_distances(run, g0, d0, g1, d1, g2, d2)
+    status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
+    if status != SERVED:
+        return status
 
     # the first event in the step, if any
+    h = run.h
     cut = 2.0
-    for i in range(2):
-        if mode.latched:
-            break
-        kind = _DEPTH if mode.touching[i] else _GAP
-        g_a, d_a = event_value(y, par, kind, i)
-        g_b, d_b = event_value(y_new, par, kind, i)
-        if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
-            if not run.dense_ready:
-                prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
-                run.dense_ready = 1
-            x = first_crossing(y, F, rows, h, y_x, par, kind, i)
-            if x < cut:
-                cut = x
-                run.pending = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
-                run.pending_wall = i
-    if par.has_latch and not mode.latched:
-        g_a, d_a = event_value(y, par, _LATCH_DISTANCE, 0)
-        g_b, d_b = event_value(y_new, par, _LATCH_DISTANCE, 0)
-        if may_cross(g_a, d_a * h, g_b, d_b * h, 0.05):
-            if not run.dense_ready:
-                prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
-                run.dense_ready = 1
+    g0, d0, g1, d1, g2, d2 = distances(y_new, par)
+    if not mode.latched:
+        for i in range(2):
+            g, d = (g0, d0) if i == 0 else (g1, d1)
+            sign = -1.0 if mode.touching[i] else 1.0
+            start = max(sign * run.gap[i], 0.0)
+            if may_cross(start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05):
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                kind = _DEPTH if mode.touching[i] else _GAP
+                x = first_crossing(y, F, rows, h, y_x, par, kind, i)
+                event = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
+                cut = cut_at(run, x, event, i, cut)
+        if par.has_latch and may_cross(run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05):
+            make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
             x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
-            if x < cut:
-                cut = x
-                run.pending = LATCHED
+            cut = cut_at(run, x, LATCHED, 0, cut)
+        if par.friction_law == COULOMB:
+            for i in range(2):
+                if mode.touching[i] and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0:
+                    make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                    x = when_slip_changes(y, F, rows, y_x, par, mode, y_s, scratch, i)
+                    cut = cut_at(run, x, STICK, i, cut)
+    if par.has_stops:
+        for side in (-1, 1):
+            if mode.stop == -side:
+                continue
+            kind = _STOP_DEPTH if mode.stop == side else _STOP_GAP
+            g_a, d_a = event_value(y, par, kind, side)
+            g_b, d_b = event_value(y_new, par, kind, side)
+            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                x = first_crossing(y, F, rows, h, y_x, par, kind, side)
+                event = STOP_LEFT if mode.stop == side else STOP_HIT
+                cut = cut_at(run, x, event, side, cut)
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
             if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
-                if not run.dense_ready:
-                    prepare_dense(par, mode, scratch, pair, run.t0, y, h, K, y_s, N_STATE, F)
-                    run.dense_ready = 1
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
-                if x < cut:
-                    cut = x
-                    run.pending = MOVING
-                    run.pending_wall = which
+                cut = cut_at(run, x, MOVING, which, cut)
     if cut <= 1.0:
+        if par.fixed_step > 0.0:
+            run.substeps += 1
+            if run.substeps > _MOST_SUBSTEPS:
+                # bounded cost comes first: this event waits for the end of the step
+                cut = 1.0
         run.t1 = run.t0 + cut * h
     if run.t1 >= run.t_stop:
         run.t1 = run.t_stop
         run.pending = END
+    elif cut > 1.0:
+        remember_distances(run, g0, d0, g1, d1, g2, d2)
+        return SERVED
+    run.measured = 0
     return SERVED
 
 
 @kernel
-def watch_force(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, y_end, x_end):
+def watch_force(par, run, mode, pair, y, y_s, y_x, K, F, scratch, y_end, x_end):
     """Keep each touch's peak of force, found inside the stretch where it lies."""
     rows = pair[4].shape[0]
+    stages = pair[5]
+    small = 1e-4 * run.h
+    for k in range(N_STATE):
+        y_s[k] = y_end[k] + small * K[stages, k]
     for i in range(2):
         if not mode.touching[i]:
             continue
-        force = wall_force(y_end, par, mode, i)
-        # rate by a small move along the flow; it only decides where to look
-        small = 1e-4 * run.h
-        for k in range(N_STATE):
-            y_s[k] = y_end[k] + small * K[pair[5], k]
-        # a stretch cut short ends with the touch, or is to be looked through anyway
-        rate = (wall_force(y_s, par, mode, i) - force) / small if x_end == 1.0 else -1.0
+        force = force_at(y_end, par, mode, i)
+        # rate by a small move along the flow: it only decides where to look.  A stretch cut
+        # short ends with the touch, or is to be looked through anyway
+        rate = (force_at(y_s, par, mode, i) - force) / small if x_end == 1.0 else -1.0
         if run.force_rate[i] > 0.0 and rate < 0.0:
             width = x_end * run.h
             place, low = cubic_minimum(
                 -run.force[i], -run.force_rate[i] * width, -force, -rate * width
             )
             if x_end != 1.0 or (place >= 0.0 and -low > 0.98 * run.touch_peak[i]):
-                if not run.dense_ready:
-                    prepare_dense(
-                        par,
-                        mode,
-                        scratch,
-                        pair,
-                        run.t0,
-                        y,
-                        run.h,
-                        K,
-                        y_s,
-                        N_STATE,
-                        F,
-                    )
-                    run.dense_ready = 1
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x, peak = peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end)
                 if peak > run.touch_peak[i]:
                     run.touch_peak[i] = peak
@@ -566,6 +739,22 @@ def watch_force(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, y_end, 
 
 
 @kernel
+def latch_tip(par, run, mode, events, t, y):
+    """Close the latches: the tip is held where it is, the walls let go."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    for i in range(2):
+        if mode.touching[i]:
+            gap, _, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            run.lost_latch += elastic_contact_energy(gap, par.K)
+            end_touch(events, run, mode, t, y, i)
+    mode.latched = 1
+    mode.latch_x = px
+    mode.latch_y = py
+    run.t_stop = min(run.t_stop, t + par.after_latch)
+    log_event(events, run, LATCHED, t, y, 0, math.hypot(px + par.L_T, py))
+
+
+@kernel
 def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch):
     """Move to the end of an integrator's stretch and draw the consequences."""
     rows = pair[4].shape[0]
@@ -573,17 +762,15 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
     if run.h > 0.0:
         if run.t1 < run.t0 + run.h:
             x_end = (run.t1 - run.t0) / run.h
-            if not run.dense_ready:
-                prepare_dense(par, mode, scratch, pair, run.t0, y, run.h, K, y_s, N_STATE, F)
-                run.dense_ready = 1
-            dense(y, F, rows, x_end, y_end)
+            make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+            dense(y, F, rows, x_end, y_end, N_TOTAL)
             run.fresh = 1
         else:
-            for i in range(y.shape[0]):
+            for i in range(N_TOTAL):
                 y_end[i] = y_new[i]
         if mode.touching[0] or mode.touching[1]:
-            watch_force(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, y_end, x_end)
-        for i in range(y.shape[0]):
+            watch_force(par, run, mode, pair, y, y_s, y_x, K, F, scratch, y_end, x_end)
+        for i in range(N_TOTAL):
             y[i] = y_end[i]
     if run.t1 > run.t0 + _SMALLEST_STEP:
         run.pile = 0
@@ -591,42 +778,40 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
         run.pile += 1
     t = run.t1
     run.t0 = t
+    which = run.pending_wall
     if run.pending == NO_EVENT:
         if par.has_supports:
-            for which in range(2):
-                resting = mode.rest_S if which == 0 else mode.rest_T
+            for vehicle in range(2):
+                resting = mode.rest_S if vehicle == 0 else mode.rest_T
                 if (
                     not resting
-                    and is_slow(y, par, which)
-                    and ratio_of_limit(y, par, mode, y_x, scratch, which) < 1.0
+                    and is_slow(y, par, vehicle)
+                    and ratio_of_limit(y, par, mode, y_x, scratch, vehicle) < 1.0
                 ):
-                    stop_vehicle(par, run, mode, events, t, y, which)
-    elif run.pending == TOUCH_BEGINS:
-        begin_touch(events, run, mode, par, t, y, run.pending_wall)
-        run.fresh = 1
+                    stop_vehicle(par, run, mode, events, t, y, vehicle)
+                    run.measured = 0
+        return
+    run.fresh = 1
+    if run.pending == TOUCH_BEGINS:
+        begin_touch(events, run, mode, par, t, y, which)
     elif run.pending == LIFT_OFF:
-        end_touch(events, run, mode, t, y, run.pending_wall)
-        run.fresh = 1
+        end_touch(events, run, mode, t, y, which)
+    elif run.pending == STICK:
+        change_slip(par, run, mode, events, t, y, y_x, scratch, which)
+    elif run.pending == STOP_HIT:
+        mode.stop = which
+        log_event(events, run, STOP_HIT, t, y, which, y[12])
+    elif run.pending == STOP_LEFT:
+        mode.stop = 0
+        log_event(events, run, STOP_LEFT, t, y, which, y[12])
     elif run.pending == MOVING:
-        if run.pending_wall == 0:
+        if which == 0:
             mode.rest_S = 0
         else:
             mode.rest_T = 0
-        run.fresh = 1
-        log_event(events, run, MOVING, t, y, run.pending_wall + 1, 0.0)
+        log_event(events, run, MOVING, t, y, which + 1, 0.0)
     elif run.pending == LATCHED:
-        px, py, wx, wy = tip_in_cone(y, par)
-        for i in range(2):
-            if mode.touching[i]:
-                gap, _, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
-                run.lost_latch += elastic_contact_energy(gap, par.K)
-                end_touch(events, run, mode, t, y, i)
-        mode.latched = 1
-        mode.latch_x = px
-        mode.latch_y = py
-        run.t_stop = min(run.t_stop, t + par.after_latch)
-        run.fresh = 1
-        log_event(events, run, LATCHED, t, y, 0, math.hypot(px + par.L_T, py))
+        latch_tip(par, run, mode, events, t, y)
 
 
 @entry_kernel
@@ -640,9 +825,11 @@ def advance(
     y_s,
     y_x,
     y_end,
+    e_5,
+    e_3,
     K,
     F,
-    scale,
+    weights,
     scratch,
     times,
     samples,
@@ -666,25 +853,11 @@ def advance(
             if run.stretch == RAIL:
                 rail_state(par, run, times[k], y, y_x)
             elif run.h == 0.0:
-                for i in range(y.shape[0]):
+                for i in range(N_TOTAL):
                     y_x[i] = y[i]
             else:
-                if not run.dense_ready:
-                    prepare_dense(
-                        par,
-                        mode,
-                        scratch,
-                        pair,
-                        run.t0,
-                        y,
-                        run.h,
-                        K,
-                        y_s,
-                        N_STATE,
-                        F,
-                    )
-                    run.dense_ready = 1
-                dense(y, F, rows, (times[k] - run.t0) / run.h, y_x)
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                dense(y, F, rows, (times[k] - run.t0) / run.h, y_x, N_TOTAL)
             observe(times[k], y_x, par, mode, run, scratch, samples[k])
             k += 1
             continue
@@ -709,7 +882,9 @@ def advance(
         if run.on_rail:
             plan_rail_stretch(par, run)
         else:
-            status = plan_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scale, scratch)
+            status = plan_step(
+                par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch
+            )
             if status != SERVED:
                 run.stretch = NONE
                 return status, k

@@ -45,7 +45,17 @@ def is_compiled() -> bool:
 
 def kernel(function: F) -> F:
     """Compile a function that is called from other kernels."""
-    compiled: F = numba.njit(error_model="numpy", fastmath={"contract", "nsz"})(function)
+    compiled: F = numba.njit(error_model="numpy", _nrt=False, fastmath={"contract", "nsz"})(
+        function
+    )
+    return compiled
+
+
+def inline_kernel(function: F) -> F:
+    """Compile a small function into each of its callers: a call would cost as much as it."""
+    compiled: F = numba.njit(
+        error_model="numpy", _nrt=False, fastmath={"contract", "nsz"}, forceinline=True
+    )(function)
     return compiled
 
 
@@ -56,10 +66,10 @@ def entry_kernel(function: F) -> F:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         numba.config.CACHE_DIR = str(folder)
-        compiled: F = numba.njit(error_model="numpy", cache=True)(function)
+        compiled: F = numba.njit(error_model="numpy", _nrt=False, cache=True)(function)
     except OSError:
         # nowhere to keep it: compile anew in each process
-        compiled = numba.njit(error_model="numpy")(function)
+        compiled = numba.njit(error_model="numpy", _nrt=False)(function)
     finally:
         numba.config.CACHE_DIR = previous
     return compiled

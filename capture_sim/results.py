@@ -48,9 +48,9 @@ def summarize(
     touches: np.ndarray,
     events: Sequence[Event],
     verdict: str,
-    wall_time: float,
+    wall_time: float | None,
 ) -> dict[str, Any]:
-    """Return the run in a few numbers, SI units; None where there was no contact."""
+    """Return the run in a few numbers, SI units; None where there was no contact or no clock."""
     first = first_cluster(touches)
     met = first.size > 0
     simulated = float(samples["t"][-1]) if samples.size else 0.0
@@ -70,7 +70,7 @@ def summarize(
         "nearest_distance": float(samples["tip_distance"].min(initial=math.inf)),
         "energy_residual": float(np.abs(samples["energy_residual"]).max(initial=0.0)),
         "wall_time": wall_time,
-        "real_time_factor": simulated / wall_time if wall_time > 0.0 else math.inf,
+        "real_time_factor": simulated / wall_time if wall_time else None,
     }
 
 

@@ -35,6 +35,10 @@ class EventKind(IntEnum):
     MOVING = 6
     LATCHED = 7
     END = 8
+    STOP_HIT = 9
+    STOP_LEFT = 10
+    STICK = 11
+    SLIP = 12
 
     @property
     def label(self) -> str:
@@ -78,6 +82,7 @@ SAMPLE = np.dtype(
         ("elastic_torsion", "f8"),
         ("elastic_contact", "f8"),
         ("elastic_latch", "f8"),
+        ("elastic_stop", "f8"),
         ("work_string", "f8"),
         ("dissipated_axial", "f8"),
         ("dissipated_torsion", "f8"),
@@ -85,6 +90,7 @@ SAMPLE = np.dtype(
         ("dissipated_friction", "f8"),
         ("dissipated_rolling", "f8"),
         ("dissipated_latch", "f8"),
+        ("dissipated_stop", "f8"),
         ("dissipated_landing", "f8"),
         ("energy_residual", "f8"),
     ]
@@ -128,6 +134,7 @@ ENERGIES = (
     "elastic_torsion",
     "elastic_contact",
     "elastic_latch",
+    "elastic_stop",
     "work_string",
     "dissipated_axial",
     "dissipated_torsion",
@@ -135,6 +142,7 @@ ENERGIES = (
     "dissipated_friction",
     "dissipated_rolling",
     "dissipated_latch",
+    "dissipated_stop",
     "dissipated_landing",
     "energy_residual",
 )

@@ -31,8 +31,8 @@ CONTACT_LAWS = (
     "carvalho_martins",
     "exact",
 )
-FRICTION_LAWS = ("tanh", "none")
-METHODS = ("dop853", "dopri5")
+FRICTION_LAWS = ("tanh", "brown_mcphee", "coulomb", "none")
+METHODS = ("dop853", "dopri5", "rk4")
 
 
 @dataclass(frozen=True)
@@ -233,6 +233,12 @@ class Friction(_Checked):
     v_eps: float = quantity(
         "m/s", POSITIVE, default=1e-3, doc="slip at which tanh reaches 76 % of mu F_n"
     )
+    mu_s: float | None = quantity(
+        "1",
+        NOT_NEGATIVE,
+        default=None,
+        doc="coefficient of static friction, for brown_mcphee and coulomb; null: mu",
+    )
 
 
 @dataclass(frozen=True)
@@ -304,6 +310,16 @@ class Latch(_Checked):
 
 
 @dataclass(frozen=True)
+class Stops(_Checked):
+    """Ends of the probe's stroke: springs with dampers that push but never pull."""
+
+    compression: float = quantity("m", POSITIVE, doc="stroke inwards at which the stop is met")
+    extension: float = quantity("m", POSITIVE, doc="stroke outwards at which the stop is met")
+    stiffness: float = quantity("N/m", POSITIVE, doc="of either stop")
+    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="of either stop")
+
+
+@dataclass(frozen=True)
 class PlanarState(_Checked):
     """Pose and velocity of a vehicle's centre of mass in the world."""
 
@@ -339,6 +355,9 @@ class Run(_Checked):
         "1", Range(1e-13, 1e-2), default=1e-8, doc="error a step may make, of the scene's scale"
     )
     method: str = choice(METHODS, default="dop853", doc="integrator")
+    step: float = quantity(
+        "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
+    )
     max_steps: int = quantity(
         "1", Range(100, 10**12), default=50_000_000, doc="steps before a run is given up"
     )
@@ -385,6 +404,7 @@ class Scene(_Checked):
     rail: Rail | None = None
     string: String | None = None
     latch: Latch | None = None
+    stops: Stops | None = None
     gravity: float = quantity("m/s^2", POSITIVE, default=9.80665)
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def check_scene(scene: Scene) -> None:
     """Raise SceneError for the first rule that the scene breaks."""
-    for rule in (_contact, _throat, _rates, _start, _supports, _rail, _string, _latch):
+    for rule in (_contact, _friction, _throat, _rates, _start, _supports, _rail, _string, _latch):
         rule(scene)
 
 
@@ -26,6 +26,14 @@ def _contact(scene: Scene) -> None:
         raise SceneError(
             f"contact.restitution = {scene.contact.restitution!r}: allowed is > 0 and <= 1 "
             f"with the law {scene.contact.law}"
+        )
+
+
+def _friction(scene: Scene) -> None:
+    mu_s = scene.friction.mu_s
+    if mu_s is not None and mu_s < scene.friction.mu:
+        raise SceneError(
+            f"friction.mu_s = {mu_s!r}: allowed is >= {scene.friction.mu:g}, friction.mu, or null"
         )
 
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import RK45, solve_ivp
 
 from capture_sim import Bench, engine, load_scene, simulate
-from capture_sim.dynamics.equations import MODE, N_TOTAL
+from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
 from capture_sim.integration.explicit import dense, make_stepper
-from capture_sim.integration.pairs import PAIRS
+from capture_sim.integration.pairs import PAIRS, padded
 from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import kernel
 
@@ -27,21 +27,22 @@ STEPPER = make_stepper(pendulum)
 
 def fixed_steps(name, n, t_end=2.0, fractions=()):
     """Integrate with n equal steps; dense values at fractions of the last step."""
-    pair = PAIRS[name]()
-    y, scale = np.array([1.0, 0.3, 0.0]), np.ones(2)
-    K, F = np.zeros((pair.A.shape[0], 3)), np.zeros((pair.G.shape[0], 3))
-    y_s, y_new, out = np.zeros(3), np.zeros(3), np.zeros(3)
+    pair = padded(PAIRS[name]())
+    y, weights = np.array([1.0, 0.3, 0.0]), np.ones(2)
+    K, F = np.zeros((pair.A.shape[1], 3)), np.zeros((pair.G.shape[0], 3))
+    y_s, y_new, out = np.zeros(2), np.zeros(3), np.zeros(3)
+    e_5, e_3 = np.zeros(2), np.zeros(2)
     h = t_end / n
     none = np.zeros(0)
     between = []
     for i in range(n):
         t = i * h
         pendulum(t, y, K[0], none, none, none)
-        STEPPER.try_step(none, none, none, tuple(pair), t, y, h, K, y_s, y_new, 2, scale)
+        STEPPER.try_step(none, none, none, tuple(pair), t, y, h, K, y_s, e_5, e_3, y_new, weights)
         if i == n - 1:
-            STEPPER.prepare_dense(none, none, none, tuple(pair), t, y, h, K, y_s, 2, F)
+            STEPPER.prepare_dense(none, none, none, tuple(pair), t, y, h, K, y_s, F)
             for x in fractions:
-                dense(y, F, pair.G.shape[0], x, out)
+                dense(y, F, pair.G.shape[0], x, out, 3)
                 between.append((t + x * h, out.copy()))
         y = y_new.copy()
     return y, between
@@ -61,7 +62,7 @@ def reference():
     )
 
 
-@pytest.mark.parametrize("name, coarse", [("dopri5", 16), ("dop853", 4)])
+@pytest.mark.parametrize("name, coarse", [("dopri5", 16), ("dop853", 4), ("rk4", 20)])
 def test_order_of_the_step_and_of_its_integrals(name, coarse, reference):
     exact = reference.y[:, -1]
     errors = [np.linalg.norm(fixed_steps(name, coarse * k)[0] - exact) for k in (1, 2, 4)]
@@ -69,7 +70,9 @@ def test_order_of_the_step_and_of_its_integrals(name, coarse, reference):
     assert np.all(orders > PAIRS[name]().order - 0.5)
 
 
-@pytest.mark.parametrize("name, n, error", [("dopri5", 20, 3e-7), ("dop853", 8, 1e-8)])
+@pytest.mark.parametrize(
+    "name, n, error", [("dopri5", 20, 3e-7), ("dop853", 8, 1e-8), ("rk4", 40, 1e-6)]
+)
 def test_dense_output_between_steps(name, n, error, reference):
     _, between = fixed_steps(name, n, fractions=(0.0, 0.25, 0.5, 0.9, 1.0))
     for t, y in between:
@@ -112,7 +115,7 @@ def test_first_touches_agree_with_scipy_touch_by_touch():
     scene = load_scene("paper_designed", ["run.rtol=1e-11"])
     result = simulate(scene, t_end=0.05)
     bench = Bench(scene)
-    f, scratch = np.zeros(N_TOTAL), np.zeros(11)
+    f, scratch = np.zeros(N_TOTAL), np.zeros(N_SCRATCH)
     mode = np.zeros(1, MODE)
     q, v = scene.initial_coordinates()
     y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])

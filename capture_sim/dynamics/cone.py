@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.kernels import kernel
+from capture_sim.kernels import inline_kernel
 
 
-@kernel
+@inline_kernel
 def nearest_on_wall(
     u: float, Y: float, R_c: float, L_c: float, cos_b: float, sin_b: float
 ) -> tuple[float, float, float]:

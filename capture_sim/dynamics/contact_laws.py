@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 from scipy.optimize import brentq
 
-from capture_sim.kernels import kernel
+from capture_sim.kernels import inline_kernel
 
 
 def returned_restitution(a: float) -> float:
@@ -86,7 +86,7 @@ HYSTERESIS_FACTOR: dict[str, Callable[[float], float]] = {
 NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 
 
-@kernel
+@inline_kernel
 def normal_force(depth: float, rate: float, K: float, chi: float) -> tuple[float, float]:
     """Return the normal force and its elastic part, N.
 

@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.contact_laws import normal_force
-from capture_sim.dynamics.equations import tip_forces, tip_in_cone, wall_gap
+from capture_sim.dynamics.equations import (
+    AXIAL,
+    FRICTION,
+    HYSTERESIS,
+    IMPULSE,
+    LATCH,
+    N_SCRATCH,
+    NORMAL,
+    P_FRICTION,
+    ROLLING,
+    RUB,
+    STOP,
+    TORSION,
+    accelerate_sticking,
+    tip_forces,
+    tip_in_cone,
+    wall_gap,
+)
+from capture_sim.dynamics.trig import sine_cosine
 from capture_sim.kernels import kernel
 
 
 @kernel
 def kinetic_energy(y, par):
     """Return the kinetic energy of both vehicles and the buffer, J."""
-    cS, sS = math.cos(y[2]), math.sin(y[2])
-    cP, sP = math.cos(y[3]), math.sin(y[3])
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
     hinge_x = y[8] - par.a * y[10] * sS
     hinge_y = y[9] + par.a * y[10] * cS
     spin, rate = y[11], y[12]
@@ -68,10 +85,14 @@ def observe(t, y, par, mode, run, scratch, sample):
     sample.tip_axial = -(px + par.L_T)
     sample.tip_lateral = py
     sample.tip_distance = math.hypot(px + par.L_T, py)
-    for i in range(11):
+    for i in range(N_SCRATCH):
         scratch[i] = 0.0
+    if mode.sticking[0] or mode.sticking[1]:
+        # fills the friction forces that hold the tip
+        accelerate_sticking(y, par, mode, scratch[32:48], scratch)
+        scratch[P_FRICTION] = 0.0
     fx, fy, tip, _ = tip_forces(y, par, mode, px, py, wx, wy, scratch)
-    cT, sT = math.cos(y[7]), math.sin(y[7])
+    sT, cT = sine_cosine(y[7])
     gx = cT * fx - sT * fy
     gy = sT * fx + cT * fy
     contact = 0.0
@@ -79,9 +100,9 @@ def observe(t, y, par, mode, run, scratch, sample):
         gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
         sample.penetration[i] = -gap
         sample.penetration_rate[i] = -rate
-        sample.normal_force[i] = scratch[4 + i]
-        sample.friction_force[i] = scratch[6 + i]
-        sample.impulse[i] = y[23 + i]
+        sample.normal_force[i] = scratch[NORMAL + i]
+        sample.friction_force[i] = scratch[RUB + i] if mode.touching[i] else 0.0
+        sample.impulse[i] = y[IMPULSE + i]
         if mode.touching[i]:
             contact += elastic_contact_energy(gap, par.K)
     sample.contact_force[0] = 0.0 if mode.latched else gx
@@ -96,6 +117,12 @@ def observe(t, y, par, mode, run, scratch, sample):
         dy = py - mode.latch_y
         latch = 0.5 * par.k_L * (dx * dx + dy * dy)
     sample.elastic_latch = latch
+    stop = 0.0
+    if mode.stop:
+        end = par.stop_compressed if mode.stop < 0 else par.stop_extended
+        depth = max(mode.stop * (stroke - end), 0.0)
+        stop = 0.5 * par.k_stop * depth * depth
+    sample.elastic_stop = stop
 
     kinetic = kinetic_energy(y, par)
     sample.string_tension = 0.0
@@ -114,16 +141,18 @@ def observe(t, y, par, mode, run, scratch, sample):
     sample.elastic_axial = 0.5 * par.k_A * stroke * stroke
     sample.elastic_torsion = 0.5 * par.k_T * torsion * torsion
     sample.work_string = par.m_hanging * par.gravity * (par.drop_height - sample.mass_height)
-    sample.dissipated_axial = y[16]
-    sample.dissipated_torsion = y[17]
-    sample.dissipated_contact = y[18] + y[19]
-    sample.dissipated_friction = y[20]
-    sample.dissipated_rolling = y[21]
-    sample.dissipated_latch = y[22] + run.lost_latch
+    sample.dissipated_axial = y[AXIAL]
+    sample.dissipated_torsion = y[TORSION]
+    sample.dissipated_contact = y[HYSTERESIS] + y[HYSTERESIS + 1]
+    sample.dissipated_friction = y[FRICTION]
+    sample.dissipated_rolling = y[ROLLING]
+    sample.dissipated_latch = y[LATCH] + run.lost_latch
+    sample.dissipated_stop = y[STOP]
     sample.dissipated_landing = run.lost_landing
-    stored = kinetic + sample.elastic_axial + sample.elastic_torsion + contact + latch
-    lost = y[16] + y[17] + y[18] + y[19] + y[20] + y[21] + y[22]
-    lost += run.lost_latch + run.lost_landing
+    stored = kinetic + sample.elastic_axial + sample.elastic_torsion + contact + latch + stop
+    lost = run.lost_latch + run.lost_landing
+    for i in range(AXIAL, STOP + 1):
+        lost += y[i]
     sample.energy_residual = stored - run.energy_0 - sample.work_string + lost
 
 
@@ -132,12 +161,3 @@ def speed_travel(run, t):
     """Return the chaser's travel along the rail within the present stretch, m."""
     tau = t - run.t0
     return run.speed * tau + 0.5 * run.acceleration * tau * tau
-
-
-@kernel
-def wall_force(y, par, mode, side_index):
-    """Return the normal force on the tip from one wall, N."""
-    px, py, wx, wy = tip_in_cone(y, par)
-    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * side_index, par)
-    force, _ = normal_force(-gap, -rate, par.K, mode.chi[side_index])
-    return force

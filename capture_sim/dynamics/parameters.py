@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from capture_sim.dynamics.contact_laws import HYSTERESIS_FACTOR
+from capture_sim.dynamics.friction import NUMBER
 from capture_sim.dynamics.supports import ball_loads
 from capture_sim.scene import BallSupport, Scene
 
@@ -20,6 +21,10 @@ PARAMETERS = np.dtype(
         ("m_T", "f8"),
         ("I_T", "f8"),
         ("m_total", "f8"),  # chaser, cylinder and probe
+        ("inverse_m_SC", "f8"),  # 1 / (m_S + m_C)
+        ("inverse_m_P", "f8"),
+        ("inverse_m_T", "f8"),
+        ("inverse_I_T", "f8"),
         ("a", "f8"),
         ("first_moment_0", "f8"),  # m_C l_C - m_P d: first moment about the hinge at h = 0
         ("hinge_inertia_0", "f8"),  # I_C + m_C l_C^2 + I_P: about the hinge, probe's m r^2 apart
@@ -39,6 +44,8 @@ PARAMETERS = np.dtype(
         ("hysteresis", "f8"),  # a(e)
         ("v_0_floor", "f8"),
         ("mu", "f8"),
+        ("mu_s", "f8"),
+        ("friction_law", "i8"),
         ("v_eps_tip", "f8"),
         ("has_supports", "i8"),
         ("v_eps_ball", "f8"),
@@ -48,6 +55,11 @@ PARAMETERS = np.dtype(
         ("latch_radius", "f8"),
         ("k_L", "f8"),
         ("c_L", "f8"),
+        ("has_stops", "i8"),
+        ("stop_compressed", "f8"),  # stroke at which each stop is met, m
+        ("stop_extended", "f8"),
+        ("k_stop", "f8"),
+        ("c_stop", "f8"),
         ("rail_length", "f8"),
         ("rail_x", "f8"),  # direction
         ("rail_y", "f8"),
@@ -62,6 +74,7 @@ PARAMETERS = np.dtype(
         ("length_scale", "f8"),
         ("speed_scale", "f8"),
         ("max_steps", "i8"),
+        ("fixed_step", "f8"),  # 0: chosen by the error
     ],
     align=True,
 )
@@ -105,6 +118,9 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["m_T"], p["I_T"] = scene.target.mass, scene.target.inertia
     p["m_C"], p["m_P"] = scene.cylinder.mass, scene.probe.mass
     p["m_total"] = scene.chaser_total_mass
+    p["inverse_m_SC"] = 1.0 / (scene.chaser.mass + scene.cylinder.mass)
+    p["inverse_m_P"], p["inverse_m_T"] = 1.0 / scene.probe.mass, 1.0 / scene.target.mass
+    p["inverse_I_T"] = 1.0 / scene.target.inertia
     p["a"], p["d"] = scene.buffer.a, scene.probe.com_offset
     p["first_moment_0"] = scene.cylinder.mass * l_C - scene.probe.mass * scene.probe.com_offset
     p["hinge_inertia_0"] = (
@@ -119,6 +135,8 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
     p["v_0_floor"] = scene.contact.v_0_floor
     p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
+    p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
+    p["friction_law"] = NUMBER[scene.friction.law]
     p["v_eps_tip"] = scene.friction.v_eps
     p["gravity"] = scene.gravity
     if scene.supports is not None:
@@ -131,6 +149,11 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
         p["has_latch"] = 1
         p["latch_radius"] = scene.latch.radius
         p["k_L"], p["c_L"] = scene.latch.stiffness, scene.latch.damping
+    if scene.stops is not None:
+        p["has_stops"] = 1
+        p["stop_compressed"] = -scene.stops.compression
+        p["stop_extended"] = scene.stops.extension
+        p["k_stop"], p["c_stop"] = scene.stops.stiffness, scene.stops.damping
     heading = scene.initial.chaser.theta
     p["rail_x"], p["rail_y"] = math.cos(heading), math.sin(heading)
     p["rail_length"] = scene.rail.length if scene.rail is not None else 0.0
@@ -143,6 +166,7 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["length_scale"] = scene.probe.tip_radius
     p["speed_scale"] = speed_scale(scene)
     p["max_steps"] = scene.run.max_steps
+    p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     return record
 
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from capture_sim.kernels import kernel
+from capture_sim.kernels import inline_kernel, kernel
 
 
 def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> np.ndarray:
@@ -42,7 +42,7 @@ def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> 
     return loads
 
 
-@kernel
+@inline_kernel
 def rolling_wrench(
     vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray, v_eps: float
 ) -> tuple[float, float, float, float]:

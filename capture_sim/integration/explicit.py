@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from capture_sim.kernels import kernel
+from capture_sim.kernels import inline_kernel, kernel
 
 SAFETY = 0.9
 SHRINK_MOST = 0.2
@@ -33,18 +33,17 @@ def next_factor(error, previous, order):
     return min(GROW_MOST, max(SHRINK_MOST, factor))
 
 
-@kernel
-def dense(y, F, rows, x, y_x):
-    """Write the state at the fraction ``x`` (0..1) of the step into ``y_x``."""
-    total = y.shape[0]
-    for i in range(total):
+@inline_kernel
+def dense(y, F, rows, x, y_x, n):
+    """Write the first ``n`` states at the fraction ``x`` (0..1) of the step into ``y_x``."""
+    for i in range(n):
         y_x[i] = 0.0
     for k in range(rows):
         r = rows - 1 - k
         factor = x if r % 2 == 0 else 1.0 - x
-        for i in range(total):
+        for i in range(n):
             y_x[i] = (y_x[i] + F[r, i]) * factor
-    for i in range(total):
+    for i in range(n):
         y_x[i] += y[i]
 
 
@@ -58,76 +57,91 @@ class Stepper(NamedTuple):
 def make_stepper(rhs: Callable[..., Any]) -> Stepper:
     """Compile the steps for a right-hand side.
 
+    Parameters
+    ----------
+    rhs
+        ``rhs(t, y, f, par, mode, scratch)``, compiled; reads the first places of ``y``, the
+        states, and writes dy/dt of all into ``f``; those beyond the states are integrals.
+
+    Notes
+    -----
     The right-hand side is bound here and not passed at run time: Numba keeps no compiled
-    code on disk that takes functions as arguments.
+    code on disk that takes functions as arguments.  The lengths are those of the work
+    arrays: with lengths known to the compiler it would unroll the loops and not vectorise
+    them.
     """
 
     @kernel
-    def stage(par, mode, scratch, A, C, s, t, y, h, K, y_s, n):
+    def stage(par, mode, scratch, A, C, s, t, y, h, K, y_s):
         """Evaluate stage ``s`` from the stages before it into K[s]."""
-        for i in range(n):
-            y_s[i] = 0.0
-        for j in range(s):
-            weight = A[s, j]
-            if weight != 0.0:
-                for i in range(n):
-                    y_s[i] += weight * K[j, i]
-        for i in range(n):
-            y_s[i] = y[i] + h * y_s[i]
+        states = y_s.shape[0]
+        for i in range(states):
+            y_s[i] = y[i]
+        for j in range(0, s, 4):
+            # four at once; weights beyond the stages are zero, and so is K where unused
+            w0, w1, w2, w3 = h * A[s, j], h * A[s, j + 1], h * A[s, j + 2], h * A[s, j + 3]
+            for i in range(states):
+                y_s[i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (w2 * K[j + 2, i] + w3 * K[j + 3, i])
         rhs(t + C[s] * h, y_s, K[s], par, mode, scratch)
 
     @kernel
-    def try_step(par, mode, scratch, pair, t, y, h, K, y_s, y_new, n, scale):
+    def try_step(par, mode, scratch, pair, t, y, h, K, y_s, e_5, e_3, y_new, weights):
         """Take a step of length ``h`` from (t, y) with K[0] known.
 
-        Writes the result into ``y_new`` and its derivative into K[stages]; returns the error
-        relative to ``scale`` (n,), 1 being just good enough.
+        Writes the result into ``y_new`` and its derivative into K[stages]; returns the
+        weighted error, 1 being just good enough: ``weights`` (watched,) are the inverse of
+        what each place of ``y`` may be wrong by.  ``y_s`` (states,), ``e_5`` and ``e_3``
+        (watched,) are scratch.
         """
         A, C, E5, E3, _, stages, _, _ = pair
         total = y.shape[0]
+        watched = weights.shape[0]
         for s in range(1, stages):
-            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s, n)
+            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
         for i in range(total):
-            y_new[i] = 0.0
-        for j in range(stages):
-            weight = A[stages, j]
-            if weight != 0.0:
-                for i in range(total):
-                    y_new[i] += weight * K[j, i]
-        for i in range(total):
-            y_new[i] = y[i] + h * y_new[i]
+            y_new[i] = y[i]
+        for j in range(0, stages, 4):
+            w0, w1 = h * A[stages, j], h * A[stages, j + 1]
+            w2, w3 = h * A[stages, j + 2], h * A[stages, j + 3]
+            for i in range(total):
+                y_new[i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (
+                    w2 * K[j + 2, i] + w3 * K[j + 3, i]
+                )
         rhs(t + h, y_new, K[stages], par, mode, scratch)
-        e5 = 0.0
-        e3 = 0.0
-        watched = scale.shape[0]
         for i in range(watched):
-            a = 0.0
-            b = 0.0
-            for j in range(stages + 1):
-                a += E5[j] * K[j, i]
-                b += E3[j] * K[j, i]
-            a /= scale[i]
-            b /= scale[i]
-            e5 += a * a
-            e3 += b * b
-        if e5 == 0.0:
+            e_5[i] = 0.0
+            e_3[i] = 0.0
+        for j in range(stages + 1):
+            five, three = E5[j], E3[j]
+            for i in range(watched):
+                e_5[i] += five * K[j, i]
+                e_3[i] += three * K[j, i]
+        sum5 = 0.0
+        sum3 = 0.0
+        for i in range(watched):
+            a = e_5[i] * weights[i]
+            b = e_3[i] * weights[i]
+            sum5 += a * a
+            sum3 += b * b
+        if sum5 == 0.0:
             return 0.0
-        return h * e5 / math.sqrt((e5 + 0.01 * e3) * watched)
+        return h * sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
 
     @kernel
-    def prepare_dense(par, mode, scratch, pair, t, y, h, K, y_s, n, F):
+    def prepare_dense(par, mode, scratch, pair, t, y, h, K, y_s, F):
         """Fill ``F`` (rows, total) so that :func:`dense` can be called in this step."""
         A, C, _, _, G, stages, _, _ = pair
+        for s in range(stages + 1, C.shape[0]):
+            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
         total = y.shape[0]
-        for s in range(stages + 1, A.shape[0]):
-            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s, n)
         for r in range(G.shape[0]):
             for i in range(total):
                 F[r, i] = 0.0
-            for j in range(A.shape[0]):
-                weight = h * G[r, j]
-                if weight != 0.0:
-                    for i in range(total):
-                        F[r, i] += weight * K[j, i]
+            for j in range(0, G.shape[1], 4):
+                w0, w1, w2, w3 = h * G[r, j], h * G[r, j + 1], h * G[r, j + 2], h * G[r, j + 3]
+                for i in range(total):
+                    F[r, i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (
+                        w2 * K[j + 2, i] + w3 * K[j + 3, i]
+                    )
 
     return Stepper(try_step, prepare_dense)

@@ -37,7 +37,7 @@ class Pair(NamedTuple):
     order : int
         Order of the result.
     error_order : int
-        Order of the error estimate.
+        Order of the error estimate; 0: there is none, steps are of fixed length.
     """
 
     A: np.ndarray
@@ -111,4 +111,42 @@ def dormand_prince_853() -> Pair:
     )
 
 
-PAIRS = {"dopri5": dormand_prince_5, "dop853": dormand_prince_853}
+def runge_kutta_4() -> Pair:
+    """Return the classical Runge-Kutta method (Kutta 1901), without error estimate.
+
+    For fixed steps; dense output is the cubic Hermite polynomial, of order 3.
+    """
+    A = np.zeros((5, 5))
+    A[1, 0] = A[2, 1] = 0.5
+    A[3, 2] = 1.0
+    step = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+    A[4, :4] = step
+    return Pair(
+        A=A,
+        C=np.array([0.0, 0.5, 0.5, 1.0, 1.0]),
+        E5=np.zeros(5),
+        E3=np.zeros(5),
+        G=_dense(step, 4, 5, np.zeros((0, 5))),
+        stages=4,
+        order=4,
+        error_order=0,
+    )
+
+
+def padded(pair: Pair) -> Pair:
+    """Return a pair with its columns filled up with zeros to a multiple of four.
+
+    The compiled loops take stages four at a time; K needs as many rows as ``A`` columns.
+    """
+
+    def wide(values: np.ndarray) -> np.ndarray:
+        columns = 4 * (-(-pair.A.shape[1] // 4))
+        out = np.zeros((*values.shape[:-1], columns))
+        out[..., : values.shape[-1]] = values
+        return out
+
+    return pair._replace(A=wide(pair.A), E5=wide(pair.E5), E3=wide(pair.E3), G=wide(pair.G))
+
+
+#: Pairs by the name of the method; "rk4" runs with fixed steps.
+PAIRS = {"dopri5": dormand_prince_5, "dop853": dormand_prince_853, "rk4": runge_kutta_4}

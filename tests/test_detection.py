@@ -1,0 +1,156 @@
+"""The capture detector on motions made by hand, whose verdict is plain."""
+
+import math
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene, simulate
+from capture_sim.detection import CaptureDetector, CaptureState, Observation
+from capture_sim.simulation import observation
+
+
+def tip_motion(scene, places, rate=100.0, turn=0.0):
+    """Observations of a tip led through (axial m, lateral m) places in the cone's frame.
+
+    The target is turned by ``turn`` and stands somewhere; the chaser is led rigidly.
+    """
+    places = np.asarray(places, dtype=float)
+    speeds = np.gradient(places, 1 / rate, axis=0) if len(places) > 1 else places * 0
+    reach = scene.buffer.a + scene.rest_length
+    c, s = math.cos(turn), math.sin(turn)
+    for k, ((axial, lateral), (axial_rate, lateral_rate)) in enumerate(
+        zip(places, speeds, strict=True)
+    ):
+        px, py = -(axial + scene.cone.L_T), lateral
+        tip = (3.0 + c * px - s * py, -2.0 + s * px + c * py)
+        u = (-axial_rate, lateral_rate)
+        yield Observation(
+            t=k / rate,
+            chaser=(tip[0] - reach, tip[1], 0.0),
+            chaser_rate=(c * u[0] - s * u[1], s * u[0] + c * u[1], 0.0),
+            target=(3.0, -2.0, turn),
+            target_rate=(0.0, 0.0, 0.0),
+            stroke=0.0,
+            stroke_rate=0.0,
+            torsion=0.0,
+            torsion_rate=0.0,
+        )
+
+
+def lead(*legs):
+    """Places on straight legs: (axial, lateral, seconds to get there) after the start."""
+    (a0, l0, _), *rest = legs
+    parts = [np.array([[a0, l0]])]
+    for a, b, seconds in rest:
+        n = round(seconds * 100)
+        parts.append(np.linspace([a0, l0], [a, b], n + 1)[1:])
+        a0, l0 = a, b
+    return np.concatenate(parts)
+
+
+def verdict(scene, places, turn=0.0):
+    detector = CaptureDetector(scene)
+    statuses = [detector.update(o) for o in tip_motion(scene, places, turn=turn)]
+    return [*statuses, detector.finish()]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("tilt_0")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, -2.0])
+def test_offsets_are_those_that_were_led(scene, turn):
+    detector = CaptureDetector(scene)
+    for seen in tip_motion(scene, [(0.08, 0.01), (0.07, -0.02)], turn=turn):
+        status = detector.update(seen)
+    assert status.axial_offset == pytest.approx(0.07, abs=1e-12)
+    assert status.lateral_offset == pytest.approx(-0.02, abs=1e-12)
+    assert status.distance == pytest.approx(math.hypot(0.07, 0.02), abs=1e-12)
+    assert status.relative_attitude == pytest.approx(-turn)
+    assert status.relative_speed == pytest.approx(100 * math.hypot(0.01, 0.03), rel=1e-9)
+    assert status.nearest_distance == pytest.approx(status.distance)
+
+
+def test_staying_in_the_zone_is_a_capture_after_the_dwell(scene):
+    path = lead((0.1, 0.02, 0), (0.02, 0.02, 0.8), (0.003, 0.0, 0.3), (0.003, 0.0, 1.0))
+    statuses = verdict(scene, path)
+    assert statuses[0].state is CaptureState.APPROACH
+    captured = next(s for s in statuses if s.state is CaptureState.CAPTURED)
+    entered = next(s.t for s in statuses if s.distance <= scene.detector.radius)
+    assert captured.t == pytest.approx(entered + scene.detector.dwell, abs=1e-9)
+    assert captured.final
+    assert statuses[-1].state is CaptureState.CAPTURED
+    assert statuses[-1].time_in_state == pytest.approx(statuses[-1].t - captured.t)
+
+
+def test_visiting_the_zone_for_less_than_the_dwell_is_none(scene):
+    path = lead((0.1, 0.0, 0), (0.003, 2e-4, 0.5), (0.003, 2e-4, 0.1), (0.05, 0.0, 0.5))
+    assert verdict(scene, path)[-1].state is CaptureState.REBOUND
+
+
+def test_passing_be_inside_the_throat_is_a_capture(scene):
+    path = lead((0.1, 0.0, 0), (-0.02, 0.0, 0.3))
+    final = verdict(scene, path)[-1]
+    assert (final.state, final.reason) == (CaptureState.CAPTURED, "tip passed BE")
+
+
+def test_passing_be_outside_the_throat_is_a_miss(scene):
+    path = lead((0.1, 0.09, 0), (-0.02, 0.09, 0.5))
+    assert verdict(scene, path)[-1].state is CaptureState.MISSED
+
+
+def test_retreat_after_contact_is_a_rebound(scene):
+    # the face at lateral 0.03 is met where the tip is R_t away from it
+    path = lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.09, 0.01, 0.5))
+    statuses = verdict(scene, path)
+    assert CaptureState.CONTACT in {s.state for s in statuses}
+    rebound = next(s for s in statuses if s.state is CaptureState.REBOUND)
+    assert rebound.distance > rebound.nearest_distance + scene.detector.leave
+    assert statuses[-1].state is CaptureState.REBOUND
+
+
+def test_retreat_without_contact_is_a_miss(scene):
+    path = lead((0.2, 0.0, 0), (0.15, 0.0, 0.5), (0.2, 0.0, 0.5))
+    assert verdict(scene, path)[-1].state is CaptureState.MISSED
+
+
+def test_standing_short_of_be_is_stuck(scene):
+    path = lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.03625, 0.03, 2.0))
+    statuses = verdict(scene, path)
+    stuck = next(s for s in statuses if s.state is CaptureState.STUCK)
+    assert stuck.t == pytest.approx(0.6 + scene.detector.still_time, abs=0.05)
+    assert statuses[-1].final
+
+
+def test_a_run_that_ends_early_still_gets_a_verdict(scene):
+    approach = verdict(scene, lead((0.2, 0.0, 0), (0.15, 0.0, 0.5)))[-1]
+    assert (approach.state, approach.final) == (CaptureState.MISSED, True)
+    touching = verdict(scene, lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6)))[-1]
+    assert touching.state is CaptureState.STUCK
+    leaving = verdict(scene, lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.045, 0.03, 0.2)))[-1]
+    assert leaving.state is CaptureState.REBOUND
+    nothing = CaptureDetector(scene).finish()
+    assert (nothing.state, nothing.reason) == (CaptureState.MISSED, "nothing was measured")
+
+
+def test_a_verdict_does_not_change_any_more(scene):
+    path = lead((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5), (0.2, 0.0, 1.0))
+    statuses = verdict(scene, path)
+    states = [s.state for s in statuses]
+    first = states.index(CaptureState.CAPTURED)
+    assert set(states[first:]) == {CaptureState.CAPTURED}
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "paper_undamped", "paper_designed"])
+def test_the_detector_sees_the_same_tip_as_the_core(name):
+    result = simulate(load_scene(name))
+    detector = CaptureDetector(result.scene)
+    for sample in result.samples[::10]:
+        status = detector.update(observation(sample))
+        assert status.axial_offset == pytest.approx(sample["tip_axial"], abs=1e-12)
+        assert status.lateral_offset == pytest.approx(sample["tip_lateral"], abs=1e-12)
+    # contact is noticed no later than 20 ms after the first touch
+    touched = next(s.t for s in result.statuses if s.state is not CaptureState.APPROACH)
+    assert touched == pytest.approx(result.touches[0]["start"], abs=0.02)
