@@ -108,8 +108,11 @@ EVENT = np.dtype(
 )
 
 NONE, RAIL, STEP = 0, 1, 2
-RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = range(9)
+RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = (
+    range(9)
+)
 STOP_HIT, STOP_LEFT, STICK, SLIP = range(9, 13)
+SLOW = 13  # a vehicle is slow enough to be held by its supports: rest, if they can
 NO_EVENT = -1
 
 # how the loop ended
@@ -121,6 +124,7 @@ _GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
 _EVENT_ROOM = 8  # events that one stretch may cause
 _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
+_CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span
 _MOST_SUBSTEPS = 8  # events located within one fixed step: bounds its cost
 
 
@@ -286,7 +290,9 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
             if high_g < 0.0:
                 break
             width = high_b - low_a
-            place, low = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
+            place, low = cubic_minimum(
+                low_g, low_d * h * width, high_g, high_d * h * width
+            )
             slack = 0.02 * h * width * (abs(low_d) + abs(high_d))
             if place < 0.0 or low > slack:
                 break
@@ -317,6 +323,34 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
             return refine(y, F, rows, h, y_x, par, kind, i, low_a, high_b)
         x_a, g_a, d_a = x_b, g_b, d_b
     return 2.0
+
+
+@kernel
+def is_slow(y, par, which):
+    """Tell whether a vehicle is slow enough to be put at rest."""
+    if which == 0:
+        s, c = sine_cosine(y[2])
+        speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
+    else:
+        s, c = sine_cosine(y[7])
+        speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
+    return speed < _REST_SPEED * par.v_eps_ball
+
+
+@kernel
+def when_it_is_slow(y, F, rows, y_x, par, which):
+    """Return the place (0..1) in a step at which a vehicle has become slow."""
+    x_a, x_b = 0.0, 1.0
+    for _ in range(60):
+        x = 0.5 * (x_a + x_b)
+        dense(y, F, rows, x, y_x, N_STATE)
+        if is_slow(y_x, par, which):
+            x_b = x
+        else:
+            x_a = x
+        if x_b - x_a <= 1e-15:
+            break
+    return x_b
 
 
 @kernel
@@ -450,7 +484,9 @@ def plan_rail_stretch(par, run):
             run.acceleration = 0.0
         goal, event = par.drop_height - run.travel, LANDED
     else:
-        run.acceleration = -par.rolling_limit_S / par.m_total if run.speed > 0.0 else 0.0
+        run.acceleration = (
+            -par.rolling_limit_S / par.m_total if run.speed > 0.0 else 0.0
+        )
         goal, event = par.rail_length - run.travel, RAIL_END
     run.t1 = math.inf
     square = run.speed * run.speed + 2.0 * run.acceleration * goal
@@ -480,7 +516,9 @@ def rail_state(par, run, t, y, y_x):
     y_x[1] = y[1] + along * par.rail_y
     y_x[8] = speed * par.rail_x
     y_x[9] = speed * par.rail_y
-    y_x[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
+    y_x[ROLLING] = y[ROLLING] + (
+        par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0
+    )
 
 
 @kernel
@@ -496,7 +534,9 @@ def close_rail_stretch(par, run, mode, events, y, y_x):
         y[i] = y_x[i]
     run.t0 = t
     if run.pending == LANDED:
-        run.lost_landing += 0.5 * (par.m_hanging + par.pulley_mass) * run.speed * run.speed
+        run.lost_landing += (
+            0.5 * (par.m_hanging + par.pulley_mass) * run.speed * run.speed
+        )
         run.taut = 0
         log_event(events, run, LANDED, t, y, 0, run.speed)
     elif run.pending == RAIL_END:
@@ -528,18 +568,6 @@ def stop_vehicle(par, run, mode, events, t, y, which):
 
 
 @kernel
-def is_slow(y, par, which):
-    """Tell whether a vehicle is slow enough to be put at rest."""
-    if which == 0:
-        s, c = sine_cosine(y[2])
-        speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
-    else:
-        s, c = sine_cosine(y[7])
-        speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
-    return speed < _REST_SPEED * par.v_eps_ball
-
-
-@kernel
 def make_dense(par, run, mode, pair, y, y_s, K, F, scratch):
     """Prepare the dense output of the present step, once."""
     if not run.dense_ready:
@@ -548,10 +576,17 @@ def make_dense(par, run, mode, pair, y, y_s, K, F, scratch):
 
 
 @kernel
-def step_length(par, run):
+def step_length(par, run, mode):
     """Return the length of the next step and whether its error decides."""
     if par.fixed_step == 0.0:
-        return min(run.h_next, 1.01 * (run.t_stop - run.t0))
+        h = min(run.h_next, 1.01 * (run.t_stop - run.t0))
+        for i in range(2):
+            if mode.touching[i] and run.gap[i] < 0.0:
+                # less than a period of the contact: a longer step may be right at its end and
+                # far off in between, where samples and events are read
+                stiffness = 1.5 * par.K * math.sqrt(-run.gap[i])
+                h = min(h, _CONTACT_ANGLE * math.sqrt(par.m_P / stiffness))
+        return h
     # to the next multiple of the fixed step; what an event has cut off is caught up
     n = math.floor(run.t0 / par.fixed_step + 1.0 + 1e-9)
     if run.substeps == 0 or n * par.fixed_step - run.t0 > 0.999 * par.fixed_step:
@@ -562,14 +597,16 @@ def step_length(par, run):
 @kernel
 def take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch):
     """Take one accepted step; returns the loop's status."""
-    h = step_length(par, run)
+    h = step_length(par, run, mode)
     stages = pair[5]
     while True:
         if h < _SMALLEST_STEP:
             if run.t_stop - run.t0 >= _SMALLEST_STEP and par.fixed_step == 0.0:
                 return STEP_TOO_SMALL
             h = _SMALLEST_STEP
-        error = try_step(par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights)
+        error = try_step(
+            par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights
+        )
         run.evaluations += stages
         if par.fixed_step > 0.0:
             total = 0.0
@@ -610,12 +647,81 @@ def cut_at(run, x, event, wall, cut):
 
 
 @kernel
-def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch):
+def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
+    """Look for the first event in the step from y to y_new.
+
+    Returns its place (0..1, 2 if there is none) and the distances at the step's end.
+    """
+    rows = pair[4].shape[0]
+    h = run.h
+    cut = 2.0
+    g0, d0, g1, d1, g2, d2 = distances(y_new, par)
+    if not mode.latched:
+        for i in range(2):
+            g, d = (g0, d0) if i == 0 else (g1, d1)
+            sign = -1.0 if mode.touching[i] else 1.0
+            start = max(sign * run.gap[i], 0.0)
+            if may_cross(
+                start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05
+            ):
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                kind = _DEPTH if mode.touching[i] else _GAP
+                x = first_crossing(y, F, rows, h, y_x, par, kind, i)
+                event = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
+                cut = cut_at(run, x, event, i, cut)
+        if par.has_latch and may_cross(
+            run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05
+        ):
+            make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+            x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
+            cut = cut_at(run, x, LATCHED, 0, cut)
+        if par.friction_law == COULOMB:
+            for i in range(2):
+                if (
+                    mode.touching[i]
+                    and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0
+                ):
+                    make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                    x = when_slip_changes(y, F, rows, y_x, par, mode, y_s, scratch, i)
+                    cut = cut_at(run, x, STICK, i, cut)
+    if par.has_stops:
+        for side in (-1, 1):
+            if mode.stop == -side:
+                continue
+            kind = _STOP_DEPTH if mode.stop == side else _STOP_GAP
+            g_a, d_a = event_value(y, par, kind, side)
+            g_b, d_b = event_value(y_new, par, kind, side)
+            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                x = first_crossing(y, F, rows, h, y_x, par, kind, side)
+                event = STOP_LEFT if mode.stop == side else STOP_HIT
+                cut = cut_at(run, x, event, side, cut)
+    if par.has_supports:
+        for which in range(2):
+            resting = mode.rest_S if which == 0 else mode.rest_T
+            if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
+                cut = cut_at(run, x, MOVING, which, cut)
+            if (
+                not resting
+                and is_slow(y_new, par, which)
+                and not is_slow(y, par, which)
+            ):
+                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                x = when_it_is_slow(y, F, rows, y_x, par, which)
+                cut = cut_at(run, x, SLOW, which, cut)
+    return cut, g0, d0, g1, d1, g2, d2
+
+
+@kernel
+def plan_step(
+    par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch
+):
     """Take one accepted step of the integrator and cut it at the first event in it.
 
     Returns the loop's status; SERVED if all is well.
     """
-    rows = pair[4].shape[0]
     stages = pair[5]
     run.stretch = STEP
     run.dense_ready = 0
@@ -640,54 +746,34 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
     if not run.measured:
         g0, d0, g1, d1, g2, d2 = distances(y, par)
         remember_distances(run, g0, d0, g1, d1, g2, d2)
-    status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
+    status = take_step(
+        par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch
+    )
     if status != SERVED:
         return status
 
-    # the first event in the step, if any
+    cut, g0, d0, g1, d1, g2, d2 = search_step(
+        par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
+    )
+    if cut < 1.0 and par.fixed_step == 0.0:
+        # dense output inside a long step in contact is less exact than the step's end: take
+        # a real step to just behind the event and look again, now near its end
+        h = min(1.02 * cut * run.h, run.h)
+        if h > _SMALLEST_STEP:
+            error = try_step(
+                par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights
+            )
+            run.evaluations += stages
+            run.h = h
+            run.t1 = run.t0 + h
+            run.dense_ready = 0
+            run.pending = NO_EVENT
+            if not error <= 1.0e3:
+                return NOT_FINITE
+            cut, g0, d0, g1, d1, g2, d2 = search_step(
+                par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
+            )
     h = run.h
-    cut = 2.0
-    g0, d0, g1, d1, g2, d2 = distances(y_new, par)
-    if not mode.latched:
-        for i in range(2):
-            g, d = (g0, d0) if i == 0 else (g1, d1)
-            sign = -1.0 if mode.touching[i] else 1.0
-            start = max(sign * run.gap[i], 0.0)
-            if may_cross(start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05):
-                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                kind = _DEPTH if mode.touching[i] else _GAP
-                x = first_crossing(y, F, rows, h, y_x, par, kind, i)
-                event = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
-                cut = cut_at(run, x, event, i, cut)
-        if par.has_latch and may_cross(run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05):
-            make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-            x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
-            cut = cut_at(run, x, LATCHED, 0, cut)
-        if par.friction_law == COULOMB:
-            for i in range(2):
-                if mode.touching[i] and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0:
-                    make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                    x = when_slip_changes(y, F, rows, y_x, par, mode, y_s, scratch, i)
-                    cut = cut_at(run, x, STICK, i, cut)
-    if par.has_stops:
-        for side in (-1, 1):
-            if mode.stop == -side:
-                continue
-            kind = _STOP_DEPTH if mode.stop == side else _STOP_GAP
-            g_a, d_a = event_value(y, par, kind, side)
-            g_b, d_b = event_value(y_new, par, kind, side)
-            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
-                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = first_crossing(y, F, rows, h, y_x, par, kind, side)
-                event = STOP_LEFT if mode.stop == side else STOP_HIT
-                cut = cut_at(run, x, event, side, cut)
-    if par.has_supports:
-        for which in range(2):
-            resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
-                make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
-                cut = cut_at(run, x, MOVING, which, cut)
     if cut <= 1.0:
         if par.fixed_step > 0.0:
             run.substeps += 1
@@ -792,7 +878,10 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
                     run.measured = 0
         return
     run.fresh = 1
-    if run.pending == TOUCH_BEGINS:
+    if run.pending == SLOW:
+        if ratio_of_limit(y, par, mode, y_x, scratch, which) < 1.0:
+            stop_vehicle(par, run, mode, events, t, y, which)
+    elif run.pending == TOUCH_BEGINS:
         begin_touch(events, run, mode, par, t, y, which)
     elif run.pending == LIFT_OFF:
         end_touch(events, run, mode, t, y, which)
@@ -868,7 +957,9 @@ def advance(
         if run.stretch == RAIL:
             close_rail_stretch(par, run, mode, events, y, y_x)
         elif run.stretch == STEP:
-            close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch)
+            close_step(
+                par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch
+            )
         if run.stretch != NONE and run.pending == END:
             for i in range(2):
                 if mode.touching[i]:
@@ -883,7 +974,20 @@ def advance(
             plan_rail_stretch(par, run)
         else:
             status = plan_step(
-                par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch
+                par,
+                run,
+                mode,
+                pair,
+                y,
+                y_new,
+                y_s,
+                y_x,
+                e_5,
+                e_3,
+                K,
+                F,
+                weights,
+                scratch,
             )
             if status != SERVED:
                 run.stretch = NONE
@@ -896,7 +1000,13 @@ def energy_at_release(parameters, modes, runs, y, scratch, samples):
     """Return the energy that the ledger starts from, J."""
     observe(0.0, y, parameters[0], modes[0], runs[0], scratch, samples[0])
     s = samples[0]
-    return s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
+    return (
+        s.kinetic
+        + s.elastic_axial
+        + s.elastic_torsion
+        + s.elastic_contact
+        + s.elastic_latch
+    )
 
 
 @entry_kernel

@@ -16,11 +16,30 @@ from capture_sim.detection import CaptureDetector, CaptureState, CaptureStatus, 
 from capture_sim.errors import SimulationError
 from capture_sim.launching import LaunchPlan
 from capture_sim.results import summarize
-from capture_sim.samples import ENERGIES, Event
+from capture_sim.samples import ENERGIES, Event, EventKind
 from capture_sim.scene import Scene
 
 #: Samples per call into the core; large enough to make the call's own cost vanish.
 BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class Check:
+    """Comparison of a run with a second one at a hundredth of its tolerance.
+
+    Attributes
+    ----------
+    error : ndarray (n,)
+        Largest difference of the two so far, at each sample time, m; angles count by what
+        they move the tip.  Of the order of the first run's true error.
+    same_touches : bool
+        Both have the same walls touched in the same order.  If not, the sequence of touches
+        hangs on the tolerance, and what follows the first difference is one of several
+        possible courses.
+    """
+
+    error: np.ndarray
+    same_touches: bool
 
 
 @dataclass(frozen=True)
@@ -45,6 +64,8 @@ class Result:
         s, for the integration and the detector.
     failure : str
         Why the run had to stop; empty if it did not.
+    check : Check or None
+        How far the run can be trusted, if that was asked for.
     """
 
     scene: Scene
@@ -56,6 +77,7 @@ class Result:
     statistics: Statistics
     wall_time: float
     failure: str = ""
+    check: Check | None = None
 
     @property
     def t(self) -> np.ndarray:
@@ -111,6 +133,7 @@ def simulate(
     t_end: float | None = None,
     t_eval: np.ndarray | None = None,
     rtol: float | None = None,
+    check: bool = False,
 ) -> Result:
     """Run a scene from the release to its end.
 
@@ -124,6 +147,8 @@ def simulate(
         (n,) ascending sample times, s; None takes the grid of ``scene.run.state_rate``.
     rtol
         None takes ``scene.run.rtol``.
+    check
+        Run a second time, at a hundredth of the tolerance, and tell how far the two agree.
 
     Returns
     -------
@@ -170,7 +195,35 @@ def simulate(
     if failure is not None:
         failure.result = result
         raise failure
-    return result
+    if not check:
+        return result
+    finer = simulate(scene, t_eval=result.t, rtol=max(scene.run.rtol / 100.0, _FINEST))
+    return dataclasses.replace(result, check=_compare(result, finer))
+
+
+#: Smallest tolerance that rounding leaves room for.
+_FINEST = 1e-13
+
+
+def _compare(coarse: Result, fine: Result) -> Check:
+    """Return how far two runs of one scene agree, at the times that both have."""
+    n = min(coarse.t.size, fine.t.size)
+    difference = np.abs(coarse.q[:n] - fine.q[:n])
+    arm = coarse.scene.buffer.a + coarse.scene.rest_length
+    at_target = coarse.scene.cone.L_T + coarse.scene.cone.R_c
+    difference *= np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])
+    worst = np.maximum.accumulate(difference.max(axis=1, initial=0.0))
+    error = np.full(coarse.t.size, np.inf)
+    error[:n] = worst
+    return Check(error, _touch_sequence(coarse) == _touch_sequence(fine))
+
+
+def _touch_sequence(result: Result) -> list[tuple[str, int]]:
+    return [
+        (event.kind.label, event.wall)
+        for event in result.events
+        if event.kind in (EventKind.TOUCH, EventKind.LIFT_OFF)
+    ]
 
 
 class Block(NamedTuple):
