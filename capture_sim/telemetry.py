@@ -1,0 +1,234 @@
+"""The ordered stream of messages that a run is, made from blocks of core data.
+
+Each node of the suite has one class here; it numbers and counts what it sends.  The node
+publishes what the class yields and the offline writer writes it, so both have the same
+messages in the same order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages import (
+    ContactInterval,
+    LaunchAction,
+    Message,
+    Messages,
+    RunDescription,
+)
+from capture_sim.samples import Event, EventKind
+from capture_sim.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    BUFFER_STATE,
+    CAPTURE_DETECTOR,
+    CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CLOCK,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    LAUNCH_COMMAND,
+    LAUNCHER,
+    LAUNCHER_STATE,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_COUNTS,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    Topic,
+    topics_of,
+)
+
+if TYPE_CHECKING:
+    from capture_sim.detection import CaptureStatus
+    from capture_sim.launching import LauncherStatus, LaunchPlan
+    from capture_sim.scene import Scene
+
+Sent = tuple[Topic, Message]
+
+
+def samples_per_message(state_rate: float, rate: float) -> int:
+    """Return how many samples lie between two periodic messages.
+
+    Raises
+    ------
+    CaptureSimError
+        ``state_rate`` is no whole multiple of ``rate``.
+    """
+    every = round(state_rate / rate)
+    if every < 1 or abs(every * rate - state_rate) > 1e-9 * state_rate:
+        raise CaptureSimError(
+            f"run.state_rate = {state_rate:g} Hz: must be a whole multiple of "
+            f"run.rate = {rate:g} Hz"
+        )
+    return every
+
+
+class _Stream:
+    """Numbers and counts the messages of one publisher."""
+
+    publisher: str
+
+    def __init__(self, messages: Messages, run_id: str) -> None:
+        self._messages = messages
+        self._run_id = run_id
+        self._counts = {
+            topic: 0 for topic in topics_of(self.publisher) if topic is not STREAM_COUNTS
+        }
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages sent so far, by topic name."""
+        return {topic.name: count for topic, count in self._counts.items()}
+
+    def _sent(self, topic: Topic, message: Message) -> Sent:
+        self._counts[topic] += 1
+        return topic, message
+
+    def _end(self, *, complete: bool, reason: str) -> Sent:
+        return STREAM_COUNTS, self._messages.stream_counts(
+            self.publisher, self._run_id, self.counts, complete=complete, reason=reason
+        )
+
+
+class BenchTelemetry(_Stream):
+    """What the simulator sends: begin, any number of blocks, end.
+
+    For every sample k come, in this order, the events before its time, BenchState, and when
+    k is a multiple of ``state_rate / rate`` the clock and the periodic messages.  Nothing
+    depends on how the run is cut into blocks.
+
+    Parameters
+    ----------
+    messages
+        Makes the message objects.
+    scene
+        What is on the bench.
+    run
+        The run's description; its rates are used.
+    """
+
+    publisher = SIMULATOR
+    #: The topic that ends the set of periodic messages of a sample.
+    LAST_PERIODIC = JOINT_STATES
+
+    def __init__(self, messages: Messages, scene: Scene, run: RunDescription) -> None:
+        super().__init__(messages, run.run_id)
+        self._run = run
+        self._every = samples_per_message(run.state_rate, run.rate)
+        self._has_string = scene.string is not None
+        self._rail_heading = scene.initial.chaser.theta
+        self._interval = ContactInterval()
+        self._pending: list[Event] = []
+
+    def begin(self) -> Iterator[Sent]:
+        """Yield what comes before the first sample."""
+        yield self._sent(RUN_INFO, self._messages.run_info(self._run))
+
+    def block(self, samples: np.ndarray, events: Iterable[Event] = ()) -> Iterator[Sent]:
+        """Yield the messages of the next samples and of new events.
+
+        Parameters
+        ----------
+        samples
+            The samples that follow the last block's, (n,) of dtype SAMPLE.
+        events
+            Events since the last block, in order; those later than the last
+            sample wait for the next block.
+        """
+        self._pending.extend(events)
+        first = self._counts[BENCH_STATE]
+        times = samples["t"].tolist()
+        states = self._messages.bench_states(first, samples)
+        unseen = 0  # first sample the contact's interval has not taken in
+        for i, state in enumerate(states):
+            while self._pending and _precedes(self._pending[0], times[i]):
+                yield self._event(self._pending.pop(0))
+            yield self._sent(BENCH_STATE, state)
+            if (first + i) % self._every == 0:
+                self._interval.add_samples(samples[unseen : i + 1])
+                unseen = i + 1
+                yield from self._periodic(samples[i], (first + i) // self._every)
+        self._interval.add_samples(samples[unseen:])
+
+    def end(self, *, complete: bool = True, reason: str = "") -> Iterator[Sent]:
+        """Yield the events after the last sample and the counts of all streams."""
+        while self._pending:
+            yield self._event(self._pending.pop(0))
+        yield self._end(complete=complete, reason=reason)
+
+    def _event(self, event: Event) -> Sent:
+        self._interval.add_event(event)
+        seq = self._counts[BENCH_EVENT]
+        return self._sent(BENCH_EVENT, self._messages.bench_event(seq, event))
+
+    def _periodic(self, sample: np.void, seq: int) -> Iterator[Sent]:
+        make = self._messages
+        yield self._sent(CLOCK, make.clock(float(sample["t"])))
+        yield self._sent(BUFFER_STATE, make.buffer_state(seq, sample))
+        since = self._interval.take(sample)
+        yield self._sent(CONTACT_STATE, make.contact_state(seq, sample, since))
+        string = make.string_state(
+            seq, sample, has_string=self._has_string, rail_heading=self._rail_heading
+        )
+        yield self._sent(STRING_STATE, string)
+        yield self._sent(CHASER_ODOMETRY, make.chaser_odometry(sample))
+        yield self._sent(TARGET_ODOMETRY, make.target_odometry(sample))
+        yield self._sent(CONTACT_WRENCH, make.contact_wrench(sample))
+        yield self._sent(JOINT_STATES, make.joint_states(sample))
+
+
+def _precedes(event: Event, t: float) -> bool:
+    """Tell whether an event is sent before the sample at ``t``.
+
+    A sample taken at the very instant of an event shows the state before it, and is
+    handed out before the event is known; so the event follows it, however the run is cut.
+    """
+    return event.t < t or event.kind is EventKind.RELEASE
+
+
+class LauncherTelemetry(_Stream):
+    """What the launcher sends: commands and its state."""
+
+    publisher = LAUNCHER
+
+    def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
+        """Return a command that follows the plan, at a time since the release, s."""
+        message = self._messages.launch_command(
+            t,
+            self._run_id,
+            action,
+            hanging_mass=plan.hanging_mass,
+            drop_height=plan.drop_height,
+            impact_speed=plan.impact_speed,
+        )
+        return self._sent(LAUNCH_COMMAND, message)
+
+    def state(self, t: float, status: LauncherStatus) -> Sent:
+        """Return the launcher's state at a time since the release, s."""
+        seq = self._counts[LAUNCHER_STATE]
+        return self._sent(LAUNCHER_STATE, self._messages.launcher_state(seq, t, status))
+
+    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
+        """Return the counts of the launcher's streams."""
+        return self._end(complete=complete, reason=reason)
+
+
+class DetectorTelemetry(_Stream):
+    """What the capture detector sends: its judgement of every periodic sample."""
+
+    publisher = CAPTURE_DETECTOR
+
+    def status(self, t: float, status: CaptureStatus) -> Sent:
+        """Return the judgement of the sample at a time since the release, s."""
+        seq = self._counts[CAPTURE_STATUS]
+        return self._sent(CAPTURE_STATUS, self._messages.capture_status(seq, t, status))
+
+    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
+        """Return the counts of the detector's streams."""
+        return self._end(complete=complete, reason=reason)

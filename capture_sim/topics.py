@@ -1,0 +1,186 @@
+"""The topics of the bench: names, types, quality of service and publishers, as data.
+
+Nodes make their publishers from this table and the recorder its channels, so both agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+SIMULATOR = "simulator"
+LAUNCHER = "launcher"
+CAPTURE_DETECTOR = "capture_detector"
+
+
+class Rate(Enum):
+    """When a topic is sent."""
+
+    STATE = "state"  # with every sample, scene.run.state_rate
+    PERIODIC = "periodic"  # with every n-th sample, scene.run.rate
+    EVENT = "event"  # when something happens
+    ONCE = "once"  # once a run and publisher
+
+
+class Stamp(Enum):
+    """Where a message of the topic carries its simulated time."""
+
+    HEADER = "header"  # std_msgs/Header, the first field
+    CLOCK = "clock"  # builtin_interfaces/Time, the only field
+    NONE = "none"
+
+
+@dataclass(frozen=True, eq=False)  # each is one of a kind: compared and hashed by identity
+class Topic:
+    """One topic; all are reliable and keep the last ``depth`` messages.
+
+    Attributes
+    ----------
+    name
+        Relative to the namespace, but for ``/clock``.
+    type_name
+        Message type as ``package/msg/Name``.
+    publishers
+        Nodes that send it; empty when any consumer may.
+    latched
+        Transient local: late subscribers get the last ``depth`` messages.
+    lease
+        Liveliness lease, s: how soon consumers notice that the publisher was
+        killed; None for no bound.
+    sequenced
+        A ``uint64 seq`` follows the header and counts from 0 without gaps.
+    recorded
+        Part of a recorded run.
+    """
+
+    name: str
+    type_name: str
+    publishers: tuple[str, ...]
+    rate: Rate
+    depth: int = 1000
+    latched: bool = False
+    lease: float | None = None
+    stamp: Stamp = Stamp.HEADER
+    sequenced: bool = False
+    recorded: bool = True
+
+    @property
+    def absolute_name(self) -> str:
+        """The name in the root namespace, as bags have it."""
+        return self.name if self.name.startswith("/") else f"/{self.name}"
+
+
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
+RUN_INFO = Topic(
+    "bench/run_info",
+    "capture_sim/msg/RunInfo",
+    (SIMULATOR,),
+    Rate.ONCE,
+    depth=1,
+    latched=True,
+    lease=3.0,
+)
+BENCH_STATE = Topic(
+    "bench/state", "capture_sim/msg/BenchState", (SIMULATOR,), Rate.STATE, sequenced=True
+)
+BUFFER_STATE = Topic(
+    "bench/buffer", "capture_sim/msg/BufferState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
+)
+CONTACT_STATE = Topic(
+    "bench/contact", "capture_sim/msg/ContactState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
+)
+STRING_STATE = Topic(
+    "bench/string", "capture_sim/msg/StringState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
+)
+BENCH_EVENT = Topic(
+    "bench/event",
+    "capture_sim/msg/BenchEvent",
+    (SIMULATOR,),
+    Rate.EVENT,
+    latched=True,
+    sequenced=True,
+)
+CHASER_ODOMETRY = Topic("chaser/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
+TARGET_ODOMETRY = Topic("target/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
+CONTACT_WRENCH = Topic(
+    "contact/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.PERIODIC
+)
+JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState", (SIMULATOR,), Rate.PERIODIC)
+LAUNCH_COMMAND = Topic(
+    "launcher/command",
+    "capture_sim/msg/LaunchCommand",
+    (LAUNCHER,),
+    Rate.EVENT,
+    depth=10,
+    latched=True,
+)
+# latched, since launcher and detector cannot know whether a recorder is still to come
+LAUNCHER_STATE = Topic(
+    "launcher/state",
+    "capture_sim/msg/LauncherState",
+    (LAUNCHER,),
+    Rate.PERIODIC,
+    latched=True,
+    sequenced=True,
+)
+CAPTURE_STATUS = Topic(
+    "capture/status",
+    "capture_sim/msg/CaptureStatus",
+    (CAPTURE_DETECTOR,),
+    Rate.PERIODIC,
+    latched=True,
+    sequenced=True,
+)
+STREAM_ACK = Topic(
+    "bench/ack",
+    "capture_sim/msg/StreamAck",
+    (),
+    Rate.EVENT,
+    stamp=Stamp.NONE,
+    recorded=False,
+)
+STREAM_COUNTS = Topic(
+    "bench/stream_counts",
+    "capture_sim/msg/StreamCounts",
+    (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR),
+    Rate.ONCE,
+    depth=10,
+    latched=True,
+    stamp=Stamp.NONE,
+)
+
+#: All topics, in the order in which a sample's messages are sent.
+TOPICS: tuple[Topic, ...] = (
+    RUN_INFO,
+    LAUNCH_COMMAND,
+    BENCH_EVENT,
+    BENCH_STATE,
+    CLOCK,
+    BUFFER_STATE,
+    CONTACT_STATE,
+    STRING_STATE,
+    CHASER_ODOMETRY,
+    TARGET_ODOMETRY,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    LAUNCHER_STATE,
+    CAPTURE_STATUS,
+    STREAM_COUNTS,
+    STREAM_ACK,
+)
+
+RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded)
+
+
+def topics_of(publisher: str) -> tuple[Topic, ...]:
+    """Return the topics that a node publishes, the counts of its streams included."""
+    return tuple(topic for topic in TOPICS if publisher in topic.publishers)
+
+
+def topic_named(name: str) -> Topic | None:
+    """Return the topic of this name, relative or absolute; None for one that is not ours."""
+    wanted = name.lstrip("/")
+    for topic in TOPICS:
+        if topic.name.lstrip("/") == wanted:
+            return topic
+    return None

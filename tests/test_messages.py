@@ -1,0 +1,421 @@
+"""Messages made from core data: content, order, independence of blocks, same bytes."""
+
+from __future__ import annotations
+
+import array
+import dataclasses
+import importlib
+import math
+
+import numpy as np
+import pytest
+from rosbags.interfaces import Nodetype
+
+import capture_sim
+from capture_sim import topics
+from capture_sim.errors import CaptureSimError
+from capture_sim.launching import Launcher
+from capture_sim.messages import (
+    EPOCH_NS,
+    ContactInterval,
+    LaunchAction,
+    Messages,
+    RunDescription,
+    stamp_ns,
+    stamp_seconds,
+)
+from capture_sim.recording.cdr import PaddingCleaner
+from capture_sim.recording.definitions import offline_messages, typestore
+from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
+from capture_sim.telemetry import BenchTelemetry, samples_per_message
+from capture_sim.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CHASER_ODOMETRY,
+    CLOCK,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    SIMULATOR,
+    STREAM_COUNTS,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    TOPICS,
+    Rate,
+    Stamp,
+)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
+
+
+@pytest.fixture(scope="module")
+def run(result):
+    return RunDescription.of(result.scene, "a run", PUBLISHERS)
+
+
+@pytest.fixture(scope="module")
+def stream(result, run):
+    return list(run_stream(result, run))
+
+
+def of_topic(stream, topic):
+    return [message for sent, message in stream if sent is topic]
+
+
+def serialised(stream):
+    store = typestore()
+    return [
+        (topic.name, bytes(store.serialize_cdr(message, topic.type_name)))
+        for topic, message in stream
+    ]
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+# the table of topics
+
+
+def test_every_interface_of_the_package_has_a_topic_and_every_topic_a_type():
+    types = set(typestore().fielddefs)
+    assert {topic.type_name for topic in TOPICS} <= types
+    ours = {name for name in types if name.startswith("capture_sim/")}
+    assert ours == {t.type_name for t in TOPICS if t.type_name.startswith("capture_sim/")}
+
+
+def test_table_says_truly_which_types_carry_stamp_and_sequence():
+    for topic in TOPICS:
+        fields = typestore().fielddefs[topic.type_name][1]
+        names = [name for name, _ in fields]
+        starts_with_header = fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
+        assert (topic.stamp is Stamp.HEADER) == starts_with_header, topic.name
+        assert topic.sequenced == (names[1:2] == ["seq"]), topic.name
+
+
+def test_names_are_found_relative_and_absolute():
+    assert topics.topic_named("/bench/state") is BENCH_STATE
+    assert topics.topic_named("bench/state") is BENCH_STATE
+    assert topics.topic_named("clock") is topics.CLOCK
+    assert topics.topic_named("camera/image") is None
+
+
+# stamps
+
+
+def test_stamps_are_exact_on_the_grid_and_come_back():
+    k = np.arange(20_001)
+    for rate in (1000.0, 100.0, 250.0, 1e6):
+        times = (k / rate).tolist()
+        stamps = [stamp_ns(t) for t in times]
+        assert stamps == (EPOCH_NS + k * round(1e9 / rate)).tolist()
+        assert [stamp_seconds(stamp) for stamp in stamps] == times
+
+
+# content against the samples, computed here in another way
+
+
+def test_every_sample_is_sent_with_its_number(result, stream):
+    states = of_topic(stream, BENCH_STATE)
+    assert [message.seq for message in states] == list(range(len(result.samples)))
+    for message, sample in zip(states[::97], result.samples[::97], strict=True):
+        assert stamp_of(message) == 10**9 + round(message.seq * 1e6)
+        for name in SAMPLE.names:
+            assert np.array_equal(getattr(message, name), sample[name]), name
+
+
+def test_bench_state_has_every_field_of_a_sample_and_no_other():
+    fields = [name for name, _ in typestore().fielddefs[BENCH_STATE.type_name][1]]
+    assert fields == ["header", "seq", *SAMPLE.names]
+
+
+def test_odometry_is_the_pose_in_the_world_and_the_twist_in_the_own_frame(result, stream):
+    every = samples_per_message(result.scene.run.state_rate, result.scene.run.rate)
+    for topic, first in ((CHASER_ODOMETRY, 0), (TARGET_ODOMETRY, 5)):
+        messages = of_topic(stream, topic)
+        samples = result.samples[::every]
+        assert len(messages) == len(samples)
+        for message, sample in zip(messages, samples, strict=True):
+            x, y, theta = sample["q"][first : first + 3]
+            turn = message.pose.pose.orientation
+            assert (message.pose.pose.position.x, message.pose.pose.position.y) == (x, y)
+            assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(theta, abs=1e-15)
+            # back to the world by complex numbers
+            linear = message.twist.twist.linear
+            world = complex(linear.x, linear.y) * np.exp(1j * theta)
+            assert world.real == pytest.approx(sample["v"][first], abs=1e-16)
+            assert world.imag == pytest.approx(sample["v"][first + 1], abs=1e-16)
+            assert message.twist.twist.angular.z == sample["v"][first + 2]
+    assert messages[0].child_frame_id == "target/base_link"
+
+
+def test_wrench_is_the_whole_force_on_the_tip_in_the_probe_s_frame(result, stream):
+    every = samples_per_message(result.scene.run.state_rate, result.scene.run.rate)
+    samples = result.samples[::every]
+    forces = np.array(
+        [[m.wrench.force.x, m.wrench.force.y] for m in of_topic(stream, CONTACT_WRENCH)]
+    )
+    world = samples["contact_force"] + samples["latch_force"]
+    assert np.hypot(*forces.T) == pytest.approx(np.hypot(*world.T), abs=1e-12)
+    # along the probe: the scalar product with its direction
+    along = world[:, 0] * np.cos(samples["q"][:, 3]) + world[:, 1] * np.sin(samples["q"][:, 3])
+    assert forces[:, 0] == pytest.approx(along, abs=1e-12)
+    assert np.abs(forces).max() > 1.0
+
+
+def test_joint_states_are_the_buffer_s(result, stream):
+    every = samples_per_message(result.scene.run.state_rate, result.scene.run.rate)
+    for message, sample in zip(
+        of_topic(stream, JOINT_STATES), result.samples[::every], strict=True
+    ):
+        assert message.name == ["buffer_hinge", "buffer_slide"]
+        assert message.position.tolist() == [sample["torsion"], sample["axial_stroke"]]
+        assert message.velocity.tolist() == [
+            sample["v"][3] - sample["v"][2],
+            sample["v"][4],
+        ]
+        assert message.effort.tolist() == [sample["torsion_torque"], sample["axial_force"]]
+
+
+def test_string_goes_from_taut_to_slack_when_the_mass_lands(result, stream):
+    landed = next(e.t for e in result.events if e.kind is EventKind.LANDED)
+    messages = of_topic(stream, STRING_STATE)
+    times = np.array([stamp_seconds(stamp_of(m)) for m in messages])
+    phases = np.array([m.phase for m in messages])
+    assert (phases[times < landed] == 1).all()
+    assert (phases[times > landed] == 2).all()
+    assert all(m.tension == 0.0 for m in messages if m.phase == 2)
+    speeds = [m.chaser_speed for m in messages]
+    assert max(speeds) == pytest.approx(result.plan.landing_speed, rel=0.01)
+
+
+def test_events_carry_the_touch_that_ended(result, stream):
+    messages = of_topic(stream, BENCH_EVENT)
+    assert [(m.kind, m.t) for m in messages] == [(e.kind.label, e.t) for e in result.events]
+    ended = [m for m in messages if m.kind == "lift_off"]
+    assert [m.peak_force for m in ended] == result.touches["peak_force"].tolist()
+    assert [m.touch_start for m in ended] == result.touches["start"].tolist()
+    assert [m.wall for m in ended] == result.touches["wall"].tolist()
+
+
+# order
+
+
+def test_order_is_events_then_state_then_periodic_messages(stream):
+    state = -math.inf  # time of the last state sent
+    waiting = []  # events since
+    for topic, message in stream:
+        if topic is BENCH_EVENT:
+            assert message.t > state
+            waiting.append(message.t)
+        elif topic is BENCH_STATE:
+            state = message.t
+            assert waiting == sorted(waiting)
+            assert all(t <= state for t in waiting)
+            waiting = []
+        elif topic.publishers == (SIMULATOR,) and topic.rate is Rate.PERIODIC:
+            stamp = message.clock if topic is CLOCK else message.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == stamp_ns(state)
+    assert {topic for topic, _ in stream} == {topic for topic in TOPICS if topic.recorded}
+
+
+def test_counts_are_those_of_the_stream(stream):
+    sent = {}
+    for topic, _ in stream:
+        sent[topic.name] = sent.get(topic.name, 0) + 1
+    told = {}
+    for message in of_topic(stream, STREAM_COUNTS):
+        assert message.complete
+        told.update(zip(message.topics, message.counts.tolist(), strict=True))
+    sent.pop(STREAM_COUNTS.name)
+    assert told == sent
+    assert [m.publisher for m in of_topic(stream, STREAM_COUNTS)] == list(PUBLISHERS)
+
+
+def test_sequences_count_from_zero_without_gaps(stream):
+    for topic in TOPICS:
+        if topic.sequenced:
+            messages = of_topic(stream, topic)
+            assert [m.seq for m in messages] == list(range(len(messages)))
+            assert messages
+
+
+@pytest.mark.parametrize("cut", [1, 7, 64, 1000, 4096])
+def test_stream_does_not_depend_on_how_the_run_is_cut(result, run, cut):
+    def bench_stream(size):
+        bench = capture_sim.Bench(result.scene)
+        telemetry = BenchTelemetry(offline_messages(), result.scene, run)
+        sent = list(telemetry.begin())
+        k = seen = 0
+        while not bench.done:
+            samples = bench.advance(bench.times(k, size))
+            sent += telemetry.block(samples, bench.events[seen:])
+            k, seen = k + size, len(bench.events)
+        return serialised([*sent, *telemetry.end()])
+
+    assert bench_stream(cut) == bench_stream(2500)
+
+
+def test_rates_that_do_not_divide_are_refused():
+    assert samples_per_message(1000.0, 100.0) == 10
+    with pytest.raises(CaptureSimError, match="whole multiple"):
+        samples_per_message(1000.0, 300.0)
+    with pytest.raises(CaptureSimError, match="whole multiple"):
+        samples_per_message(100.0, 1000.0)
+
+
+# what the contact did between two messages
+
+
+def test_nothing_of_the_contact_is_lost_between_messages(result, stream):
+    messages = of_topic(stream, CONTACT_STATE)
+    assert sum(m.touches for m in messages) == len(result.touches)
+    assert sum(m.impulse for m in messages) == pytest.approx(result.touches["impulse"].sum())
+    # touches of a third of a millisecond, between samples of a millisecond
+    assert max(m.peak_force for m in messages) == result.touches["peak_force"].max()
+    assert result.samples["normal_force"].max() < 0.99 * result.touches["peak_force"].max()
+
+
+def touch_event(start, peak_time, end, peak=50.0):
+    touch = np.zeros(1, TOUCH)[0]
+    touch["start"], touch["peak_time"], touch["end"], touch["peak_force"] = (
+        start,
+        peak_time,
+        end,
+        peak,
+    )
+    return Event(EventKind.LIFT_OFF, end, np.zeros(8), np.zeros(8), 1, "", touch)
+
+
+def at(t, force=0.0):
+    sample = np.zeros(1, SAMPLE)
+    sample["t"], sample["normal_force"] = t, (force, 0.0)
+    return sample
+
+
+def test_peak_that_becomes_known_after_its_interval_is_told_by_the_next_message():
+    interval = ContactInterval()
+    peaks = []
+    for t, events in (
+        (0.00, []),
+        (0.01, []),  # the touch is on, its peak at 9.95 ms is not known yet
+        (0.02, [touch_event(0.0098, 0.00995, 0.0101)]),
+        (0.03, []),
+    ):
+        for event in events:
+            interval.add_event(event)
+        interval.add_samples(at(t, 3.0 if t == 0.01 else 0.0))
+        peaks.append(interval.take(at(t)[0]).peak_force)
+    assert peaks == [0.0, 3.0, 50.0, 0.0]
+
+
+def test_old_peak_of_a_long_touch_is_not_told_again_at_its_end():
+    interval = ContactInterval()
+    for t in (0.0, 0.01, 0.02, 0.03):
+        interval.add_samples(at(t, 49.0 if t == 0.01 else 1.0))
+        interval.take(at(t)[0])
+    interval.add_event(touch_event(0.005, 0.0101, 0.035))
+    interval.add_samples(at(0.04, 0.0))
+    assert interval.take(at(0.04)[0]).peak_force == 0.0
+
+
+# the same bytes from ROS and without it
+
+
+def ros_class(type_name):
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def test_every_message_is_the_same_bytes_from_rclpy_and_from_rosbags(result, stream, run):
+    serialization = pytest.importorskip("rclpy.serialization", reason="needs ROS")
+    ros = Messages(ros_class, sequence=array.array)
+    made = {}
+
+    class Twice:
+        """Makes each message with both libraries and compares."""
+
+        def __init__(self, offline):
+            self._offline = offline
+
+        def __getattr__(self, name):
+            def make(*args, **kwargs):
+                mine = getattr(self._offline, name)(*args, **kwargs)
+                theirs = getattr(ros, name)(*args, **kwargs)
+                made.setdefault(name, []).append((mine, theirs))
+                return mine
+
+            return make
+
+    both = Twice(offline_messages())
+    launcher = Launcher(result.scene)
+    both.run_info(run)
+    for k, sample in enumerate(result.samples[::500]):
+        interval = ContactInterval()
+        interval.add_samples(result.samples[::500])
+        both.bench_state(k, sample)
+        both.clock(sample["t"])
+        both.buffer_state(k, sample)
+        both.contact_state(k, sample, interval.take(sample))
+        both.string_state(k, sample, has_string=True, rail_heading=0.1)
+        both.chaser_odometry(sample)
+        both.target_odometry(sample)
+        both.contact_wrench(sample)
+        both.joint_states(sample)
+    for k, event in enumerate(result.events):
+        both.bench_event(k, event)
+    for k, status in enumerate(result.statuses[::50]):
+        both.capture_status(k, status.t, status)
+    both.launcher_state(0, 0.0, launcher.status)
+    both.launch_command(
+        0.0, "r", LaunchAction.ARM, hanging_mass=0.2, drop_height=0.1, impact_speed=0.1
+    )
+    both.stream_counts("simulator", "r", {"bench/state": 2**40, "x": 1}, reason="why")
+    both.stream_ack("recorder", "r", 7)
+
+    store = typestore()
+    types = set()
+    for pairs in made.values():
+        for mine, theirs in pairs:
+            clean = PaddingCleaner(store, mine.__msgtype__)
+            bytes_here = bytes(store.serialize_cdr(mine, mine.__msgtype__))
+            assert clean(serialization.serialize_message(theirs)) == bytes_here
+            assert clean(bytes_here) == bytes_here
+            types.add(mine.__msgtype__)
+    assert types == {topic.type_name for topic in TOPICS}
+
+
+def test_padding_of_a_message_does_not_matter_and_its_content_does(stream):
+    store = typestore()
+    message = of_topic(stream, BENCH_STATE)[5]
+    data = bytes(store.serialize_cdr(message, BENCH_STATE.type_name))
+    clean = PaddingCleaner(store, BENCH_STATE.type_name)
+    # header 4, stamp 8, length 4, "world" and its zero 6, padding 2
+    dirty = bytearray(data)
+    dirty[22:24] = b"\xab\xcd"
+    assert clean(bytes(dirty)) == data
+    assert clean(data + b"\0\0") == data
+    for i in (5, 17, 30, len(data) - 1):
+        changed = bytearray(data)
+        changed[i] ^= 1
+        assert clean(bytes(changed)) != data
+
+
+def test_description_of_a_run_names_its_scene_and_software(result):
+    described = RunDescription.of(result.scene, "r", PUBLISHERS)
+    assert any(text.startswith("numpy ") for text in described.software)
+    assert described.scene == result.scene.to_yaml()
+    assert len(described.scene_sha256) == 64
+    other = dataclasses.replace(described, scene=described.scene + "#")
+    assert other.scene_sha256 != described.scene_sha256
+
+
+def test_scene_without_string_counts_as_slack():
+    sample = np.zeros(1, SAMPLE)[0]
+    sample["phase"] = Phase.FREE
+    message = offline_messages().string_state(0, sample, has_string=False, rail_heading=0.0)
+    assert message.phase == 2
