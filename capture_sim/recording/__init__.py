@@ -1,0 +1,11 @@
+"""Recording of runs as MCAP files, and reading them back; needs no ROS."""
+
+from __future__ import annotations
+
+from capture_sim.recording.live import LiveRecorder
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.reader import Run, read_run
+from capture_sim.recording.tally import Tally
+from capture_sim.recording.writer import RunWriter
+
+__all__ = ["LiveRecorder", "Run", "RunWriter", "Tally", "read_run", "write_run"]

@@ -1,0 +1,332 @@
+"""Reading serialised messages without a decoder for each type.
+
+A message of numbers and of texts of a fixed length has every field at a fixed place, so a
+whole topic can be read as one NumPy array of records.  Messages are the little-endian
+CDR (XCDR1) of ROS 2: a 4-byte encapsulation header, then every number aligned to its own
+size, counted from behind that header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from capture_sim.errors import RecordingError
+from capture_sim.topics import Stamp, Topic
+
+_HEADER = 4
+_LITTLE_ENDIAN = b"\x00\x01"
+_NUMBERS = {
+    "bool": "?",
+    "byte": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+
+_TIME = struct.Struct("<iI")
+_LENGTH = struct.Struct("<I")
+_SEQUENCE = struct.Struct("<Q")
+
+
+def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
+    """Return the stamp in a serialised message, ns; None when the type carries none.
+
+    Raises
+    ------
+    RecordingError
+        The bytes are no such message.
+    """
+    if topic.stamp is Stamp.NONE:
+        return None
+    try:
+        sec, nanosec = _TIME.unpack_from(data, _HEADER)
+    except struct.error:
+        raise RecordingError(f"{topic.name}: message of {len(data)} bytes has no stamp") from None
+    return int(sec) * 1_000_000_000 + int(nanosec)
+
+
+def sequence_of(topic: Topic, data: bytes) -> int | None:
+    """Return ``seq`` of a serialised message; None when the type has none.
+
+    Raises
+    ------
+    RecordingError
+        The bytes are no such message.
+    """
+    if not topic.sequenced:
+        return None
+    try:
+        (length,) = _LENGTH.unpack_from(data, _HEADER + 8)  # of header.frame_id
+        position = _aligned(12 + length, 8)
+        (seq,) = _SEQUENCE.unpack_from(data, _HEADER + position)
+    except struct.error:
+        raise RecordingError(f"{topic.name}: message of {len(data)} bytes has no seq") from None
+    return int(seq)
+
+
+def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
+    """Return the fields of many messages of one type as columns.
+
+    Parameters
+    ----------
+    store
+        Knows the type.
+    type_name
+        ``package/msg/Name``.
+    messages
+        Serialised, n of them.
+
+    Returns
+    -------
+    dict
+        By the field's path (``"header.stamp.sec"``): (n,) of numbers, (n, m) for arrays
+        of m numbers, (n,) of ``str`` objects for texts; (n,) objects for sequences of
+        numbers whose length differs, and for sequences of texts (lists of ``str``).
+
+    Raises
+    ------
+    RecordingError
+        A message does not fit the type, or the type has a sequence of
+        messages.
+    """
+    found: dict[str, np.ndarray] = {}
+    waiting = np.arange(len(messages))
+    sizes = np.fromiter((len(data) for data in messages), dtype=np.int64, count=len(messages))
+    while len(waiting):
+        example = messages[waiting[0]]
+        layout = _Walk(store, type_name, example).layout()
+        same = waiting[sizes[waiting] == len(example)]
+        raw = np.frombuffer(b"".join([messages[i] for i in same]), dtype=np.uint8)
+        raw = raw.reshape(len(same), len(example))
+        alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
+        rows = same[alike]
+        _store_records(found, layout, raw[alike], rows, len(messages))
+        waiting = waiting[~np.isin(waiting, rows)]
+    return {name: _tidied(column) for name, column in found.items()}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the fields of a message are, given its texts' and sequences' lengths."""
+
+    records: np.dtype
+    texts: dict[str, tuple[int, int]]  # path: offset, length
+    text_lists: dict[str, list[tuple[int, int]]]
+    fixed: np.ndarray  # offsets of bytes that another message must share to fit
+    gaps: list[tuple[int, int]]  # from, to: padding between fields
+    size: int  # bytes, without padding at the end
+
+
+class PaddingCleaner:
+    """Zeroes the padding of serialised messages of one type.
+
+    Fast CDR leaves in the padding what its memory held before, so that equal messages
+    differ; zeroed, a recorded message is the same bytes whoever serialised it.
+    """
+
+    def __init__(self, store: Typestore, type_name: str) -> None:
+        self._store = store
+        self._type_name = type_name
+        # by length of the message: lengths of its parts, gaps, size
+        self._known: dict[
+            int, list[tuple[list[tuple[int, bytes]], list[tuple[int, int]], int]]
+        ] = {}
+
+    def __call__(self, data: bytes) -> bytes:
+        """Return the message with zeros for padding, and none at its end.
+
+        Raises
+        ------
+        RecordingError
+            The bytes are no such message.
+        """
+        candidates = self._known.setdefault(len(data), [])
+        for lengths, gaps, size in candidates:  # noqa: B007  # used behind the loop
+            if all(data[at : at + 4] == length for at, length in lengths):
+                break
+        else:
+            layout = _Walk(self._store, self._type_name, data).layout()
+            starts = layout.fixed[2::4].tolist()
+            lengths = [(at, bytes(data[at : at + 4])) for at in starts]
+            gaps, size = layout.gaps, layout.size
+            candidates[:] = [(lengths, gaps, size), *candidates[:7]]
+        clean = bytearray(data[:size])
+        for start, end in gaps:
+            clean[start:end] = bytes(end - start)
+        return bytes(clean)
+
+
+class _Walk:
+    """Walks over one message along its definition, noting where each field is."""
+
+    def __init__(self, store: Typestore, type_name: str, data: bytes) -> None:
+        if data[:2] != _LITTLE_ENDIAN:
+            raise RecordingError(f"{type_name}: encapsulation {data[:2].hex()} is not supported")
+        self._store = store
+        self._type_name = type_name
+        self._data = data
+        self._position = 0
+        self._names: list[str] = []
+        self._formats: list[object] = []
+        self._offsets: list[int] = []
+        self._texts: dict[str, tuple[int, int]] = {}
+        self._text_lists: dict[str, list[tuple[int, int]]] = {}
+        self._fixed: list[int] = [0, 1]  # the encapsulation, then 4 bytes a length
+        self._gaps: list[tuple[int, int]] = []
+        self._message("", type_name)
+        # a transport may pad a message to a multiple of 4 bytes
+        if not 0 <= len(data) - _HEADER - self._position < 4:
+            raise RecordingError(
+                f"{type_name}: message of {len(data)} bytes, "
+                f"its definition makes {self._position + _HEADER}"
+            )
+
+    def layout(self) -> _Layout:
+        """Return what was found."""
+        records = np.dtype(
+            {
+                "names": self._names,
+                "formats": self._formats,
+                "offsets": self._offsets,
+                "itemsize": len(self._data),
+            }  # type: ignore[arg-type]  # NumPy's stubs want a TypedDict
+        )
+        fixed = np.array(self._fixed, dtype=np.int64)
+        size = self._position + _HEADER
+        return _Layout(records, self._texts, self._text_lists, fixed, self._gaps, size)
+
+    def _message(self, prefix: str, type_name: str) -> None:
+        for name, description in self._store.fielddefs[type_name][1]:
+            path = f"{prefix}{name}"
+            kind = description[0]
+            if kind == Nodetype.BASE:
+                self._base(path, description[1][0])
+            elif kind == Nodetype.NAME:
+                self._message(f"{path}.", str(description[1]))
+            else:
+                (item_kind, item), count = description[1]
+                if kind == Nodetype.SEQUENCE:
+                    count = self._length()
+                if item_kind == Nodetype.BASE:
+                    self._array(path, item[0], count)
+                elif kind == Nodetype.ARRAY:
+                    for i in range(count):
+                        self._message(f"{path}.{i}.", str(item))
+                else:
+                    raise RecordingError(
+                        f"{self._type_name}.{path}: a sequence of messages makes no column"
+                    )
+
+    def _base(self, path: str, name: str) -> None:
+        if name == "string":
+            self._texts[path] = self._text()
+        else:
+            self._number(path, name, ())
+
+    def _array(self, path: str, name: str, count: int) -> None:
+        if name == "string":
+            self._text_lists[path] = [self._text() for _ in range(count)]
+        else:
+            self._number(path, name, (count,))
+
+    def _number(self, path: str, name: str, shape: tuple[int, ...]) -> None:
+        item = np.dtype(_NUMBERS[name])
+        if shape != (0,):
+            self._align(item.itemsize)
+        self._names.append(path)
+        self._formats.append((item, shape) if shape else item)
+        self._offsets.append(self._position + _HEADER)
+        self._position += item.itemsize * int(np.prod(shape, dtype=int))
+
+    def _align(self, size: int) -> None:
+        position = _aligned(self._position, size)
+        if position > self._position:
+            self._gaps.append((self._position + _HEADER, position + _HEADER))
+        self._position = position
+
+    def _length(self) -> int:
+        self._align(4)
+        start = self._position + _HEADER
+        self._fixed.extend(range(start, start + 4))
+        try:
+            (length,) = _LENGTH.unpack_from(self._data, start)
+        except struct.error:
+            length = len(self._data)
+        self._position += 4
+        if self._position + _HEADER + length > len(self._data) + 3:
+            raise RecordingError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
+        return int(length)
+
+    def _text(self) -> tuple[int, int]:
+        length = self._length()
+        start = self._position + _HEADER
+        self._position += length
+        return start, max(length - 1, 0)  # without the closing zero
+
+
+def _aligned(position: int, size: int) -> int:
+    return (position + size - 1) // size * size
+
+
+def _store_records(
+    found: dict[str, np.ndarray], layout: _Layout, raw: np.ndarray, rows: np.ndarray, total: int
+) -> None:
+    records = np.ascontiguousarray(raw).view(layout.records)[:, 0]
+    for name in layout.records.names or ():
+        values = records[name]
+        column = found.get(name)
+        if column is None:
+            column = found[name] = np.empty((total, *values.shape[1:]), dtype=values.dtype)
+        if column.dtype != object and column.shape[1:] != values.shape[1:]:
+            column = found[name] = _as_objects(column)
+        if column.dtype == object:
+            for row, value in zip(rows, values, strict=True):
+                column[row] = value.copy()
+        else:
+            column[rows] = values
+    for name, place in layout.texts.items():
+        texts = found.setdefault(name, np.empty(total, dtype=object))
+        texts[rows] = _texts(raw, place)
+    for name, places in layout.text_lists.items():
+        lists = found.setdefault(name, np.empty(total, dtype=object))
+        parts = [_texts(raw, place) for place in places]
+        for i, row in enumerate(rows):
+            lists[row] = [part[i] for part in parts]
+
+
+def _as_objects(column: np.ndarray) -> np.ndarray:
+    objects = np.empty(len(column), dtype=object)
+    for i, value in enumerate(column):
+        objects[i] = value.copy()
+    return objects
+
+
+def _texts(raw: np.ndarray, place: tuple[int, int]) -> np.ndarray:
+    start, length = place
+    block = raw[:, start : start + length]
+    texts = np.empty(len(raw), dtype=object)
+    if (block == block[:1]).all():  # frame names and the like: decode once
+        texts[:] = block[0].tobytes().decode("utf-8", errors="replace")
+    else:
+        for i, row in enumerate(block):
+            texts[i] = row.tobytes().decode("utf-8", errors="replace")
+    return texts
+
+
+def _tidied(column: np.ndarray) -> np.ndarray:
+    column.flags.writeable = False
+    return column

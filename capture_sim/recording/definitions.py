@@ -1,0 +1,61 @@
+"""Message definitions: the type store, schema texts and type hashes."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from capture_sim.messages import Messages
+from capture_sim.resources import message_dir
+
+_PACKAGE = "capture_sim"
+
+
+@cache
+def typestore() -> Typestore:
+    """Return the types of ROS 2 Jazzy and of capture_sim."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = {}
+    for path in _definition_files():
+        types.update(get_types_from_msg(path.read_text(encoding="utf-8"), _type_name(path)))
+    store.register(types)
+    return store
+
+
+@cache
+def offline_messages() -> Messages:
+    """Return the maker of message objects for :func:`typestore`."""
+    return Messages(typestore().types.__getitem__)
+
+
+@cache
+def schema_text(type_name: str) -> str:
+    """Return the ros2msg definition of a type with all types it is made of.
+
+    Our own types are given by the text of their file, so that the units in its comments
+    travel with every recording.
+    """
+    generated, _ = typestore().generate_msgdef(type_name, ros_version=2)
+    separator = "=" * 80 + "\n"
+    own, *parts = generated.split(separator)
+    for path in _definition_files():
+        if _type_name(path) == type_name:
+            own = path.read_text(encoding="utf-8")
+    return separator.join([own, *parts])
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """Return the RIHS01 hash of a type, as ROS 2 computes it."""
+    return typestore().hash_rihs01(type_name)
+
+
+def _definition_files() -> list[Path]:
+    return sorted(message_dir().glob("*.msg"))
+
+
+def _type_name(path: Path) -> str:
+    return f"{_PACKAGE}/msg/{path.stem}"

@@ -1,0 +1,280 @@
+"""A recorded run: its scene, samples, events, verdict, and every topic as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from capture_sim.detection import CaptureState, CaptureStatus
+from capture_sim.errors import RecordingError
+from capture_sim.messages import stamp_seconds
+from capture_sim.recording.cdr import columns, sequence_of
+from capture_sim.recording.definitions import schema_text, typestore
+from capture_sim.recording.records import Contents, read_contents
+from capture_sim.recording.tally import Tally
+from capture_sim.recording.writer import END_METADATA, RUN_METADATA, SCENE_ATTACHMENT
+from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind
+from capture_sim.scene_files import load_scene_text
+from capture_sim.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    STREAM_COUNTS,
+    topic_named,
+)
+
+if TYPE_CHECKING:
+    from capture_sim.scene import Scene
+
+Columns = Mapping[str, np.ndarray]
+
+# events that tell of a touch that ended
+_ENDING = (EventKind.LIFT_OFF.label, EventKind.END.label)
+
+
+def read_run(path: Path | str) -> Run:
+    """Read a recorded run; checksums are checked.
+
+    A file whose recorder was killed is read as far as its records are complete, and
+    marked by ``complete`` and ``damage``.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is no MCAP file, or is damaged inside.
+    """
+    path = Path(path)
+    return Run(path, read_contents(path))
+
+
+class Run:
+    """What a file holds of a run.  Topics are decoded when first asked for.
+
+    Attributes
+    ----------
+    path
+        The file.
+    damage
+        Why the file could not be read to its end; empty when it could.
+    """
+
+    def __init__(self, path: Path, contents: Contents) -> None:
+        self.path = path
+        self.damage = contents.damage
+        self._contents = contents
+        self._columns: dict[str, Columns] = {}
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was closed properly and no message is missing from it."""
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """One line for everything that is wrong with the recording; empty when complete."""
+        damage = (self.damage,) if self.damage else ()
+        return (*damage, *self.missing)
+
+    @cached_property
+    def missing(self) -> tuple[str, ...]:
+        """What sequences and counts tell of lost messages and of an early end, in lines."""
+        publishers = self.metadata.get("publishers", "").split("\n")
+        # when the recording was cut, their counts are missing too
+        tally = Tally([] if self.damage else list(filter(None, publishers)))
+        for name, messages in self._contents.messages.items():
+            topic = topic_named(name)
+            if topic is not None:
+                for data in messages:
+                    tally.add(topic, sequence_of(topic, data))
+        told = self.columns(STREAM_COUNTS.name)
+        for i, publisher in enumerate(told.get("publisher", ())):
+            tally.end(
+                publisher,
+                dict(zip(told["topics"][i], told["counts"][i].tolist(), strict=True)),
+                complete=bool(told["complete"][i]),
+                reason=told["reason"][i],
+            )
+        return tuple(tally.problems())
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """How the run was made: run_id, name, scene_sha256, software, rates."""
+        return dict(self._contents.metadata.get(RUN_METADATA, {}))
+
+    @property
+    def name(self) -> str:
+        """Of the experiment; of the file when the file does not say."""
+        return self.metadata.get("name", self.path.stem)
+
+    @property
+    def run_id(self) -> str:
+        """Unique to the run; empty when the file does not say."""
+        return self.metadata.get("run_id", "")
+
+    @property
+    def wall_time(self) -> float | None:
+        """How long the run took, s of wall time; None when the recording ended before it."""
+        text = self._contents.metadata.get(END_METADATA, {}).get("wall_time")
+        return None if text is None else float(text)
+
+    @property
+    def scene_text(self) -> str:
+        """The resolved scene, YAML.
+
+        Raises
+        ------
+        RecordingError
+            The file holds none.
+        """
+        try:
+            return self._contents.attachments[SCENE_ATTACHMENT].decode()
+        except KeyError:
+            raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}") from None
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene that made the run.
+
+        Raises
+        ------
+        RecordingError
+            The file holds none.
+        SceneError
+            It is not one of this version.
+        """
+        return load_scene_text(self.scene_text)
+
+    @property
+    def topics(self) -> dict[str, int]:
+        """Number of messages by topic, as named in the file."""
+        return {name: len(messages) for name, messages in self._contents.messages.items()}
+
+    def log_times(self, topic: str) -> np.ndarray:
+        """Return the log times of a topic's messages, (n,) int64, ns."""
+        return np.array(self._contents.log_times.get(self._resolved(topic), ()), dtype=np.int64)
+
+    def raw(self, topic: str) -> list[bytes]:
+        """Return the serialised messages of a topic, in the file's order."""
+        return list(self._contents.messages.get(self._resolved(topic), ()))
+
+    def columns(self, topic: str) -> Columns:
+        """Return a topic's fields by path, see :func:`capture_sim.recording.cdr.columns`.
+
+        Empty for a topic without messages.
+
+        Raises
+        ------
+        RecordingError
+            The messages do not fit their definition.
+        """
+        name = self._resolved(topic)
+        found = self._columns.get(name)
+        if found is None:
+            messages = self._contents.messages.get(name, ())
+            if messages:
+                type_name = self._contents.types[name]
+                found = columns(self._store_for(type_name), type_name, messages)
+            else:
+                found = {}
+            self._columns[name] = found
+        return found
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """The recorded BenchStates, (n,) of dtype SAMPLE, the very bits that were recorded."""
+        recorded = self.columns(BENCH_STATE.name)
+        samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
+        if len(samples):
+            for name in SAMPLE.names or ():
+                samples[name] = recorded[name]
+        samples.flags.writeable = False
+        return samples
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """The recorded BenchEvents, in order."""
+        recorded = self.columns(BENCH_EVENT.name)
+        kinds = {kind.label: kind for kind in EventKind}
+        events = []
+        for i in range(len(recorded.get("t", ()))):
+            label = recorded["kind"][i]
+            if label not in kinds:
+                raise RecordingError(f"{self.path}: event of unknown kind {label!r}")
+            events.append(
+                Event(
+                    kind=kinds[label],
+                    t=float(recorded["t"][i]),
+                    q=recorded["q"][i],
+                    v=recorded["v"][i],
+                    wall=int(recorded["wall"][i]),
+                    detail=recorded["detail"][i],
+                    touch=_touch(recorded, i),
+                )
+            )
+        return tuple(events)
+
+    @cached_property
+    def touches(self) -> np.ndarray:
+        """The touches that ended, (n,) of dtype TOUCH, in the order in which they ended."""
+        ended = [event.touch for event in self.events if event.touch is not None]
+        touches = np.zeros(len(ended), dtype=TOUCH)
+        for i, touch in enumerate(ended):
+            touches[i] = touch
+        return touches
+
+    @cached_property
+    def statuses(self) -> tuple[CaptureStatus, ...]:
+        """The detector's judgements, in order."""
+        recorded = self.columns(CAPTURE_STATUS.name)
+        if not recorded:
+            return ()
+        by_name: dict[str, list[Any]] = {
+            f.name: recorded[f.name].tolist() for f in fields(CaptureStatus) if f.name != "t"
+        }
+        stamps = recorded["header.stamp.sec"].astype(np.int64) * 1_000_000_000
+        stamps += recorded["header.stamp.nanosec"]
+        by_name["t"] = [stamp_seconds(stamp) for stamp in stamps.tolist()]
+        by_name["state"] = [CaptureState(state) for state in by_name["state"]]
+        rows = zip(*by_name.values(), strict=True)
+        return tuple(CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+
+    @property
+    def verdict(self) -> CaptureState | None:
+        """The detector's last word; None when it said nothing."""
+        return self.statuses[-1].state if self.statuses else None
+
+    def _store_for(self, type_name: str) -> Typestore:
+        """Return a store that knows the type as this file defines it."""
+        text = self._contents.schemas.get(type_name, "")
+        store = typestore()
+        if type_name in store.fielddefs and text == schema_text(type_name):
+            return store
+        try:
+            store = get_typestore(Stores.EMPTY)
+            store.register(get_types_from_msg(text, type_name))
+        except TypesysError as error:
+            raise RecordingError(f"{self.path}: definition of {type_name}: {error}") from None
+        return store
+
+    def _resolved(self, topic: str) -> str:
+        absolute = topic if topic.startswith("/") else f"/{topic}"
+        return absolute if absolute in self._contents.messages else topic
+
+
+def _touch(recorded: Columns, i: int) -> np.void | None:
+    """Return the touch that event i ended; None when it ended none."""
+    if recorded["kind"][i] not in _ENDING or recorded["wall"][i] == 0:
+        return None
+    touch: np.void = np.zeros(1, dtype=TOUCH)[0]
+    touch["start"] = recorded["touch_start"][i]
+    touch["end"] = recorded["t"][i]
+    for name in ("wall", "approach_speed", "peak_force", "peak_time", "impulse", "dissipated"):
+        touch[name] = recorded[name][i]
+    return touch

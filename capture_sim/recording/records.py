@@ -1,0 +1,222 @@
+"""Walking over an MCAP file record by record, so that a file that was cut can be read too.
+
+The library's own readers start at the index at the file's end, which a killed recorder
+never wrote.  Checksums of chunks and of the whole data section are always checked.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import TypeVar
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema, Statistics
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+
+from capture_sim.errors import RecordingError
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_CRC = struct.Struct("<I")
+
+#: What parsing of a damaged record may raise.
+_DAMAGE = (
+    EndOfFile,
+    McapError,
+    struct.error,
+    UnicodeDecodeError,
+    ValueError,
+    MemoryError,
+    zstandard.ZstdError,
+    RuntimeError,
+)
+
+_T = TypeVar("_T")
+
+
+@dataclass
+class Contents:
+    """All that is in the data section of a file.
+
+    Attributes
+    ----------
+    types
+        Message type by topic.
+    schemas
+        Definition text by message type.
+    messages
+        Serialised messages by topic, in the file's order.
+    log_times
+        Their log times, ns.
+    attachments
+        By name.
+    metadata
+        By name.
+    damage
+        Why reading stopped early; empty for a whole file.
+    """
+
+    types: dict[str, str] = field(default_factory=dict)
+    schemas: dict[str, str] = field(default_factory=dict)
+    messages: dict[str, list[bytes]] = field(default_factory=dict)
+    log_times: dict[str, list[int]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    damage: str = ""
+
+
+def read_contents(path: Path) -> Contents:
+    """Read a file as far as its records are complete.
+
+    Returns
+    -------
+    Contents
+        ``damage`` is set when the file ends before its end mark.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is no MCAP file, or a record inside it
+        is damaged (as opposed to missing at the end).
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
+    if data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
+        raise RecordingError(f"{path}: not an MCAP file")
+    return _Reader(path, data).read()
+
+
+class _Reader:
+    def __init__(self, path: Path, data: bytes) -> None:
+        self._path = path
+        self._data = data
+        self._contents = Contents()
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, str] = {}
+
+    def read(self) -> Contents:
+        finished = ended = False
+        for opcode, start, end in self._records():
+            if opcode == Opcode.DATA_END:
+                self._check_data_section(start, end)
+                finished = True
+            elif finished:
+                if opcode == Opcode.STATISTICS:
+                    self._check_count(start, end)
+                ended = ended or self._data[end:] == MCAP0_MAGIC
+            else:
+                self._take(opcode, start, end)
+        if not ended:
+            self._contents.damage = (
+                f"the file ends without its end mark; {self._complete_until} of "
+                f"{len(self._data)} bytes are complete records"
+            )
+        return self._contents
+
+    def _records(self) -> Iterator[tuple[int, int, int]]:
+        """Yield opcode, start and end of the body of every complete record."""
+        position = len(MCAP0_MAGIC)
+        self._complete_until = position
+        while position + _RECORD.size <= len(self._data):
+            opcode, length = _RECORD.unpack_from(self._data, position)
+            start = position + _RECORD.size
+            if start + length > len(self._data):
+                return
+            yield opcode, start, start + length
+            position = start + length
+            self._complete_until = position
+
+    def _take(self, opcode: int, start: int, end: int) -> None:
+        if opcode == Opcode.CHUNK:
+            self._chunk(start, end)
+        elif opcode == Opcode.MESSAGE:
+            self._messages(self._data, start - _RECORD.size, end)
+        elif opcode == Opcode.SCHEMA:
+            self._schema(self._parsed(Schema.read, start, end))
+        elif opcode == Opcode.CHANNEL:
+            self._channel(self._parsed(Channel.read, start, end))
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = self._parsed(Attachment.read, start, end)
+            (crc,) = _CRC.unpack_from(self._data, end - _CRC.size)
+            if crc and zlib.crc32(self._data[start : end - _CRC.size]) != crc:
+                raise self._damaged(start, f"attachment {attachment.name}: wrong checksum")
+            self._contents.attachments[attachment.name] = attachment.data
+        elif opcode == Opcode.METADATA:
+            metadata = self._parsed(Metadata.read, start, end)
+            self._contents.metadata[metadata.name] = dict(metadata.metadata)
+
+    def _parsed(self, read: Callable[[ReadDataStream], _T], start: int, end: int) -> _T:
+        try:
+            return read(ReadDataStream(BytesIO(self._data[start:end])))
+        except _DAMAGE as error:
+            raise self._damaged(start, str(error) or type(error).__name__) from None
+
+    def _chunk(self, start: int, end: int) -> None:
+        chunk = self._parsed(Chunk.read, start, end)
+        try:
+            stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+            records = stream.read(length)
+        except _DAMAGE as error:
+            raise self._damaged(start, str(error) or type(error).__name__) from None
+        try:
+            self._messages(records, 0, len(records))
+        except _DAMAGE as error:
+            raise self._damaged(start, str(error) or type(error).__name__) from None
+
+    def _messages(self, data: bytes, position: int, end: int) -> None:
+        """Take in records of messages, schemas and channels; a plain loop, it is the hot one."""
+        messages, times = self._contents.messages, self._contents.log_times
+        topics = self._topics
+        record, message = _RECORD.unpack_from, _MESSAGE.unpack_from
+        head, inner = _RECORD.size, _MESSAGE.size
+        while position < end:
+            opcode, length = record(data, position)
+            start = position + head
+            position = start + length
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_time, _ = message(data, start)
+                topic = topics.get(channel)
+                if topic is None:
+                    raise McapError(f"message of unknown channel {channel}")
+                messages[topic].append(data[start + inner : position])
+                times[topic].append(log_time)
+            elif opcode == Opcode.SCHEMA:
+                self._schema(Schema.read(ReadDataStream(BytesIO(data[start:position]))))
+            elif opcode == Opcode.CHANNEL:
+                self._channel(Channel.read(ReadDataStream(BytesIO(data[start:position]))))
+
+    def _schema(self, schema: Schema) -> None:
+        self._schemas[schema.id] = schema
+        self._contents.schemas[schema.name] = schema.data.decode("utf-8", errors="replace")
+
+    def _channel(self, channel: Channel) -> None:
+        self._topics[channel.id] = channel.topic
+        schema = self._schemas.get(channel.schema_id)
+        self._contents.types.setdefault(channel.topic, "" if schema is None else schema.name)
+        self._contents.messages.setdefault(channel.topic, [])
+        self._contents.log_times.setdefault(channel.topic, [])
+
+    def _check_data_section(self, start: int, end: int) -> None:
+        crc = self._parsed(DataEnd.read, start, end).data_section_crc
+        if crc and zlib.crc32(self._data[: start - _RECORD.size]) != crc:
+            raise self._damaged(start, "the data section does not match its checksum")
+
+    def _check_count(self, start: int, end: int) -> None:
+        counted = self._parsed(Statistics.read, start, end).message_count
+        read = sum(len(of_topic) for of_topic in self._contents.messages.values())
+        if counted != read:
+            raise self._damaged(start, f"{read} messages read, {counted} were written")
+
+    def _damaged(self, position: int, why: str) -> RecordingError:
+        return RecordingError(f"{self._path}: damaged at byte {position}: {why}")

@@ -1,0 +1,137 @@
+"""Counting of streams, so that a lost message is named and never goes unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from capture_sim.topics import Topic, topic_named
+
+
+@dataclass
+class TopicTally:
+    """What is known of one stream.
+
+    Attributes
+    ----------
+    seen
+        Messages that came.
+    expected
+        Messages that were sent, as their publisher said at the end; None as
+        long as it has not.
+    next_seq
+        Sequence number that should come next.
+    gaps
+        First and last missing sequence numbers, at most :data:`MAX_GAPS` of them.
+    missing
+        Messages known to be missing from gaps in the sequence.
+    out_of_order
+        Messages whose number was lower than expected.
+    """
+
+    seen: int = 0
+    expected: int | None = None
+    next_seq: int = 0
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    missing: int = 0
+    out_of_order: int = 0
+
+
+#: Gaps that are remembered of each topic; further ones are only counted.
+MAX_GAPS = 100
+
+
+class Tally:
+    """Counts messages by topic, follows their sequence, and compares with what was sent.
+
+    Attributes
+    ----------
+    publishers : tuple of str
+        Nodes that have to tell at the end how many messages they sent.
+    """
+
+    def __init__(self, publishers: Sequence[str] = ()) -> None:
+        self.publishers = tuple(publishers)
+        self._topics: dict[Topic, TopicTally] = {}
+        self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
+
+    def add(self, topic: Topic, seq: int | None) -> None:
+        """Count a message and its sequence number, None where the type has none."""
+        entry = self._topics.get(topic)
+        if entry is None:
+            entry = self._topics[topic] = TopicTally()
+        entry.seen += 1
+        if seq is None:
+            return
+        if seq == entry.next_seq:
+            entry.next_seq += 1
+        elif seq > entry.next_seq:
+            entry.missing += seq - entry.next_seq
+            if len(entry.gaps) < MAX_GAPS:
+                entry.gaps.append((entry.next_seq, seq - 1))
+            entry.next_seq = seq + 1
+        else:
+            entry.out_of_order += 1
+
+    def end(
+        self, publisher: str, counts: Mapping[str, int], *, complete: bool = True, reason: str = ""
+    ) -> None:
+        """Take in a publisher's StreamCounts; those that it repeats do not count again."""
+        if publisher in self._ended:
+            return
+        self._ended[publisher] = None if complete else reason
+        for name, count in counts.items():
+            topic = topic_named(name)
+            if topic is not None:
+                entry = self._topics.setdefault(topic, TopicTally())
+                entry.expected = (entry.expected or 0) + count
+
+    @property
+    def topics(self) -> dict[Topic, TopicTally]:
+        """All that is known, by topic."""
+        return self._topics
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether all publishers have ended and all that they sent has come."""
+        return set(self.publishers) <= set(self._ended) and all(
+            entry.expected is None or entry.seen >= entry.expected
+            for entry in self._topics.values()
+        )
+
+    def problems(self) -> list[str]:
+        """Return one line for everything that was lost, repeated, disordered or cut short."""
+        lines = [
+            f"{publisher} ended the run early: {reason}"
+            for publisher, reason in self._ended.items()
+            if reason is not None
+        ]
+        lines += [
+            f"{publisher}: never said how many messages it sent; it may have been killed"
+            for publisher in self.publishers
+            if publisher not in self._ended
+        ]
+        for topic, entry in self._topics.items():
+            lost = entry.missing
+            if entry.expected is not None:
+                lost = max(lost, entry.expected - entry.seen)
+            if lost:
+                lines.append(f"{topic.name}: {lost} messages missing{_where(topic, entry)}")
+            if entry.expected is not None and entry.seen > entry.expected:
+                lines.append(
+                    f"{topic.name}: {entry.seen} messages came, {entry.expected} were sent"
+                )
+            if entry.out_of_order:
+                lines.append(f"{topic.name}: {entry.out_of_order} messages repeated or disordered")
+        return lines
+
+
+def _where(topic: Topic, entry: TopicTally) -> str:
+    places = [str(a) if a == b else f"{a} to {b}" for a, b in entry.gaps]
+    if topic.sequenced and entry.expected is not None and entry.next_seq < entry.expected:
+        first, last = entry.next_seq, entry.expected - 1
+        places.append(str(first) if first == last else f"{first} to {last}")
+    if not places:
+        return ""
+    shown = ", ".join(places[:5]) + (", ..." if len(places) > 5 else "")
+    return f" (seq {shown})"

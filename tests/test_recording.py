@@ -1,0 +1,661 @@
+"""Recordings: what is written comes back, by our own and by others' readers, also when cut."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap.records import Chunk, DataEnd, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+
+import capture_sim
+from capture_sim.errors import RecordingError
+from capture_sim.messages import RunDescription
+from capture_sim.recording import LiveRecorder, RunWriter, Tally, read_run, write_run
+from capture_sim.recording import live as live_module
+from capture_sim.recording.cdr import columns, sequence_of, stamp_of
+from capture_sim.recording.definitions import (
+    offline_messages,
+    schema_text,
+    typestore,
+)
+from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.samples import SAMPLE
+from capture_sim.scene_files import load_scene_text
+from capture_sim.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    JOINT_STATES,
+    RECORDED,
+    RUN_INFO,
+    STREAM_COUNTS,
+)
+
+NAME = "tilt_m10"
+
+
+@pytest.fixture(scope="module")
+def result():
+    return capture_sim.simulate(capture_sim.load_scene(NAME))
+
+
+@pytest.fixture(scope="module")
+def run(result):
+    return RunDescription.of(result.scene, "a run", PUBLISHERS)
+
+
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    return write_run(result, tmp_path_factory.mktemp("runs") / f"{NAME}.mcap", run_id="a run")
+
+
+@pytest.fixture(scope="module")
+def sent(result, run):
+    """All messages of the run, serialised, in the order of the nodes."""
+    store = typestore()
+    return [
+        (topic, bytes(store.serialize_cdr(message, topic.type_name)))
+        for topic, message in run_stream(result, run)
+    ]
+
+
+def bits(array):
+    return np.ascontiguousarray(array).tobytes()
+
+
+# our own reader
+
+
+def test_run_read_back_is_the_run(result, path):
+    run = read_run(path)
+    assert run.complete
+    assert run.problems == ()
+    assert bits(run.samples) == bits(result.samples)
+    assert bits(run.touches) == bits(result.touches)
+    assert list(run.statuses) == result.statuses
+    assert run.verdict is result.verdict
+    assert len(run.events) == len(result.events)
+    for mine, theirs in zip(run.events, result.events, strict=True):
+        assert (mine.kind, mine.t, mine.wall, mine.detail) == (
+            theirs.kind,
+            theirs.t,
+            theirs.wall,
+            theirs.detail,
+        )
+        assert bits(mine.q) == bits(theirs.q)
+        assert bits(mine.v) == bits(theirs.v)
+        assert mine.touch == theirs.touch
+    assert run.wall_time == result.wall_time
+
+
+def test_scene_inside_makes_the_same_run_again(result, path):
+    run = read_run(path)
+    assert run.scene == result.scene
+    assert load_scene_text(run.scene_text) == result.scene
+    assert run.metadata["scene_sha256"] == hashlib.sha256(run.scene_text.encode()).hexdigest()
+    assert run.metadata["run_id"] == run.run_id == "a run"
+    assert run.name == NAME
+    again = capture_sim.simulate(run.scene)
+    assert bits(again.samples) == bits(result.samples)
+
+
+def test_columns_of_every_topic_agree_with_a_decoder_of_messages(path):
+    run = read_run(path)
+    store = typestore()
+    for topic in RECORDED:
+        found = run.columns(topic.name)
+        messages = [store.deserialize_cdr(data, topic.type_name) for data in run.raw(topic.name)]
+        assert len(messages) == run.topics[topic.absolute_name] > 0
+        paths = dict(leaves(messages[0]))
+        assert set(found) == set(paths)
+        some = slice(None, None, len(messages) // 50 + 1)
+        for i in range(len(messages))[some]:
+            for name, value in leaves(messages[i]):
+                assert np.array_equal(found[name][i], value), (topic.name, name)
+
+
+def leaves(message, prefix=""):
+    """Yield the path and value of every plain field of a message."""
+    for name, _ in typestore().fielddefs[message.__msgtype__][1]:
+        value = getattr(message, name)
+        if hasattr(value, "__msgtype__"):
+            yield from leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def test_log_times_are_the_stamps_and_never_zero(path, result):
+    run = read_run(path)
+    times = run.log_times("bench/state")
+    assert times.tolist() == [10**9 + k * 10**6 for k in range(len(result.samples))]
+    assert run.log_times("bench/stream_counts").min() >= times[-1]
+
+
+def test_topic_without_messages_has_no_columns(path):
+    run = read_run(path)
+    assert run.columns("no/such/topic") == {}
+    assert run.log_times("no/such/topic").size == 0
+
+
+# others' readers
+
+
+def test_mcap_ros2_decoder_sees_the_same_numbers(path, result):
+    samples = result.samples
+    seen = 0
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for schema, channel, raw, message in reader.iter_decoded_messages(topics=["/bench/state"]):
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            sample = samples[seen]
+            assert raw.log_time == raw.publish_time == 10**9 + seen * 10**6
+            assert message.seq == seen
+            for name in SAMPLE.names:
+                assert bits(np.array(getattr(message, name), SAMPLE[name].base)) == bits(
+                    sample[name]
+                )
+            seen += 1
+        kinds = [m.kind for *_, m in reader.iter_decoded_messages(topics=["/bench/event"])]
+        every = sum(1 for _ in reader.iter_decoded_messages())
+    assert seen == len(samples)
+    assert kinds == [event.kind.label for event in result.events]
+    assert every == sum(read_run(path).topics.values())
+
+
+def test_rosbags_reads_it_and_knows_quality_of_service_and_types(path, result):
+    with Reader(path) as reader:
+        assert reader.message_count == sum(read_run(path).topics.values())
+        durable = {
+            connection.topic
+            for connection in reader.connections
+            if connection.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL
+        }
+        assert durable == {topic.absolute_name for topic in RECORDED if topic.latched}
+        for connection in reader.connections:
+            qos = connection.ext.offered_qos_profiles[0]
+            topic = next(t for t in RECORDED if t.absolute_name == connection.topic)
+            assert (qos.depth, qos.reliability.name) == (topic.depth, "RELIABLE")
+    with AnyReader([path]) as reader:  # with the definitions in the file alone
+        states = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+            if connection.topic == "/bench/state"
+        ]
+    assert len(states) == len(result.samples)
+    for state, sample in zip(states[::53], result.samples[::53], strict=True):
+        assert bits(state.q) == bits(sample["q"])
+        assert state.energy_residual == sample["energy_residual"]
+
+
+def test_type_hashes_are_those_of_ros(path):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    with path.open("rb") as file:
+        channels = list(make_reader(file).get_summary().channels.values())
+        schemas = make_reader(file).get_summary().schemas
+    for channel in channels:
+        package, _, name = schemas[channel.schema_id].name.split("/")
+        assert channel.metadata["topic_type_hash"] == installed_hash(package, name)
+
+
+def installed_hash(package, name):
+    """Return the type hash that rosidl has written beside the installed definition."""
+    places = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    for place in filter(None, places):
+        for found in Path(place).rglob(f"share/{package}/msg/{name}.json"):
+            hashes = json.loads(found.read_text())["type_hashes"]
+            wanted = f"{package}/msg/{name}"
+            return next(e["hash_string"] for e in hashes if e["type_name"] == wanted)
+    raise AssertionError(f"no type hash of {package}/msg/{name} is installed")
+
+
+def test_schema_tells_the_units():
+    text = schema_text("capture_sim/msg/BenchState")
+    assert re.search(r"^float64 string_tension +# N$", text, re.MULTILINE)
+    assert "MSG: std_msgs/Header" in text
+    assert "MSG: builtin_interfaces/Time" in text
+
+
+def test_rosbag2_metadata_is_embedded_and_right(path):
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+        statistics = reader.get_summary().statistics
+    info = yaml.safe_load(records["rosbag2"]["serialized_metadata"])
+    assert (info["version"], info["storage_identifier"]) == (9, "mcap")
+    assert info["relative_file_paths"] == [path.name]
+    assert info["message_count"] == statistics.message_count
+    start = info["starting_time"]["nanoseconds_since_epoch"]
+    assert start == statistics.message_start_time == 10**9
+    assert start + info["duration"]["nanoseconds"] == statistics.message_end_time
+    counts = {
+        entry["topic_metadata"]["name"]: entry["message_count"]
+        for entry in info["topics_with_message_count"]
+    }
+    assert counts == read_run(path).topics
+    assert all(
+        entry["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+        for entry in info["topics_with_message_count"]
+    )
+
+
+def test_scene_and_description_stand_before_the_first_message(path):
+    with path.open("rb") as file:
+        kinds = [type(record).__name__ for record in StreamReader(file, emit_chunks=True).records]
+    first = kinds.index("Chunk")
+    assert kinds.index("Attachment") < first
+    assert kinds.index("Metadata") < first
+
+
+# cut and damaged files
+
+
+def test_file_cut_anywhere_gives_its_complete_chunks_and_says_so(path, result, tmp_path):
+    data = path.read_bytes()
+    ends = chunk_ends(path)
+    rng = np.random.default_rng(2)
+    cuts = sorted({*rng.integers(len(data), size=40).tolist(), 0, 8, 30, len(data) - 1, *ends[:2]})
+    for cut in cuts:
+        broken = tmp_path / "cut.mcap"
+        broken.write_bytes(data[:cut])
+        if cut < 8:
+            with pytest.raises(RecordingError, match="not an MCAP file"):
+                read_run(broken)
+            continue
+        run = read_run(broken)
+        assert not run.complete
+        assert run.damage
+        n = len(run.samples)
+        assert bits(run.samples) == bits(result.samples[:n])
+        whole = sum(end <= cut for end in ends)
+        assert count_in_chunks(path, whole) == sum(run.topics.values())
+        if n:
+            assert run.scene == result.scene
+            assert run.name == NAME
+
+
+def chunk_indexes(path):
+    with path.open("rb") as file:
+        return make_reader(file).get_summary().chunk_indexes
+
+
+def chunk_ends(path):
+    return [i.chunk_start_offset + i.chunk_length for i in chunk_indexes(path)]
+
+
+def count_in_chunks(path, count):
+    """Return how many messages the library finds in the first chunks of the whole file."""
+    total = 0
+    with path.open("rb") as file:
+        chunks = (r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk))
+        for chunk, _ in zip(chunks, range(count), strict=False):
+            total += sum(isinstance(record, Message) for record in breakup_chunk(chunk))
+    return total
+
+
+def test_flipped_bytes_never_give_wrong_numbers_silently(path, result, tmp_path):
+    data = path.read_bytes()
+    rng = np.random.default_rng(3)
+    refused = 0
+    for at in rng.integers(8, len(data), size=60).tolist():
+        broken = tmp_path / "flipped.mcap"
+        changed = bytearray(data)
+        changed[at] ^= 1 << int(rng.integers(8))
+        broken.write_bytes(changed)
+        try:
+            run = read_run(broken)
+        except RecordingError:
+            refused += 1
+            continue
+        # only in what is not needed to read it (index, summary), or read as a cut file
+        n = len(run.samples)
+        assert bits(run.samples) == bits(result.samples[:n])
+        assert n == len(result.samples) or not run.complete
+        assert run.damage or run.scene == result.scene
+    assert refused > 30
+
+
+def test_flipped_bytes_are_seen_in_a_cut_file_too(path, tmp_path):
+    # there only the chunk's own checksum tells
+    chunk = chunk_indexes(path)[3]
+    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+    data = path.read_bytes()[: end + 100]
+    for at in range(start + 60, end, chunk.chunk_length // 40):
+        changed = bytearray(data)
+        changed[at] ^= 4
+        (tmp_path / "flipped.mcap").write_bytes(changed)
+        with pytest.raises(RecordingError, match="damaged at byte"):
+            read_run(tmp_path / "flipped.mcap")
+
+
+def test_not_a_recording_is_refused_in_one_line(tmp_path):
+    text = tmp_path / "text.mcap"
+    text.write_text("hello")
+    for path in (text, tmp_path / "nowhere.mcap", tmp_path):
+        with pytest.raises(RecordingError) as caught:
+            read_run(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+
+
+# writing
+
+
+def test_unwritable_folder_is_refused_in_one_line(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot write") as caught:
+        RunWriter(tmp_path / "file" / "x.mcap", run)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(RecordingError, match="cannot write"):
+        RunWriter(tmp_path, run)  # a folder
+
+
+def test_full_disk_is_told_at_once():
+    with pytest.raises(RecordingError, match="No space left on device"):
+        write_to_full_device()
+
+
+def write_to_full_device():
+    result = capture_sim.simulate(capture_sim.load_scene("paper_designed"), t_end=0.5)
+    write_run(result, "/dev/full")
+
+
+@contextlib.contextmanager
+def file_size_limit(size):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_what_was_written_before_the_disk_was_full_stays_readable(result, tmp_path):
+    path = tmp_path / "full.mcap"
+    with file_size_limit(600_000), pytest.raises(RecordingError, match="cannot write"):
+        write_run(result, path)
+    run = read_run(path)
+    assert not run.complete
+    n = len(run.samples)
+    assert 0 < n < len(result.samples)
+    assert bits(run.samples) == bits(result.samples[:n])
+
+
+def test_run_off_the_grid_is_not_recorded(tmp_path):
+    scene = capture_sim.load_scene("paper_designed")
+    result = capture_sim.simulate(scene, t_eval=np.linspace(0.0, 0.1, 37))
+    with pytest.raises(RecordingError, match="state_rate"):
+        write_run(result, tmp_path / "x.mcap")
+
+
+def test_an_error_in_the_middle_leaves_a_whole_file(run, sent, tmp_path):
+    path = tmp_path / "x.mcap"
+
+    def write_some():
+        with RunWriter(path, run) as writer:
+            for topic, data in sent[:3000]:
+                writer.write_raw(topic, data)
+            raise RuntimeError("mine")
+
+    with pytest.raises(RuntimeError, match="mine"):
+        write_some()
+    found = read_run(path)
+    assert not found.damage
+    assert sum(found.topics.values()) == 3000
+
+
+def test_writing_after_the_end_is_refused(run, tmp_path):
+    writer = RunWriter(tmp_path / "x.mcap", run)
+    writer.close()
+    writer.close()
+    with pytest.raises(RecordingError, match="already closed"):
+        writer.write(RUN_INFO, offline_messages().run_info(run))
+
+
+# live
+
+
+def record(folder, messages, **options):
+    recorder = LiveRecorder(folder, **options)
+    for topic, data in messages:
+        recorder.take(topic, data)
+    return recorder
+
+
+def test_live_recording_holds_the_same_as_the_offline_one(path, sent, tmp_path):
+    recorder = record(tmp_path, sent)
+    assert recorder.done
+    report = recorder.close()
+    assert report.complete
+    assert report.problems == ()
+    assert report.path == tmp_path / f"{NAME}.mcap"
+    live, offline = read_run(report.path), read_run(path)
+    assert live.complete
+    assert live.topics == offline.topics
+    for name in offline.topics:
+        assert live.raw(name) == offline.raw(name)
+        assert live.log_times(name).tolist() == offline.log_times(name).tolist()
+    assert live.scene_text == offline.scene_text
+    assert live.wall_time > 0.0
+
+
+def test_garbage_in_padding_is_not_recorded(path, sent, tmp_path):
+    dirty = []
+    for topic, data in sent:
+        if topic is BENCH_STATE:
+            changed = bytearray(data)
+            changed[22:24] = b"\xde\xad"
+            data = bytes(changed)
+        dirty.append((topic, data))
+    report = record(tmp_path, dirty).close()
+    assert read_run(report.path).raw("bench/state") == read_run(path).raw("bench/state")
+
+
+@pytest.mark.parametrize("topic", [t for t in RECORDED if t not in (RUN_INFO, STREAM_COUNTS)])
+def test_a_dropped_message_is_reported(topic, sent, tmp_path):
+    places = [i for i, (of, _) in enumerate(sent) if of is topic]
+    for drop in {places[0], places[len(places) // 2], places[-1]}:
+        recorder = record(tmp_path, sent[:drop] + sent[drop + 1 :])
+        assert not recorder.done
+        report = recorder.close()
+        assert not report.complete
+        (problem,) = report.problems
+        assert problem.startswith(f"{topic.name}: 1 messages missing")
+        if topic.sequenced:
+            assert problem.endswith(f"(seq {sequence_of(topic, sent[drop][1])})")
+        # and it is seen again when the file is read
+        assert read_run(report.path).problems == report.problems
+
+
+def test_repeated_and_disordered_messages_are_reported(sent, tmp_path):
+    at = next(i for i, (topic, _) in enumerate(sent) if topic is BENCH_STATE)
+    twice = record(tmp_path, [*sent[: at + 1], sent[at], *sent[at + 1 :]]).close()
+    assert not twice.complete
+    assert any("repeated or disordered" in line for line in twice.problems)
+
+
+def test_messages_before_the_announcement_are_kept(sent, tmp_path):
+    assert sent[0][0] is RUN_INFO
+    mixed = [*sent[1:40], *(m for m in sent if m[0] is STREAM_COUNTS), sent[0]]
+    mixed += [m for m in sent[40:] if m[0] is not STREAM_COUNTS]
+    report = record(tmp_path, mixed).close()
+    assert report.problems == ()
+    assert read_run(report.path).complete
+
+
+def test_publisher_that_never_ends_is_named(sent, tmp_path):
+    recorder = record(tmp_path, [m for m in sent if m[0] is not STREAM_COUNTS])
+    assert not recorder.done
+    report = recorder.close()
+    assert [line.split(":")[0] for line in report.problems] == list(PUBLISHERS)
+    assert read_run(report.path).problems == report.problems
+
+
+def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
+    messages, store = offline_messages(), typestore()
+    other = messages.stream_counts("simulator", "another", {"bench/state": 10**6})
+    other_run = RunDescription("another", run.name, run.scene, (), 1000.0, 100.0, ())
+    strange = [
+        (STREAM_COUNTS, bytes(store.serialize_cdr(other, STREAM_COUNTS.type_name))),
+        (RUN_INFO, bytes(store.serialize_cdr(messages.run_info(other_run), RUN_INFO.type_name))),
+    ]
+    report = record(tmp_path, [sent[0], *strange, *sent[1:]]).close()
+    assert report.problems == ("another run was announced meanwhile: another",)
+
+
+def test_run_that_ended_early_is_reported(sent, run, tmp_path):
+    messages, store = offline_messages(), typestore()
+    ended = messages.stream_counts("simulator", run.run_id, {}, complete=False, reason="Ctrl-C")
+    data = bytes(store.serialize_cdr(ended, STREAM_COUNTS.type_name))
+    report = record(tmp_path, [sent[0], (STREAM_COUNTS, data)]).close()
+    assert "simulator ended the run early: Ctrl-C" in report.problems
+    assert "simulator ended the run early: Ctrl-C" in read_run(report.path).problems
+
+
+def test_simulation_that_failed_is_recorded_as_far_as_it_came(tmp_path):
+    scene = capture_sim.load_scene("tilt_0", ["run.max_steps=300"])
+    with pytest.raises(capture_sim.SimulationError) as caught:
+        capture_sim.simulate(scene)
+    partial = caught.value.result
+    run = read_run(write_run(partial, tmp_path / "x.mcap"))
+    assert len(run.samples) > 1000
+    assert bits(run.samples) == bits(partial.samples)
+    assert len(run.problems) == len(PUBLISHERS)
+    assert all("max_steps" in line for line in run.problems)
+
+
+def test_recorder_without_a_run_writes_nothing(sent, tmp_path):
+    report = record(tmp_path, sent[1:20]).close()
+    assert report.path is None
+    assert not report.complete
+    assert "no run was announced" in report.problems[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_waiting_messages_are_bounded(sent, tmp_path):
+    with pytest.raises(RecordingError, match="no run is announced"):
+        record(tmp_path, sent[1:], queue_bytes=10_000)
+
+
+def test_small_queue_waits_and_loses_nothing(sent, tmp_path):
+    assert record(tmp_path, sent, queue_bytes=200_000).close().complete
+
+
+def test_unwritable_folder_stops_the_live_recorder(sent, tmp_path):
+    (tmp_path / "file").write_text("")
+    recorder = LiveRecorder(tmp_path / "file")
+    with pytest.raises(RecordingError, match="cannot write"):
+        recorder.take(*sent[0])
+    with pytest.raises(RecordingError, match="cannot write"):
+        recorder.take(*sent[1])
+
+
+def test_disk_that_fills_stops_the_live_recorder(sent, tmp_path):
+    with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write"):
+        record(tmp_path, sent).close()
+    assert len(read_run(tmp_path / f"{NAME}.mcap").samples) > 0
+
+
+def test_killed_recorder_leaves_all_but_the_last_half_second(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_module, "FLUSH_PERIOD", 0.05)
+    recorder = record(tmp_path, sent[:5000])
+    time.sleep(0.4)
+    # what the operating system has at this moment is what a kill -9 leaves
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
+    run = read_run(copy)
+    assert not run.complete
+    assert sum(run.topics.values()) == 5000
+    recorder.close()
+
+
+def test_message_after_the_end_is_refused(sent, tmp_path):
+    recorder = record(tmp_path, sent)
+    assert recorder.close() is recorder.close()
+    with pytest.raises(RecordingError, match="closed"):
+        recorder.take(*sent[5])
+
+
+def test_bytes_that_are_no_message_are_refused(sent, tmp_path):
+    recorder = record(tmp_path, sent[:1])
+    with pytest.raises(RecordingError):
+        recorder.take(BENCH_STATE, b"\0\1\0\0")
+    with pytest.raises(RecordingError):
+        recorder.take(STREAM_COUNTS, b"\0\1\0\0\xff")
+
+
+# small parts
+
+
+def test_sequence_and_stamp_are_read_from_the_bytes(sent):
+    seen = {}
+    for topic, data in sent:
+        if topic.sequenced:
+            assert sequence_of(topic, data) == seen.get(topic, 0)
+            seen[topic] = seen.get(topic, 0) + 1
+        else:
+            assert sequence_of(topic, data) is None
+        assert (stamp_of(topic, data) is None) == (topic is STREAM_COUNTS)
+    assert {BENCH_STATE, BENCH_EVENT, CAPTURE_STATUS} <= set(seen)
+
+
+def test_tally_names_gaps():
+    tally = Tally()
+    for seq in (0, 1, 4, 5, 9):
+        tally.add(BENCH_STATE, seq)
+    assert tally.problems() == ["bench/state: 5 messages missing (seq 2 to 3, 6 to 8)"]
+    for _ in range(2):  # the second time does not count
+        tally.end("simulator", {"bench/state": 12})
+    assert not tally.satisfied
+    assert tally.problems() == ["bench/state: 7 messages missing (seq 2 to 3, 6 to 8, 10 to 11)"]
+
+
+def test_columns_of_texts_and_sequences_whose_length_varies():
+    store, make = typestore(), offline_messages()
+    texts = ["", "a", "bcd", "a", "bcde" * 100, "é"]
+    messages = [
+        store.serialize_cdr(make.stream_ack(text, "r" * i, i), "capture_sim/msg/StreamAck")
+        for i, text in enumerate(texts)
+    ]
+    found = columns(store, "capture_sim/msg/StreamAck", [bytes(m) for m in messages])
+    assert found["consumer"].tolist() == texts
+    assert found["received"].tolist() == list(range(len(texts)))
+    counts = [{}, {"a": 1}, {"bc": 2, "d": 3}, {"e": 4}]
+    messages = [
+        store.serialize_cdr(make.stream_counts("p", "r", c), STREAM_COUNTS.type_name)
+        for c in counts
+    ]
+    found = columns(store, STREAM_COUNTS.type_name, [bytes(m) for m in messages])
+    assert found["topics"].tolist() == [list(c) for c in counts]
+    assert [row.tolist() for row in found["counts"]] == [list(c.values()) for c in counts]
+
+
+def test_columns_of_a_message_that_does_not_fit_are_refused(sent):
+    data = next(data for topic, data in sent if topic is JOINT_STATES)
+    for broken in (data[:-9], data + b"\0" * 8, b"\0\0" + data[2:], data[:20]):
+        with pytest.raises(RecordingError):
+            columns(typestore(), JOINT_STATES.type_name, [broken])
+
+
+def test_whole_data_section_has_a_checksum(path):
+    # also of metadata, which no chunk's checksum covers
+    with path.open("rb") as file:
+        records = list(StreamReader(file, validate_crcs=True).records)
+    (end,) = [record for record in records if isinstance(record, DataEnd)]
+    assert end.data_section_crc != 0
