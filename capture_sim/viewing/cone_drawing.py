@@ -1,0 +1,158 @@
+"""The tip's way through the cone, drawn with matplotlib in the cone's frame."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle, Polygon
+
+from capture_sim.samples import EventKind
+from capture_sim.scene import Scene
+from capture_sim.viewing import palette
+from capture_sim.viewing.geometry import circle, tip_bound, tip_in_cone, wall
+from capture_sim.viewing.source import ViewableRun, first_touch, in_contact
+
+_MM = 1e3
+_WALL_THICKNESS = 0.006  # m, for the eye only
+LETTERS = "abcdefgh"
+
+
+class Moment(NamedTuple):
+    """An instant worth a picture of the tip."""
+
+    t: float  # s
+    place: np.ndarray  # tip's centre in the cone's frame, (2,), m
+    meaning: str
+
+
+def key_moments(run: ViewableRun) -> list[Moment]:
+    """Return first touch, strongest touch, then latching or nearest approach and end.
+
+    The end counts only where it lies within the frame.
+    """
+    samples = run.samples
+    t, places = samples["t"], tip_in_cone(samples)
+    found: list[Moment] = []
+
+    def add(time: float, meaning: str) -> None:
+        place = np.array([np.interp(time, t, places[:, i]) for i in (0, 1)])
+        found.append(Moment(time, place, meaning))
+
+    touch = first_touch(run)
+    if touch is not None and len(run.touches):
+        strongest = run.touches[int(np.argmax(run.touches["peak_force"]))]
+        peak = f"strongest, {strongest['peak_force']:.0f} N"
+        if strongest["start"] == touch.t:
+            add(touch.t, f"first touch, the {peak}")
+        else:
+            add(touch.t, "first touch")
+            add(float(strongest["peak_time"]), f"touch, the {peak}")
+    elif touch is not None:
+        add(touch.t, "first touch")
+    latched = next((e for e in run.events if e.kind is EventKind.LATCHED), None)
+    if latched is not None:
+        add(latched.t, "latched")
+    else:
+        nearest = int(np.argmin(samples["tip_distance"]))
+        add(float(t[nearest]), f"nearest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
+        (left, right), (low, high) = frame_bounds(run.scene)
+        x, y = places[-1] * _MM
+        if left < x < right and low < y < high:
+            add(float(t[-1]), "end of the run")
+    return sorted(found, key=lambda moment: moment.t)
+
+
+def draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw both walls, the bound of the tip's centre and the capture zone."""
+    cone, radius = scene.cone, scene.probe.tip_radius
+    for side, colour in ((1, palette.PLUS_WALL), (-1, palette.MINUS_WALL)):
+        face = wall(cone, side) * _MM
+        # the wall's body lies on the far side of its face
+        out = np.array([np.sin(cone.beta), side * np.cos(cone.beta)]) * _WALL_THICKNESS * _MM
+        body = np.concatenate([face, (face + out)[::-1]])
+        axes.add_patch(Polygon(body, facecolor=palette.LIGHT, edgecolor="none", zorder=1))
+        axes.plot(*face.T, color=colour, lw=4.0, zorder=2, solid_capstyle="round")
+        axes.plot(
+            *(tip_bound(cone, radius, side) * _MM).T,
+            color=palette.GREY,
+            lw=1.2,
+            ls=":",
+            zorder=2,
+            label="centre when touching" if side > 0 else None,
+        )
+        middle = face.mean(axis=0) + 1.9 * out
+        axes.text(
+            middle[0],
+            middle[1],
+            f"{'+' if side > 0 else '-'}y wall",
+            color=colour,
+            fontsize=12,
+            fontweight="bold",
+            rotation=-side * np.rad2deg(cone.beta),
+            rotation_mode="anchor",
+            ha="center",
+            va="center",
+        )
+    zone = circle(np.zeros(2), scene.detector.radius) * _MM
+    axes.plot(*zone.T, color=palette.GREEN, lw=1.8, zorder=4, label="capture zone")
+    axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=palette.GREEN, zorder=4)
+
+
+def draw_path(axes: Axes, run: ViewableRun, colour: str = palette.BLACK) -> None:
+    """Draw the way of the tip's centre: solid while it touches, dashed while it does not."""
+    way = tip_in_cone(run.samples) * _MM
+    pieces = np.stack([way[:-1], way[1:]], axis=1)
+    touching = in_contact(run)[:-1]
+    axes.plot(*way.T, color=colour, lw=1.3, ls=(0, (4, 3)), zorder=5, label="centre, free")
+    axes.add_collection(LineCollection(list(pieces[touching]), colors=colour, lw=3.2, zorder=5))
+    axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
+
+
+def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
+    """Draw the tip as a circle at each moment, marked a, b, c..."""
+    radius = scene.probe.tip_radius * _MM
+    halo = [patheffects.withStroke(linewidth=3, foreground="white")]
+    for i, moment in enumerate(moments):
+        x, y = moment.place * _MM
+        axes.add_patch(
+            Circle((x, y), radius, facecolor=palette.SKY, alpha=0.14, edgecolor="none", zorder=3)
+        )
+        axes.add_patch(
+            Circle((x, y), radius, facecolor="none", edgecolor=palette.GREY, lw=1.1, zorder=3)
+        )
+        axes.plot(x, y, "o", ms=6.5, color=palette.BLACK, mec="white", zorder=7)
+        axes.annotate(
+            LETTERS[i],
+            (x, y),
+            xytext=(0, 13 if i % 2 == 0 else -14),  # up and down, so that near ones part
+            textcoords="offset points",
+            fontsize=14,
+            fontweight="bold",
+            ha="center",
+            va="center",
+            path_effects=halo,
+            zorder=8,
+        )
+
+
+def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return what is shown of x and of y, mm."""
+    lip = wall(scene.cone, 1)[1] * _MM
+    margin = scene.probe.tip_radius * _MM + 4.0
+    top = float(lip[1] + 0.6 * margin)
+    # room for legends behind BE, where nothing else is
+    return (float(lip[0] - 1.5 * margin), float(lip[1] + 0.1 * margin)), (-top, top)
+
+
+def frame_cone(axes: Axes, scene: Scene) -> None:
+    """Fit the axes to the cone, same scale in x and y."""
+    across, upwards = frame_bounds(scene)
+    axes.set_aspect("equal")
+    axes.set_xlim(across)
+    axes.set_ylim(upwards)
+    axes.set_xlabel("x in the cone's frame, from BE  [mm]")
+    axes.set_ylabel("y in the cone's frame  [mm]")

@@ -1,0 +1,274 @@
+"""Figures: one for each experiment, and several experiments side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from capture_sim.errors import RecordingError
+from capture_sim.samples import EventKind
+from capture_sim.viewing import palette
+from capture_sim.viewing.bench_drawing import draw_bench
+from capture_sim.viewing.cone_drawing import (
+    LETTERS,
+    draw_cone,
+    draw_path,
+    draw_tip,
+    frame_cone,
+    key_moments,
+)
+from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, headline, verdict
+
+_MM = 1e3
+_FONT = 12.0
+_SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
+_DPI = 110
+
+
+def save_figure(run: ViewableRun, path: Path | str) -> Path:
+    """Draw a run and save it, as PNG or whatever the path's ending says.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    return _save(draw_run(run), path)
+
+
+def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
+    """Draw several runs side by side and save them, as PNG or whatever the ending says.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    return _save(draw_overview(runs), path)
+
+
+def draw_run(run: ViewableRun) -> Figure:
+    """Return the figure of one run."""
+    figure = _new_figure(15.5, 10.0)
+    figure.suptitle(headline(run), fontsize=19, fontweight="bold")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.15])[0]
+    bench, cone = left.subplots(2, 1, height_ratios=[1.0, 3.2])
+    force, stroke, torsion, distance = right.subplots(
+        4, 1, sharex=True, height_ratios=[1.6, 1, 1, 1]
+    )
+    _draw_bench(bench, run)
+    _draw_trajectory(cone, run)
+    _draw_force(force, run)
+    _draw_stroke(stroke, run)
+    _draw_torsion(torsion, run)
+    _draw_distance(distance, run)
+    _finish_time_axes(run, force, stroke, torsion, distance)
+    _set_fonts(figure, _FONT)
+    return figure
+
+
+def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
+    """Return the figure of several runs side by side, one column each."""
+    figure = _new_figure(6.4 * len(runs), 13.8)
+    rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.1, 3.3, 1.3, 1.1])
+    for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
+        _draw_bench(bench, run)
+        bench.set_title(f"{headline(run)}\n", fontsize=16, fontweight="bold")
+        _draw_trajectory(cone, run)
+        _draw_force(force, run)
+        _draw_distance(distance, run)
+        _finish_time_axes(run, force, distance)
+        force.tick_params(labelbottom=False)
+    _set_fonts(figure, _FONT)
+    return figure
+
+
+def time_window(run: ViewableRun) -> tuple[float, float]:
+    """Return from when to when something happens: shortly round contact and verdict, s."""
+    t = run.samples["t"]
+    touch = first_touch(run)
+    if touch is None:
+        return float(t[0]), float(t[-1])
+    action = [touch.t, *run.touches["end"].tolist()]
+    action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
+    decided = decided_at(run)
+    if decided is not None:
+        action.append(decided)
+    margin = 0.12 * max(max(action) - touch.t, 0.1)
+    return max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+
+
+def _draw_bench(axes: Axes, run: ViewableRun) -> None:
+    draw_bench(axes, run)
+    axes.set_title("From above, at the release and at the first touch", fontsize=_FONT + 1)
+
+
+def _draw_trajectory(axes: Axes, run: ViewableRun) -> None:
+    moments = key_moments(run)
+    draw_cone(axes, run.scene)
+    draw_path(axes, run)
+    draw_tip(axes, run.scene, moments)
+    frame_cone(axes, run.scene)
+    axes.set_title("The tip in the cone (the chaser comes from the left)", fontsize=_FONT + 1)
+    axes.legend(loc="upper right", fontsize=_FONT - 1, framealpha=1.0).set_zorder(10)
+    axes.text(
+        0.985,
+        0.015,
+        "\n".join(
+            f"{letter}  {moment.t:.3f} s  {moment.meaning}"
+            for letter, moment in zip(LETTERS, moments, strict=False)
+        ),
+        transform=axes.transAxes,
+        ha="right",
+        va="bottom",
+        fontsize=_FONT,
+        bbox={"facecolor": "white", "edgecolor": palette.LIGHT, "pad": 5},
+        zorder=10,
+    )
+
+
+def _draw_force(axes: Axes, run: ViewableRun) -> None:
+    t = run.samples["t"]
+    walls = ((1, palette.PLUS_WALL, "o", "+y wall"), (-1, palette.MINUS_WALL, "s", "-y wall"))
+    for column, (side, colour, marker, name) in enumerate(walls):
+        force = run.samples["normal_force"][:, column]
+        axes.plot(t, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
+        touches = run.touches[run.touches["wall"] == side]
+        when, peak = touches["peak_time"], touches["peak_force"]
+        axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
+        label = f"{name}: {len(touches)} touches"
+        axes.plot(when, peak, marker, color=colour, ms=5, label=label)
+    highest = float(run.touches["peak_force"].max(initial=0.0))
+    axes.set_yscale("log")
+    axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
+    axes.set_ylabel("normal force\n[N], log scale")
+    axes.legend(loc="upper right", fontsize=_FONT - 2, ncols=2, framealpha=1.0)
+    axes.set_title(
+        f"Contact force: up to {highest:.0f} N (markers: peak of each touch)", fontsize=_FONT + 1
+    )
+
+
+def _draw_stroke(axes: Axes, run: ViewableRun) -> None:
+    stroke = run.samples["axial_stroke"] * _MM
+    _plot_shown(axes, run, stroke)
+    axes.axhline(0.0, color=palette.GREY, lw=0.8)
+    axes.set_ylabel("axial stroke\n[mm]")
+    axes.set_title(f"Buffer, axial: down to {stroke.min():.3g} mm", fontsize=_FONT + 1)
+
+
+def _draw_torsion(axes: Axes, run: ViewableRun) -> None:
+    torsion = np.rad2deg(run.samples["torsion"])
+    _plot_shown(axes, run, torsion)
+    axes.axhline(0.0, color=palette.GREY, lw=0.8)
+    axes.set_ylabel("torsion\n[deg]")
+    axes.set_title(f"Buffer, torsion: up to {np.abs(torsion).max():.2g} deg", fontsize=_FONT + 1)
+
+
+def _draw_distance(axes: Axes, run: ViewableRun) -> None:
+    distance = run.samples["tip_distance"] * _MM
+    radius = run.scene.detector.radius * _MM
+    _plot_shown(axes, run, distance)
+    axes.axhspan(0.0, radius, color=palette.GREEN, alpha=0.25, lw=0)
+    axes.set_ylim(bottom=0.0)
+    axes.text(
+        0.01,
+        radius,
+        f"capture zone, {radius:g} mm",
+        transform=axes.get_yaxis_transform(),
+        va="bottom",
+        fontsize=_FONT - 1,
+        color=palette.GREEN,
+    )
+    axes.set_ylabel("distance\n[mm]")
+    axes.set_title(f"Tip to the centre of BE: nearest {distance.min():.1f} mm", fontsize=_FONT + 1)
+    for event in run.events:
+        if event.kind is EventKind.LATCHED:
+            _mark(axes, event.t, "latched", palette.PURPLE, 0.95)
+    decided = decided_at(run)
+    if decided is not None:
+        _mark(axes, decided, verdict(run), palette.BLUE, 0.72)
+
+
+def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray) -> None:
+    """Plot what lies in the window of time, so that the axis fits it."""
+    t = run.samples["t"]
+    start, end = time_window(run)
+    shown = (t >= start) & (t <= end)
+    axes.plot(t[shown], values[shown], color=palette.BLACK, lw=1.7)
+
+
+def _mark(axes: Axes, t: float, text: str, colour: str, height: float) -> None:
+    """Mark an instant; the text stands left of it, where there is always room."""
+    axes.axvline(t, color=colour, lw=2.0)
+    axes.annotate(
+        text,
+        (t, height),
+        xycoords=axes.get_xaxis_transform(),
+        xytext=(-7, 0),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=_FONT,
+        fontweight="bold",
+        color=colour,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+    )
+
+
+def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
+    touching = [(touch["start"], touch["end"] - touch["start"]) for touch in run.touches]
+    for axes in all_axes:
+        axes.broken_barh(
+            touching,
+            (0.0, 1.0),
+            transform=axes.get_xaxis_transform(),
+            facecolor=palette.YELLOW,
+            edgecolor=palette.YELLOW,  # so that the shortest touch is a visible line
+            lw=0.6,
+            alpha=0.4,
+            zorder=0,
+        )
+        axes.set_xlim(time_window(run))
+        axes.grid(color=palette.LIGHT, lw=0.6)
+        axes.set_axisbelow(True)
+    all_axes[-1].set_xlabel("time since the release  [s]   (shaded: in contact)")
+
+
+def _new_figure(width: float, height: float) -> Figure:
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
+    figure = Figure(figsize=(width, height), layout=layout)
+    FigureCanvasAgg(figure)  # no screen needed, and none of pyplot's global state
+    return figure
+
+
+def _set_fonts(figure: Figure, size: float) -> None:
+    for axes in figure.axes:
+        axes.tick_params(labelsize=size - 1)
+        axes.xaxis.label.set_fontsize(size)
+        axes.yaxis.label.set_fontsize(size)
+
+
+def _save(figure: Figure, path: Path | str) -> Path:
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=_DPI)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+    return path
