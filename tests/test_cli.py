@@ -1,0 +1,114 @@
+"""The command line as a user calls it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from test_scene import BAD
+
+from capture_sim.cli import main
+
+
+def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
+    status = main(["run", "tilt_0", "paper_undamped", "--no-record", "--out", str(tmp_path)])
+    out = capsys.readouterr().out
+    assert status == 0
+    assert "tilt_0" in out
+    rows = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert [row["name"] for row in rows] == ["tilt_0", "paper_undamped"]
+    assert [row["verdict"] for row in rows] == ["captured", "rebound"]
+    assert set(rows[0]) == {
+        "name",
+        "verdict",
+        "impact_speed",
+        "first_contact_time",
+        "first_contact_duration",
+        "first_contact_touches",
+        "first_contact_peak_force",
+        "touches",
+        "peak_force",
+        "normal_impulse",
+        "max_axial_stroke",
+        "max_torsion",
+        "nearest_distance",
+        "energy_residual",
+        "wall_time",
+        "real_time_factor",
+    }
+    assert (tmp_path / "results.txt").read_text(encoding="utf-8").strip() in out
+
+
+def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys):
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert main(["run", "tilt_p10", "--set", "buffer.c_A=14", "--out", str(first)]) == 0
+    recording = first / "tilt_p10.mcap"
+    assert recording.is_file()
+    assert (first / "tilt_p10.png").stat().st_size > 20_000
+    assert (first / "runs.rrd").stat().st_size > 10_000
+    assert main(["run", str(recording), "--no-record", "--out", str(second)]) == 0
+
+    def numbers(folder):
+        row = json.loads((folder / "results.json").read_text(encoding="utf-8"))[0]
+        return {k: v for k, v in row.items() if k not in ("wall_time", "real_time_factor")}
+
+    assert numbers(first) == numbers(second)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize("override", [b[0] for b in BAD])
+def test_bad_configuration_ends_with_one_line_and_status_2(override, tmp_path, capsys):
+    folder = tmp_path / "none"
+    status = main(["run", "tilt_0", "--set", override, "--out", str(folder)])
+    seen = capsys.readouterr()
+    assert status == 2
+    assert seen.out == ""
+    assert seen.err.startswith("capture-sim: ")
+    assert seen.err.count("\n") == 1
+    assert not folder.exists(), "nothing may run or be written before the input is checked"
+
+
+def test_bad_input_in_a_process_of_its_own_has_no_traceback(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "capture_sim.cli", "run", "tilt_0", "--set", "chaser.mass=-1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "capture-sim: chaser.mass = -1 kg: allowed is > 0\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_folder_is_refused_before_anything_runs(tmp_path, capsys):
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way", encoding="utf-8")
+    assert main(["run", "tilt_0", "--out", str(blocked)]) == 1
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_failed_run_says_why_and_keeps_what_was_computed(tmp_path, capsys):
+    status = main(["run", "paper_designed", "--set", "run.max_steps=300", "--out", str(tmp_path)])
+    seen = capsys.readouterr()
+    assert status == 1
+    assert "paper_designed: stopped at t = 0." in seen.err
+    assert "phase contact" in seen.err or "phase free" in seen.err
+    assert "run.max_steps" in seen.err
+    from capture_sim.recording import read_run
+
+    kept = read_run(tmp_path / "paper_designed.mcap")
+    assert kept.samples.size > 5
+    assert not kept.complete
+
+
+def test_same_experiment_twice_is_refused(capsys):
+    assert main(["run", "tilt_0", "tilt_0"]) == 2
+    assert "given twice" in capsys.readouterr().err
+
+
+def test_scenes_and_show(capsys):
+    assert main(["scenes"]) == 0
+    assert "tilt_p10" in capsys.readouterr().out
+    assert main(["show", "tilt_0", "--set", "buffer.c_A=20"]) == 0
+    assert "c_A: 20.0" in capsys.readouterr().out
