@@ -108,9 +108,7 @@ EVENT = np.dtype(
 )
 
 NONE, RAIL, STEP = 0, 1, 2
-RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = (
-    range(9)
-)
+RELEASE, LANDED, RAIL_END, TOUCH_BEGINS, LIFT_OFF, AT_REST, MOVING, LATCHED, END = range(9)
 STOP_HIT, STOP_LEFT, STICK, SLIP = range(9, 13)
 SLOW = 13  # a vehicle is slow enough to be held by its supports: rest, if they can
 NO_EVENT = -1
@@ -290,9 +288,7 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
             if high_g < 0.0:
                 break
             width = high_b - low_a
-            place, low = cubic_minimum(
-                low_g, low_d * h * width, high_g, high_d * h * width
-            )
+            place, low = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
             slack = 0.02 * h * width * (abs(low_d) + abs(high_d))
             if place < 0.0 or low > slack:
                 break
@@ -484,9 +480,7 @@ def plan_rail_stretch(par, run):
             run.acceleration = 0.0
         goal, event = par.drop_height - run.travel, LANDED
     else:
-        run.acceleration = (
-            -par.rolling_limit_S / par.m_total if run.speed > 0.0 else 0.0
-        )
+        run.acceleration = -par.rolling_limit_S / par.m_total if run.speed > 0.0 else 0.0
         goal, event = par.rail_length - run.travel, RAIL_END
     run.t1 = math.inf
     square = run.speed * run.speed + 2.0 * run.acceleration * goal
@@ -516,9 +510,7 @@ def rail_state(par, run, t, y, y_x):
     y_x[1] = y[1] + along * par.rail_y
     y_x[8] = speed * par.rail_x
     y_x[9] = speed * par.rail_y
-    y_x[ROLLING] = y[ROLLING] + (
-        par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0
-    )
+    y_x[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
 
 
 @kernel
@@ -534,9 +526,7 @@ def close_rail_stretch(par, run, mode, events, y, y_x):
         y[i] = y_x[i]
     run.t0 = t
     if run.pending == LANDED:
-        run.lost_landing += (
-            0.5 * (par.m_hanging + par.pulley_mass) * run.speed * run.speed
-        )
+        run.lost_landing += 0.5 * (par.m_hanging + par.pulley_mass) * run.speed * run.speed
         run.taut = 0
         log_event(events, run, LANDED, t, y, 0, run.speed)
     elif run.pending == RAIL_END:
@@ -604,9 +594,7 @@ def take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch
             if run.t_stop - run.t0 >= _SMALLEST_STEP and par.fixed_step == 0.0:
                 return STEP_TOO_SMALL
             h = _SMALLEST_STEP
-        error = try_step(
-            par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights
-        )
+        error = try_step(par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights)
         run.evaluations += stages
         if par.fixed_step > 0.0:
             total = 0.0
@@ -661,26 +649,19 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
             g, d = (g0, d0) if i == 0 else (g1, d1)
             sign = -1.0 if mode.touching[i] else 1.0
             start = max(sign * run.gap[i], 0.0)
-            if may_cross(
-                start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05
-            ):
+            if may_cross(start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 kind = _DEPTH if mode.touching[i] else _GAP
                 x = first_crossing(y, F, rows, h, y_x, par, kind, i)
                 event = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
                 cut = cut_at(run, x, event, i, cut)
-        if par.has_latch and may_cross(
-            run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05
-        ):
+        if par.has_latch and may_cross(run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05):
             make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
             x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
             cut = cut_at(run, x, LATCHED, 0, cut)
         if par.friction_law == COULOMB:
             for i in range(2):
-                if (
-                    mode.touching[i]
-                    and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0
-                ):
+                if mode.touching[i] and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0:
                     make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                     x = when_slip_changes(y, F, rows, y_x, par, mode, y_s, scratch, i)
                     cut = cut_at(run, x, STICK, i, cut)
@@ -703,11 +684,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
                 cut = cut_at(run, x, MOVING, which, cut)
-            if (
-                not resting
-                and is_slow(y_new, par, which)
-                and not is_slow(y, par, which)
-            ):
+            if not resting and is_slow(y_new, par, which) and not is_slow(y, par, which):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_is_slow(y, F, rows, y_x, par, which)
                 cut = cut_at(run, x, SLOW, which, cut)
@@ -715,9 +692,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
 
 
 @kernel
-def plan_step(
-    par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch
-):
+def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch):
     """Take one accepted step of the integrator and cut it at the first event in it.
 
     Returns the loop's status; SERVED if all is well.
@@ -746,9 +721,7 @@ def plan_step(
     if not run.measured:
         g0, d0, g1, d1, g2, d2 = distances(y, par)
         remember_distances(run, g0, d0, g1, d1, g2, d2)
-    status = take_step(
-        par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch
-    )
+    status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
     if status != SERVED:
         return status
 
@@ -957,9 +930,7 @@ def advance(
         if run.stretch == RAIL:
             close_rail_stretch(par, run, mode, events, y, y_x)
         elif run.stretch == STEP:
-            close_step(
-                par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch
-            )
+            close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch)
         if run.stretch != NONE and run.pending == END:
             for i in range(2):
                 if mode.touching[i]:
@@ -1000,13 +971,7 @@ def energy_at_release(parameters, modes, runs, y, scratch, samples):
     """Return the energy that the ledger starts from, J."""
     observe(0.0, y, parameters[0], modes[0], runs[0], scratch, samples[0])
     s = samples[0]
-    return (
-        s.kinetic
-        + s.elastic_axial
-        + s.elastic_torsion
-        + s.elastic_contact
-        + s.elastic_latch
-    )
+    return s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
 
 
 @entry_kernel
