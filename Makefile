@@ -1,0 +1,45 @@
+# Two commands on a fresh machine: `make run` and `make test`. Either sets up .venv first, once.
+#
+# PYTHON: which Python (3.11 or later) .venv is made with
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+# A sourced ROS, or another environment, must not mix with the one in .venv.
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
+unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help setup run test lint format clean
+
+help:
+	@echo "make run     set up and run the three experiments; results in runs/"
+	@echo "make test    set up, check the style and run the tests"
+	@echo "make setup   only set up .venv; leaves .venv/bin/capture-sim"
+	@echo "make lint    only check style and types"
+	@echo "make format  lay out the Python files as lint wants them"
+	@echo "make clean   remove .venv and everything built; keeps runs/"
+
+setup:
+	@command -v $(PYTHON) >/dev/null || { \
+		echo "setup: no $(PYTHON). On Debian or Ubuntu: apt-get install python3 python3-dev python3-venv g++" >&2; \
+		exit 2; }
+	@$(PYTHON) tools/setup_env.py
+
+run: setup
+	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
+
+test: lint
+	$(BIN)/python -m pytest tests
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

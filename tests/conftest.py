@@ -1,0 +1,35 @@
+"""Keeps what the tests start apart from everything else on the machine."""
+
+import fcntl
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+
+def _claim_domain():
+    """Return a ROS domain (1 to 101) that no other test session has, and its lock file."""
+    for attempt in range(101):
+        domain = 1 + (os.getpid() + attempt) % 101
+        lock = Path(tempfile.gettempdir(), f"capture_sim_domain_{domain}.lock").open("a")  # noqa: SIM115
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+        else:
+            return domain, lock
+    raise RuntimeError("all ROS domains from 1 to 101 are taken by other test sessions")
+
+
+# At import: the environment must stand before anything loads rclpy.
+_domain, _lock = _claim_domain()
+_log_dir = tempfile.mkdtemp(prefix="capture_sim_ros_log_")
+os.environ["ROS_DOMAIN_ID"] = str(_domain)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_LOG_DIR"] = _log_dir
+
+
+def pytest_unconfigure():
+    """Let the domain go and remove the logs."""
+    _lock.close()
+    shutil.rmtree(_log_dir, ignore_errors=True)

@@ -1,0 +1,164 @@
+"""The package's files agree with each other."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ET
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+import capture_sim
+from capture_sim import resources
+
+ROOT = Path(__file__).resolve().parent.parent
+MANIFEST = ET.parse(ROOT / "package.xml").getroot()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+CMAKE = (ROOT / "CMakeLists.txt").read_text()
+INTERFACES = sorted([*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")])
+
+# [array of] package/Type name [= constant] [# comment]
+FIELD = re.compile(
+    r"(?P<type>[A-Za-z][\w/]*(?:\[[\d<=]*\])?)\s+(?P<name>\w+)\s*(?:=[^#]*)?(?:#\s*(?P<comment>.*))?$"
+)
+
+
+def cmake_list(name):
+    """Return the words of ``set(name ...)`` in CMakeLists.txt."""
+    return re.search(rf"set\({name}\s+([^)]*)\)", CMAKE).group(1).split()
+
+
+def defines_main(path):
+    """Whether a module has a function main at its top level."""
+    return any(
+        isinstance(node, ast.FunctionDef) and node.name == "main"
+        for node in ast.parse(path.read_text()).body
+    )
+
+
+def uncommented_fields(text):
+    """Return the fields of an interface that are not explained on their own line."""
+    missing = []
+    for line in text.splitlines():
+        line = line.strip()
+        if not line or line.startswith("#") or set(line) == {"-"}:
+            continue
+        field = FIELD.match(line)
+        assert field, f"not understood: {line!r}"
+        # the phrase of a standard type may say it all
+        if not field["comment"] and field["type"] != "std_msgs/Header":
+            missing.append(field["name"])
+    return missing
+
+
+def test_one_version():
+    assert MANIFEST.findtext("version") == capture_sim.__version__
+    # setup.py has none of its own: the installed version is the package's
+    assert PROJECT["dynamic"] == ["version"]
+
+
+def test_manifest():
+    assert MANIFEST.findtext("name") == PROJECT["name"] == "capture_sim"
+    assert MANIFEST.findtext("license") == PROJECT["license"] == "Apache-2.0"
+    assert MANIFEST.find("license").get("file") == "LICENSE"
+    assert (ROOT / "LICENSE").is_file()
+    maintainer = MANIFEST.find("maintainer")
+    assert re.fullmatch(r"[\w.+-]+@[\w-]+(\.[\w-]+)*\.[a-z]{2,}", maintainer.get("email"))
+    assert PROJECT["authors"] == [{"name": maintainer.text, "email": maintainer.get("email")}]
+
+
+def test_interface_dependencies_are_declared():
+    used = {
+        match.group(1)
+        for path in INTERFACES
+        for match in re.finditer(r"^\s*(\w+)/\w+", path.read_text(), re.MULTILINE)
+    }
+    assert used <= set(cmake_list("interface_dependencies"))
+    assert set(cmake_list("interface_dependencies")) == {e.text for e in MANIFEST.iter("depend")}
+
+
+def test_ros_imports_are_declared():
+    depends = {e.text for tag in ("depend", "exec_depend") for e in MANIFEST.iter(tag)}
+    ros = re.compile(
+        r"^\s*(?:from|import)\s+((?:rclpy|launch|launch_ros|\w+_msgs|\w+_interfaces))\b"
+    )
+    for path in [*ROOT.glob("capture_sim/**/*.py"), *ROOT.glob("launch/*.py")]:
+        for line in path.read_text().splitlines():
+            if match := ros.match(line):
+                assert match.group(1) in depends, f"{path.relative_to(ROOT)}: {line.strip()}"
+
+
+@pytest.mark.parametrize("path", INTERFACES, ids=lambda p: p.name)
+def test_every_field_is_explained(path):
+    assert uncommented_fields(path.read_text()) == []
+
+
+def test_unexplained_fields_are_seen():
+    text = (
+        "# speed, m/s\nstd_msgs/Header header\nuint8 A=1  # a\nfloat64[2] v\n---\nbool ok  # or not"
+    )
+    assert uncommented_fields(text) == ["v"]
+    assert uncommented_fields("uint8 A=1\nstring[] s #\ngeometry_msgs/Pose p # pose") == ["A", "s"]
+
+
+def test_executables_exist():
+    executables = cmake_list("executables")
+    for name in executables:
+        assert defines_main(ROOT / "capture_sim" / "nodes" / f"{name}.py"), name
+    scripts = {
+        f"capture-sim-{n.replace('_', '-')}": f"capture_sim.nodes.{n}:main" for n in executables
+    }
+    assert PROJECT["scripts"] == {"capture-sim": "capture_sim.cli:main", **scripts}
+    assert defines_main(ROOT / "capture_sim" / "cli.py")
+
+
+def test_scripts_are_installed():
+    here = {
+        e.name: e.value
+        for e in entry_points(group="console_scripts")
+        if e.dist.name == "capture_sim"
+    }
+    if not here:
+        pytest.skip("not installed by pip")
+    assert here == PROJECT["scripts"]
+
+
+def test_data_is_found():
+    assert resources.config_dir() == ROOT / "config"
+    assert {p.name for p in resources.message_dir().glob("*.msg")} == {
+        p.name for p in INTERFACES if p.suffix == ".msg"
+    }
+
+
+@pytest.mark.parametrize("data", ["config", "launch"])
+def test_all_data_is_installed(data):
+    pattern = {"config": "*.yaml", "launch": "*.py"}[data]
+    assert f"{data}/{pattern}" in CMAKE
+    files = {p for p in (ROOT / data).rglob("*") if p.is_file() and "__pycache__" not in p.parts}
+    assert files == set((ROOT / data).rglob(pattern))
+
+
+@pytest.mark.parametrize(
+    "layout", ["lib/python3.11/site-packages", "local/lib/python3.12/dist-packages"]
+)
+def test_installed_data_is_found(tmp_path, layout):
+    """An installed copy, away from the sources and from sys.prefix, finds its share folder."""
+    package = tmp_path / layout / "capture_sim"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "resources.py").write_bytes(Path(resources.__file__).read_bytes())
+    for name in ("config", "msg"):
+        (tmp_path / "share" / "capture_sim" / name).mkdir(parents=True)
+    script = "from capture_sim import resources as r; print(r.config_dir(), r.message_dir())"
+    answer = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=package.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    share = tmp_path / "share" / "capture_sim"
+    assert answer.stdout.split() == [str(share / "config"), str(share / "msg")]

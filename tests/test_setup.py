@@ -1,0 +1,146 @@
+"""The set-up of .venv: what it notices, and what it says when the machine lacks something."""
+
+import importlib.util
+import os
+import re
+import shutil
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def load(name):
+    """Load a script of tools/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def setup_env():
+    return load("setup_env")
+
+
+@pytest.fixture
+def project(tmp_path, setup_env, monkeypatch):
+    """Return a copy of what the set-up depends on, which `setup_env` then takes for the project."""
+    for name in ("CMakeLists.txt", "package.xml", "pyproject.toml", "setup.py"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ("msg", "requirements", "tools"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    monkeypatch.setattr(setup_env, "ROOT", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "file, text, part",
+    [
+        ("msg/BenchState.msg", "\nbool more  # or not\n", "package"),
+        ("msg/Another.msg", "bool more  # or not\n", "package"),
+        ("srv/Reset.srv", "---\n", "package"),
+        ("CMakeLists.txt", "\n", "package"),
+        ("setup.py", "\n", "package"),
+        ("requirements/run.txt", "\n", "requirements"),
+        ("tools/finish_venv.py", "\n", "requirements"),
+        ("pyproject.toml", "\n[tool.other]\n", None),
+        ("capture_sim/bench.py", "\n", None),
+    ],
+)
+def test_a_change_is_noticed(project, setup_env, file, text, part):
+    before = setup_env.wanted_state()
+    path = project / file
+    path.parent.mkdir(exist_ok=True)
+    with path.open("a") as f:
+        f.write(text)
+    after = setup_env.wanted_state()
+    assert [key for key in before if before[key] != after[key]] == ([part] if part else [])
+
+
+def test_a_message_that_has_gone_is_noticed(project, setup_env):
+    before = setup_env.wanted_state()
+    (project / "msg" / "BenchState.msg").unlink()
+    assert setup_env.wanted_state()["package"] != before["package"]
+
+
+def test_no_stamp_means_not_set_up(setup_env, monkeypatch, tmp_path):
+    monkeypatch.setattr(setup_env, "STAMP", tmp_path / "setup.json")
+    assert setup_env.found_state() == {}
+    (tmp_path / "setup.json").write_text("{half a fi")
+    assert setup_env.found_state() == {}
+
+
+def test_missing_parts_are_named_with_the_command(setup_env, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+    monkeypatch.setenv("CC", "no-such-cc")
+    monkeypatch.setenv("CXX", "no-such-c++")
+    assert not setup_env.check_machine()
+    said = capsys.readouterr().err
+    assert "Python's headers, the compiler no-such-cc, the compiler no-such-c++" in said
+    assert "apt-get install g++ python3-dev\n" in said
+
+
+@pytest.mark.parametrize(
+    "version, words", [((3, 9), "3.11 or later (this is 3.9)"), ((3, 15), "no wheels")]
+)
+def test_wrong_python_is_refused(setup_env, monkeypatch, capsys, version, words):
+    monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
+    assert not setup_env.check_machine()
+    assert words in capsys.readouterr().err
+
+
+def test_status_2_when_something_is_missing(setup_env, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["setup_env.py"])
+    monkeypatch.setenv("CXX", "no-such-c++")
+    assert setup_env.main() == 2
+
+
+def test_nothing_of_a_sourced_ros_gets_in(setup_env, monkeypatch):
+    for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
+        monkeypatch.setenv(name, "/opt/ros/jazzy")
+    assert "/opt/ros/jazzy" not in setup_env.clean_environment().values()
+
+
+def test_a_failing_step_leaves_its_output_in_the_log(setup_env, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(setup_env, "LOG", tmp_path / "setup.log")
+    progress = setup_env.Progress()
+    progress.run("Good", [sys.executable, "-c", "print('fine')"])
+    with pytest.raises(setup_env.SetupError, match="Bad: failed"):
+        progress.run("Bad", [sys.executable, "-c", "print('because'); raise SystemExit(3)"])
+    assert setup_env.log_tail(1) == ["because"]
+    assert "fine" in (tmp_path / "setup.log").read_text()
+    assert "Good ..." in capsys.readouterr().out
+
+
+def test_every_requirement_is_pinned():
+    pinned = re.compile(r"[\w.-]+(\[\w+\])?==[\w.]+")
+    constraints = {
+        line.split("==")[0].lower()
+        for line in (ROOT / "requirements" / "constraints.txt").read_text().splitlines()
+    }
+    for path in (ROOT / "requirements").glob("*.txt"):
+        for line in path.read_text().splitlines():
+            requirement = line.partition("#")[0].strip()
+            if not requirement or requirement == "-c constraints.txt":
+                continue
+            assert pinned.fullmatch(requirement), f"{path.name}: {line}"
+            if path.name != "installer.txt":
+                assert re.split(r"[\[=]", requirement)[0].lower() in constraints, requirement
+
+
+def test_mending_changes_no_shared_file(tmp_path):
+    """An installer may link files from its cache: the cache's copy stays as it was."""
+    finish_venv = load("finish_venv")
+    cached, installed = tmp_path / "cached", tmp_path / "installed"
+    cached.write_text("include /opt/python/cp311-cp311/include/python3.11\n")
+    os.link(cached, installed)
+    pattern = r"/opt/python/cp3\d+-cp3\d+/include/python3\.\d+"
+    assert finish_venv.replace_text(installed, pattern, "/here")
+    assert installed.read_text() == "include /here\n"
+    assert cached.read_text().startswith("include /opt/python")
+    assert not finish_venv.replace_text(installed, pattern, "/here")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cached", "installed"]

@@ -1,0 +1,302 @@
+"""Set up .venv, where everything runs: the wheels of ROS 2, our messages, this package.
+
+    python3 tools/setup_env.py            set up; nothing to do when all is up to date
+    python3 tools/setup_env.py --missing  print the Debian packages that this machine lacks
+
+Needs Python's standard library only. What was done is remembered in .venv/setup.json, as
+hashes of all that it depends on, and done again where they differ: changed messages are
+compiled without installing anything else, changed requirements are installed in place, and
+another Python or a moved folder starts from nothing. Edits of Python files need none of it.
+
+Exit status: 0 done, 1 a step failed, 2 the machine lacks something.
+"""
+
+# A Python that is too old must get as far as saying so: no recent syntax here.
+import argparse
+import contextlib
+import fcntl
+import hashlib
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+PYTHON = VENV / "bin" / "python"
+LOG = VENV / "setup.log"
+STAMP = VENV / "setup.json"
+REQUIREMENTS = ("run.txt", "build.txt", "test.txt")
+
+OLDEST_PYTHON = (3, 11)
+NEWEST_PYTHON = (3, 14)  # no wheels of ROS for a later one
+
+# Loads every message's compiled half.
+CHECK = """
+import capture_sim.msg
+from rclpy.serialization import serialize_message
+types = [t for t in vars(capture_sim.msg).values() if isinstance(t, type)]
+print(sum(len(serialize_message(t())) > 0 for t in types), "messages work")
+"""
+
+
+class SetupError(Exception):
+    """A step failed; the text is for the user."""
+
+
+def dotted(version):
+    """Return a version tuple as text."""
+    return ".".join(map(str, version))
+
+
+def missing_packages():
+    """Return what this machine lacks, as pairs of what and the Debian package that has it."""
+    version = sys.version_info[:2]
+    if version < OLDEST_PYTHON:
+        newer = f"python{dotted(OLDEST_PYTHON)}"
+        what = f"Python {dotted(OLDEST_PYTHON)} or later (this is {dotted(version)})"
+        return [(what, f"{newer} {newer}-dev {newer}-venv g++")]
+    missing = []
+    if not all(map(importlib.util.find_spec, ("venv", "ensurepip"))):
+        missing.append(("Python's venv module", "python3-venv"))
+    if not Path(sysconfig.get_path("include"), "Python.h").is_file():
+        missing.append(("Python's headers", "python3-dev"))
+    for variable, default in (("CC", "cc"), ("CXX", "c++")):
+        compiler = os.environ.get(variable, default)
+        if not shutil.which(compiler):
+            missing.append((f"the compiler {compiler}", "g++"))
+    return missing
+
+
+def check_machine():
+    """Name what is missing, with the command that installs it; return whether all is there."""
+    missing = missing_packages()
+    if missing:
+        packages = sorted({package for _, package in missing})
+        print(f"setup: missing: {', '.join(what for what, _ in missing)}.", file=sys.stderr)
+        print(f"On Debian or Ubuntu: apt-get install {' '.join(packages)}", file=sys.stderr)
+        if sys.version_info[:2] < OLDEST_PYTHON:
+            print(f"and then: make PYTHON=python{dotted(OLDEST_PYTHON)} ...", file=sys.stderr)
+    elif sys.version_info[:2] > NEWEST_PYTHON:
+        print(
+            f"setup: ROS 2 Jazzy has no wheels for Python {dotted(sys.version_info[:2])}, only for "
+            f"{dotted(OLDEST_PYTHON)} to {dotted(NEWEST_PYTHON)}: make PYTHON=python3.12 ...",
+            file=sys.stderr,
+        )
+    else:
+        return True
+    return False
+
+
+def digest(paths):
+    """Return a hash of files' names and contents."""
+    sha = hashlib.sha256()
+    for path in sorted(paths):
+        data = path.read_bytes()
+        sha.update(f"{path.relative_to(ROOT)} {len(data)}\n".encode() + data)
+    return sha.hexdigest()
+
+
+def wanted_state():
+    """Return what the finished set-up depends on, from what is built first to last."""
+    import tomllib
+
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)
+    project["tool"] = project["tool"]["setuptools"]  # the linters' settings need no rebuild
+    interfaces = [*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")]
+    build = [ROOT / name for name in ("CMakeLists.txt", "package.xml", "setup.py")]
+    return {
+        "python": [sys.version, os.path.realpath(sys.executable), str(VENV)],
+        "requirements": digest(
+            [*ROOT.glob("requirements/*.txt"), ROOT / "tools" / "finish_venv.py"]
+        ),
+        "package": [digest([*interfaces, *build]), project],
+    }
+
+
+def found_state():
+    """Return what the present set-up was made of; empty when there is none."""
+    with contextlib.suppress(OSError, ValueError):
+        if (VENV / "bin" / "capture-sim").exists() and PYTHON.exists():
+            return json.loads(STAMP.read_text())
+    return {}
+
+
+def clean_environment():
+    """Return the environment without what a sourced ROS or another set-up would mix in."""
+    strangers = ("AMENT_", "CMAKE_PREFIX_PATH", "COLCON_", "LD_LIBRARY_PATH", "PYTHONHOME")
+    strangers += ("PYTHONPATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    return {k: v for k, v in os.environ.items() if not k.startswith(strangers)}
+
+
+class Progress:
+    """Runs commands, one line for each: live with the seconds on a terminal, else when done."""
+
+    def __init__(self):
+        self.live = sys.stdout.isatty()
+        self.start = time.monotonic()
+
+    def run(self, title, command, env=None):
+        """Run a command with its output in the log; raise SetupError when it fails."""
+        command = [str(word) for word in command]
+        start = time.monotonic()
+        if not self.live:
+            print(f"  {title} ...", flush=True)
+        with LOG.open("a") as log:
+            log.write(f"\n=== {title}: {' '.join(command)}\n")
+            log.flush()
+            process = subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=env or clean_environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+            shown = start
+            while True:
+                try:
+                    status = process.wait(timeout=0.2)
+                    break
+                except subprocess.TimeoutExpired:
+                    now = time.monotonic()
+                    if self.live:
+                        self.rewrite(f"  {title} ... {now - start:.0f} s  {last_line()}")
+                    elif now - shown >= 10:
+                        shown = now
+                        print(f"    {now - start:.0f} s: {last_line()}", flush=True)
+        seconds = time.monotonic() - start
+        if status:
+            if self.live:
+                self.rewrite("")
+            raise SetupError(f"{title}: failed after {seconds:.1f} s")
+        if self.live:
+            self.rewrite(f"  {title}: {seconds:.1f} s\n")
+        else:
+            print(f"    done in {seconds:.1f} s", flush=True)
+
+    @staticmethod
+    def rewrite(line):
+        """Put a text in place of the terminal's present line."""
+        width = shutil.get_terminal_size().columns - 1
+        end = "\n" if line.endswith("\n") else ""
+        sys.stdout.write("\r\033[K" + line.rstrip()[:width] + end)
+        sys.stdout.flush()
+
+
+def log_tail(lines):
+    """Return the log's last lines."""
+    with LOG.open("rb") as log:
+        log.seek(max(0, LOG.stat().st_size - 200 * lines))
+        return log.read().decode(errors="replace").splitlines()[-lines:]
+
+
+def last_line():
+    """Return the log's last line that says something, in short."""
+    said = [line.strip() for line in log_tail(5) if line.strip() and not line.startswith("===")]
+    return said[-1][:60] if said else ""
+
+
+def make_venv(progress):
+    """Make an empty environment."""
+    if VENV.exists():
+        shutil.rmtree(VENV)
+    for build in ROOT.glob("build/pip-*"):  # full of paths into the old one
+        shutil.rmtree(build)
+    VENV.mkdir()
+    progress.run("Python environment", [sys.executable, "-m", "venv", VENV])
+
+
+def install_requirements(progress):
+    """Install what is pinned: by uv, which takes seconds; where that does not work, by pip."""
+    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install"]
+    folder = ROOT / "requirements"
+    files = [word for name in REQUIREMENTS for word in ("-r", folder / name)]
+    env = clean_environment()
+    try:
+        progress.run("Installer", [*pip, "--no-compile", "-r", folder / "installer.txt"])
+        index = pip_index()
+        if index:
+            env.setdefault("UV_DEFAULT_INDEX", index)
+        # with bytecode: the nodes are many processes, and each would compile it anew where
+        # Python may not write it
+        uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
+        progress.run("Packages", [*uv, *files], env)
+    except SetupError as error:
+        print(f"  {error}; trying pip")
+        progress.run("Packages", [*pip, *files])
+    progress.run("Mending", [PYTHON, ROOT / "tools" / "finish_venv.py"])
+
+
+def pip_index():
+    """Return the package index that pip is set up with, which uv does not know."""
+    get = [PYTHON, "-m", "pip", "config", "get", "global.index-url"]
+    answer = subprocess.run(get, capture_output=True, text=True, env=clean_environment())
+    return os.environ.get("PIP_INDEX_URL") or answer.stdout.strip()
+
+
+def install_package(progress):
+    """Compile the messages and install this package so that it is used from its source."""
+    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--verbose"]
+    progress.run("Messages", [*pip, "--no-build-isolation", "--no-deps", "--editable", ROOT])
+    progress.run("Check", [PYTHON, "-c", CHECK])
+
+
+def set_up():
+    """Do what is not done yet."""
+    wanted, found = wanted_state(), found_state()
+    if found == wanted:
+        return
+    print("Setting up .venv", "again" if found else "(once)", flush=True)
+    progress = Progress()
+    renew = found.get("python") != wanted["python"]
+    if renew:
+        make_venv(progress)
+    STAMP.unlink(missing_ok=True)  # an interrupted set-up starts from nothing
+    LOG.write_text("")
+    if renew or found.get("requirements") != wanted["requirements"]:
+        install_requirements(progress)
+    install_package(progress)
+    STAMP.write_text(json.dumps(wanted, indent=1))
+    print(f"Set up in {time.monotonic() - progress.start:.0f} s", flush=True)
+
+
+def main():
+    """Run the command line; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--missing",
+        action="store_true",
+        help="only print the Debian packages that this machine lacks",
+    )
+    if parser.parse_args().missing:
+        print(*sorted({package for _, package in missing_packages()}))
+        return 0
+    if not check_machine():
+        return 2
+    lock = os.open(ROOT, os.O_RDONLY)  # released at exit
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        print("setup: waiting for another set-up of this folder", flush=True)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        set_up()
+    except SetupError as error:
+        print("", *log_tail(40), sep="\n", file=sys.stderr)
+        print(f"setup: {error}. The whole log: {LOG.relative_to(ROOT)}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nsetup: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
