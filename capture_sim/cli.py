@@ -258,16 +258,21 @@ def _draw(runs: Sequence[Result | Run], folder: Path) -> None:
     if not runs:
         return
     try:
-        from capture_sim.viewing import save_figure, save_overview, save_rrd
+        from capture_sim.viewing import save_figure, save_overview
+
+        for run in runs:
+            _say(f"picture in {save_figure(run, folder / f'{run.scene.name}.png')}")
+        if len(runs) > 1:
+            _say(f"side by side in {save_overview(runs, folder / 'overview.png')}")
     except ImportError as error:
-        # an ordinary workstation's ROS has no rerun: the recording is what counts there
-        _say(f"no pictures: {error}; capture-sim view draws them where rerun is installed")
-        return
-    for run in runs:
-        _say(f"picture in {save_figure(run, folder / f'{run.scene.name}.png')}")
-    if len(runs) > 1:
-        _say(f"side by side in {save_overview(runs, folder / 'overview.png')}")
-    _say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd')}")
+        _say(f"no pictures: {error}")
+    try:
+        from capture_sim.viewing import save_rrd
+
+        _say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd')}")
+    except ImportError as error:
+        # an ordinary workstation's ROS bears no rerun: the recording is what counts there
+        _say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
 
 
 def _view(options: argparse.Namespace) -> int:
