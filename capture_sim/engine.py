@@ -87,6 +87,7 @@ RUN = np.dtype(
         ("force_rate", "f8", (2,)),
         ("gap", "f8", (3,)),  # at t0: of both walls and to the latch, m
         ("gap_rate", "f8", (3,)),
+        ("tip_speed", "f8"),  # at t0: of the tip against the target, m/s
         ("measured", "i8"),  # the gaps belong to t0
         ("substeps", "i8"),  # events located within one fixed step
         ("n_events", "i8"),
@@ -184,7 +185,7 @@ def begin_touch(events, run, mode, par, t, y, i):
 
 @kernel
 def distances(y, par):
-    """Return gaps and their rates: +y wall, -y wall, latch; m and m/s."""
+    """Return gaps and their rates: +y wall, -y wall, latch; and the tip's speed; m and m/s."""
     px, py, wx, wy = tip_in_cone(y, par)
     g0, d0, _, _ = wall_gap(px, py, wx, wy, 1.0, par)
     g1, d1, _, _ = wall_gap(px, py, wx, wy, -1.0, par)
@@ -196,11 +197,11 @@ def distances(y, par):
         g2 = distance - par.latch_radius
         if distance > 0.0:
             d2 = (ux * wx + py * wy) / distance
-    return g0, d0, g1, d1, g2, d2
+    return g0, d0, g1, d1, g2, d2, math.sqrt(wx * wx + wy * wy)
 
 
 @kernel
-def remember_distances(run, g0, d0, g1, d1, g2, d2):
+def remember_distances(run, g0, d0, g1, d1, g2, d2, speed):
     """Keep the gaps at the start of the next stretch."""
     run.gap[0] = g0
     run.gap_rate[0] = d0
@@ -208,6 +209,7 @@ def remember_distances(run, g0, d0, g1, d1, g2, d2):
     run.gap_rate[1] = d1
     run.gap[2] = g2
     run.gap_rate[2] = d2
+    run.tip_speed = speed
     run.measured = 1
 
 
@@ -226,7 +228,7 @@ def event_value(y, par, kind, i):
     if kind == _STOP_DEPTH:
         g, d = stop_distance(y, par, i)
         return -g, -d
-    g0, d0, g1, d1, g2, d2 = distances(y, par)
+    g0, d0, g1, d1, g2, d2, speed = distances(y, par)
     if kind == _LATCH_DISTANCE:
         return g2, d2
     if i == 1:
@@ -570,6 +572,15 @@ def step_length(par, run, mode):
     """Return the length of the next step and whether its error decides."""
     if par.fixed_step == 0.0:
         h = min(run.h_next, 1.01 * (run.t_stop - run.t0))
+        if not mode.latched and run.tip_speed > 0.0:
+            # a distance changes no faster than the tip moves: away from the walls the step
+            # ends short of them, near them it is so short that gap and rate show every dip
+            near = 0.25 * par.R_t
+            free = math.inf
+            for i in range(2):
+                if not mode.touching[i]:
+                    free = min(free, run.gap[i])
+            h = min(h, max(free - near, near) / run.tip_speed)
         for i in range(2):
             if mode.touching[i] and run.gap[i] < 0.0:
                 # less than a period of the contact: a longer step may be right at its end and
@@ -643,7 +654,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
     rows = pair[4].shape[0]
     h = run.h
     cut = 2.0
-    g0, d0, g1, d1, g2, d2 = distances(y_new, par)
+    g0, d0, g1, d1, g2, d2, speed = distances(y_new, par)
     if not mode.latched:
         for i in range(2):
             g, d = (g0, d0) if i == 0 else (g1, d1)
@@ -688,7 +699,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_is_slow(y, F, rows, y_x, par, which)
                 cut = cut_at(run, x, SLOW, which, cut)
-    return cut, g0, d0, g1, d1, g2, d2
+    return cut, g0, d0, g1, d1, g2, d2, speed
 
 
 @kernel
@@ -719,13 +730,13 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         for i in range(N_TOTAL):
             K[0, i] = K[stages, i]
     if not run.measured:
-        g0, d0, g1, d1, g2, d2 = distances(y, par)
-        remember_distances(run, g0, d0, g1, d1, g2, d2)
+        g0, d0, g1, d1, g2, d2, speed = distances(y, par)
+        remember_distances(run, g0, d0, g1, d1, g2, d2, speed)
     status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
     if status != SERVED:
         return status
 
-    cut, g0, d0, g1, d1, g2, d2 = search_step(
+    cut, g0, d0, g1, d1, g2, d2, speed = search_step(
         par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
     )
     if cut < 1.0 and par.fixed_step == 0.0:
@@ -743,7 +754,7 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
             run.pending = NO_EVENT
             if not error <= 1.0e3:
                 return NOT_FINITE
-            cut, g0, d0, g1, d1, g2, d2 = search_step(
+            cut, g0, d0, g1, d1, g2, d2, speed = search_step(
                 par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
             )
     h = run.h
@@ -758,7 +769,7 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         run.t1 = run.t_stop
         run.pending = END
     elif cut > 1.0:
-        remember_distances(run, g0, d0, g1, d1, g2, d2)
+        remember_distances(run, g0, d0, g1, d1, g2, d2, speed)
         return SERVED
     run.measured = 0
     return SERVED
