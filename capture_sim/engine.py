@@ -228,7 +228,7 @@ def event_value(y, par, kind, i):
     if kind == _STOP_DEPTH:
         g, d = stop_distance(y, par, i)
         return -g, -d
-    g0, d0, g1, d1, g2, d2, speed = distances(y, par)
+    g0, d0, g1, d1, g2, d2, _ = distances(y, par)
     if kind == _LATCH_DISTANCE:
         return g2, d2
     if i == 1:

@@ -16,8 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from scipy.optimize import brentq
-
 from capture_sim.kernels import inline_kernel
 
 
@@ -26,6 +24,9 @@ def returned_restitution(a: float) -> float:
 
     Solves a (1 + e) = ln[(1 + a) / (1 - a e)] for e; 1 for a = 0.
     """
+    # loaded here: it takes half a second, and only the exact law needs it
+    from scipy.optimize import brentq
+
     if a <= 0.0:
         return 1.0
     # with x = -ln(1 - a e) the pole at e = 1/a is gone and the root lies in an interval of 1
@@ -46,6 +47,8 @@ def exact_factor(e: float) -> float:
     ValueError
         For e <= 0: no finite damping stops a body dead.
     """
+    from scipy.optimize import brentq
+
     if e <= 0.0:
         raise ValueError("the exact law needs a restitution above 0")
     if e >= 1.0:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import DOP853, RK45
 
 
 class Pair(NamedTuple):
@@ -63,6 +62,9 @@ def _dense(step: np.ndarray, stages: int, total: int, rest: np.ndarray) -> np.nd
 
 def dormand_prince_5() -> Pair:
     """Return the 5(4) pair of Dormand and Prince (1980), dense order 4 (Hairer's DOPRI5)."""
+    # loaded here: it takes a quarter of a second, and one pair is all that a run needs
+    from scipy.integrate import RK45
+
     s = RK45.n_stages
     A = np.zeros((s + 1, s + 1))
     A[:s, : RK45.A.shape[1]] = RK45.A
@@ -92,6 +94,8 @@ def dormand_prince_5() -> Pair:
 
 def dormand_prince_853() -> Pair:
     """Return the 8(5,3) pair of Dormand and Prince, dense order 7 (Hairer's DOP853)."""
+    from scipy.integrate import DOP853
+
     s = DOP853.n_stages
     extra = len(DOP853.C_EXTRA)
     total = s + 1 + extra
