@@ -27,6 +27,10 @@ _CAUSES = {
     engine.NOT_FINITE: "the state is not finite any more",
     engine.STEP_TOO_SMALL: "the step fell below 1e-15 s: run.rtol is too small for this scene",
     engine.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
+    engine.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
+    "the contact is too soft for this impact",
+    engine.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
+    "or a stiffer buffer",
     engine.PILE_UP: "more than 100 events fell on one instant",
 }
 

@@ -116,6 +116,7 @@ NO_EVENT = -1
 
 # how the loop ended
 SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP = range(6)
+TIP_THROUGH_WALL, PROBE_IN_HINGE = 6, 7
 
 # event functions that a step is searched for
 _GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
@@ -124,6 +125,10 @@ _EVENT_ROOM = 8  # events that one stretch may cause
 _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
 _CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span
+_DEEPEST = 0.75  # of R_t: beyond it the tip's centre might pass a wall within a step
+# share of the supports' limit below which a slow vehicle is put at rest: at it, the smoothed
+# resistance would let it creep at _REST_SPEED v_eps, r / sqrt(1 - r^2) = 5
+_REST_SHARE = 0.98
 _MOST_SUBSTEPS = 8  # events located within one fixed step: bounds its cost
 
 
@@ -576,10 +581,7 @@ def step_length(par, run, mode):
             # a distance changes no faster than the tip moves: away from the walls the step
             # ends short of them, near them it is so short that gap and rate show every dip
             near = 0.25 * par.R_t
-            free = math.inf
-            for i in range(2):
-                if not mode.touching[i]:
-                    free = min(free, run.gap[i])
+            free = min(run.gap[0], run.gap[1])
             h = min(h, max(free - near, near) / run.tip_speed)
         for i in range(2):
             if mode.touching[i] and run.gap[i] < 0.0:
@@ -758,6 +760,10 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
                 par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
             )
     h = run.h
+    if not mode.latched and min(g0, g1) < -_DEEPEST * par.R_t:
+        return TIP_THROUGH_WALL
+    if y_new[4] <= par.R_t:
+        return PROBE_IN_HINGE
     if cut <= 1.0:
         if par.fixed_step > 0.0:
             run.substeps += 1
@@ -856,14 +862,14 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
                 if (
                     not resting
                     and is_slow(y, par, vehicle)
-                    and ratio_of_limit(y, par, mode, y_x, scratch, vehicle) < 1.0
+                    and ratio_of_limit(y, par, mode, y_x, scratch, vehicle) < _REST_SHARE
                 ):
                     stop_vehicle(par, run, mode, events, t, y, vehicle)
                     run.measured = 0
         return
     run.fresh = 1
     if run.pending == SLOW:
-        if ratio_of_limit(y, par, mode, y_x, scratch, which) < 1.0:
+        if ratio_of_limit(y, par, mode, y_x, scratch, which) < _REST_SHARE:
             stop_vehicle(par, run, mode, events, t, y, which)
     elif run.pending == TOUCH_BEGINS:
         begin_touch(events, run, mode, par, t, y, which)
@@ -913,8 +919,8 @@ def advance(
     Returns
     -------
     (status, served)
-        One of SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP;
-        and how many samples were written.
+        One of SERVED, EVENTS_FULL and the reasons to stop after them; and how many samples were
+        written.
     """
     par = parameters[0]
     mode = modes[0]
