@@ -1,0 +1,262 @@
+"""What launcher, detector and recorder share: they follow the simulator's runs.
+
+A follower greets the simulator (a StreamAck without run), takes up the run that is
+announced, says how far it has come, and ends the run when all that the simulator says it
+sent has arrived, or when the simulator has gone.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, qos_of
+from capture_sim.telemetry import samples_per_message
+from capture_sim.topics import (
+    BENCH_STATE,
+    BUFFER_STATE,
+    CAPTURE_DETECTOR,
+    CHASER_ODOMETRY,
+    CONTACT_STATE,
+    LAUNCHER,
+    RECORDED,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_ACK,
+    STREAM_COUNTS,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    Topic,
+)
+
+RECORDER = "recorder"
+
+#: What each follower reads; the simulator waits until these subscriptions are connected.
+FOLLOWED: dict[str, tuple[Topic, ...]] = {
+    LAUNCHER: (STRING_STATE, CONTACT_STATE),
+    CAPTURE_DETECTOR: (CHASER_ODOMETRY, TARGET_ODOMETRY, BUFFER_STATE),
+    RECORDER: RECORDED,
+}
+
+#: A follower says that it is there this often, s (wall).
+HEARTBEAT = 0.5
+#: Samples between two acknowledgements while a run is on.
+ACK_EVERY = 100
+#: Why a run ends that Ctrl-C ended.
+INTERRUPTED = "interrupted"
+#: Messages that were on their way when the simulator went are waited for this long, s (wall).
+GRACE = 0.5
+
+
+class RunFollower(BenchNode):
+    """A node that takes part in the simulator's runs, one after another.
+
+    A subclass calls :meth:`follow` for its topics and fills in :meth:`begin` and
+    :meth:`end`.  Callbacks run one at a time.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._exit_when_done = self.declare(
+            "exit_when_done", False, "end this process when the simulator has left after a run"
+        )
+        self._patience = self.declare(
+            "drain_timeout",
+            5.0,
+            "s (wall), wait for missing messages after the simulator has ended a run",
+            low=0.1,
+            high=600.0,
+        )
+        self.run: Any = None  # RunInfo of the run that is on
+        self._tally: Counter[str] = Counter()  # messages of the run taken in, by topic
+        self._followed: list[Topic] = []
+        self._counts: Any = None  # what the simulator says it has sent in the run
+        self._last_counts: Any = None  # ... and in the last run that it ended
+        self._deadline = float("inf")  # wall, when a run that has ended is given up
+        self._received = 0  # samples of the run taken in
+        self._runs = 0  # that have ended
+        self._alone = True  # no simulator is alive
+        self._over = threading.Event()
+        self._status = OK
+        self._acknowledging = threading.Lock()
+        self.open((STREAM_ACK,))
+        self.create_subscription(
+            message_class(RUN_INFO.type_name),
+            RUN_INFO.name,
+            self._announced,
+            qos_of(RUN_INFO),
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._liveliness_changed),
+        )
+        self.create_subscription(
+            message_class(STREAM_COUNTS.type_name),
+            STREAM_COUNTS.name,
+            self._counted,
+            qos_of(STREAM_COUNTS),
+        )
+        # a steady clock: this must also run when simulated time does not
+        self.create_timer(0.1, self._look_at_clock, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # what a subclass fills in
+
+    def begin(self, info: Any) -> None:
+        """Take up a run, from its RunInfo."""
+
+    def end(self, reason: str) -> list[str]:
+        """End the run; return what was wrong with it, one line each.
+
+        Parameters
+        ----------
+        reason
+            Why it ended early; empty if all that was sent has arrived.
+        """
+        return [reason] if reason else []
+
+    def complete(self) -> bool:
+        """Whether all has arrived that the simulator says it has sent."""
+        return not self.missing()
+
+    # what a subclass calls
+
+    def missing(self) -> list[str]:
+        """Return which of the followed streams lack messages that the simulator has sent."""
+        sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
+        return [
+            f"{topic.name}: {self._tally[topic.name]} of {sent[topic.name]} messages came"
+            for topic in self._followed
+            if self._tally[topic.name] < sent.get(topic.name, 0)
+        ]
+
+    def follow(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        """Subscribe to one of the simulator's streams; it is counted until the run's end."""
+
+        def take(message: Any) -> None:
+            if self.run is None:
+                return
+            self._tally[topic.name] += 1
+            callback(message)
+            self.end_if_complete()
+
+        self._followed.append(topic)
+        self.create_subscription(message_class(topic.type_name), topic.name, take, qos_of(topic))
+
+    def advance_to(self, received: int) -> None:
+        """Acknowledge that this many samples of the run, or all up to them, were taken in."""
+        before, self._received = self._received, received
+        if received // ACK_EVERY != before // ACK_EVERY:
+            self._acknowledge()
+
+    def advance_past(self, periodic: int) -> None:
+        """Acknowledge the ``periodic``-th set of the periodic topics, counted from 0.
+
+        With it everything is taken in that is sent before the next one.
+        """
+        every = samples_per_message(self.run.state_rate, self.run.rate)
+        self.advance_to((periodic + 1) * every)
+
+    def end_if_complete(self) -> None:
+        """End the run if the simulator has ended it and nothing is missing."""
+        if self.run is None or self._counts is None or not self.complete():
+            return
+        sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
+        self._received = sent.get(BENCH_STATE.name, 0)
+        self._acknowledge()
+        self._finish("" if self._counts.complete else f"ended early: {self._counts.reason}")
+
+    # the protocol
+
+    def work(self) -> int:
+        """Greet the simulator until the process is to end; return the exit status."""
+        self.get_logger().info("ready, waiting for a run")
+        # Sent by this thread and not by a timer: a callback may compile for a minute, and
+        # must not be taken for dead meanwhile.
+        self._acknowledge()
+        while not self._over.wait(HEARTBEAT):
+            self._acknowledge()
+        return self._status
+
+    def interrupted(self) -> None:
+        """End the run that is on."""
+        if self.run is not None:
+            self._finish(INTERRUPTED)
+
+    def _acknowledge(self) -> None:
+        # locked: an older state must not be sent after a newer one by the other thread
+        with self._acknowledging:
+            run = self.run
+            run_id = "" if run is None else run.run_id
+            self.send(STREAM_ACK, self.messages.stream_ack(self.get_name(), run_id, self._received))
+
+    def _announced(self, info: Any) -> None:
+        if self.run is not None:
+            if info.run_id != self.run.run_id:
+                self._finish(f"another run, {info.name}, was announced meanwhile")
+            else:
+                return
+        self._tally.clear()
+        self._counts = None
+        self._received = 0
+        self.begin(info)
+        self.run = info
+        self._set_deadline()
+        self._acknowledge()
+        self._compare()
+
+    def _counted(self, counts: Any) -> None:
+        if counts.publisher == SIMULATOR:
+            self._last_counts = counts
+            self._compare()
+
+    def _compare(self) -> None:
+        # one topic may overtake the other: the counts of a run that failed at once are here
+        # before its announcement
+        counts = self._last_counts
+        if self.run is not None and counts is not None and counts.run_id == self.run.run_id:
+            self._counts = counts
+            self._set_deadline()
+            self.end_if_complete()
+
+    def _liveliness_changed(self, event: Any) -> None:
+        self._alone = event.alive_count == 0
+        self._set_deadline()
+        self._leave_if_alone()
+
+    def _set_deadline(self) -> None:
+        """Let the run that is on be given up later, if the simulator has ended it or gone."""
+        if self._counts is not None:
+            self._deadline = min(self._deadline, time.monotonic() + self._patience)
+        elif self._alone:
+            self._deadline = time.monotonic() + GRACE
+        else:
+            self._deadline = float("inf")
+
+    def _leave_if_alone(self) -> None:
+        if self._exit_when_done and self._alone and self._runs > 0 and self.run is None:
+            self._over.set()
+
+    def _look_at_clock(self) -> None:
+        if self.run is None or time.monotonic() < self._deadline:
+            return
+        if self._counts is None:
+            self._finish("the simulator has gone without ending the run")
+        else:
+            self._finish("; ".join(["ended with messages missing", *self.missing()]))
+
+    def _finish(self, reason: str) -> None:
+        problems = self.end(reason)
+        if reason == INTERRUPTED:
+            problems = [reason]  # that something is missing goes without saying
+        for problem in problems:
+            self._status = FAILED
+            self.get_logger().error(f"{self.run.name}: {problem}")
+        self.run = None
+        self._deadline = float("inf")
+        self._runs += 1
+        self._acknowledge()
+        self._leave_if_alone()

@@ -1,0 +1,288 @@
+"""What every node of the bench does: declare parameters, start, spin, end.
+
+The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks
+run in a thread of their own.
+"""
+
+from __future__ import annotations
+
+import array
+import difflib
+import importlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any, NoReturn
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages import Messages
+from capture_sim.topics import Topic
+
+try:
+    # a quarter of the plain executor's cost per message, but not in every rclpy
+    from rclpy.experimental import EventsExecutor
+except ImportError:
+    EventsExecutor = SingleThreadedExecutor
+
+RCLError = rclpy_implementation.RCLError
+
+#: Exit statuses.
+OK, FAILED, REFUSED = 0, 1, 2
+
+#: A last message is given this long to arrive, s (wall).
+LINGER = 0.3
+
+#: Parameters that every ROS 2 node has, or that files for several nodes may carry.
+_COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+class ParameterError(CaptureSimError):
+    """A parameter of a node is not usable; the message says what is allowed."""
+
+
+def message_class(type_name: str) -> Any:
+    """Return the class of a message type given as ``package/msg/Name``."""
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def qos_of(topic: Topic) -> QoSProfile:
+    """Return the quality of service of a topic: reliable, the rest as its table entry says.
+
+    A topic with a lease is one whose publisher must not vanish unnoticed: DDS renews the
+    lease while the process lives, also when there is nothing to send, and tells the
+    subscribers when it runs out.  Without a lease that takes 20 s.
+    """
+    profile = QoSProfile(
+        depth=topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        ),
+    )
+    if topic.lease is not None:
+        profile.liveliness = LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(seconds=topic.lease)
+    return profile
+
+
+class BenchNode(Node):
+    """A node of the bench: parameters with range and unit, publishers by topic."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.messages = Messages(message_class, sequence=array.array)
+        self._senders: dict[Topic, Any] = {}
+
+    def work(self) -> int:
+        """Do the node's work in the main thread; return the exit status."""
+        raise NotImplementedError
+
+    def interrupted(self) -> None:
+        """End in order after Ctrl-C; no callback runs any more, sending still works."""
+
+    def declare(
+        self,
+        name: str,
+        default: Any,
+        description: str,
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        read_only: bool = True,
+    ) -> Any:
+        """Declare a parameter and return its value.
+
+        Parameters
+        ----------
+        name, default, description
+            The description says the unit.  A default that is a type, as ``list``, means a
+            list of texts that is empty unless given.
+        low, high
+            Bounds of a number, both or neither.
+        read_only
+            Whether the value is fixed from the start.
+
+        Raises
+        ------
+        ParameterError
+            One line that says what is allowed.
+        """
+        descriptor = ParameterDescriptor(description=description, read_only=read_only)
+        allowed = "a list of texts" if default is list else _kind(default)
+        if low is not None and high is not None:
+            if isinstance(default, float):
+                span = FloatingPointRange(from_value=float(low), to_value=float(high))
+                descriptor.floating_point_range = [span]
+            else:
+                span = IntegerRange(from_value=int(low), to_value=int(high))
+                descriptor.integer_range = [span]
+            allowed += f" from {low:g} to {high:g}"
+        try:
+            if default is list:
+                # an empty list has no type in ROS: declared by type, and unset when empty
+                self.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor)
+                return list(self.get_parameter_or(name).value or ())
+            value = self.declare_parameter(name, default, descriptor).value
+        except (InvalidParameterTypeException, InvalidParameterValueException):
+            value = None
+        if value is None:
+            given = self._parameter_overrides[name].value
+            shown = "[]" if given is None else repr(given)  # ROS has no empty list
+            raise ParameterError(
+                f"parameter {name} = {shown}: allowed is {allowed} ({description})"
+            )
+        return value
+
+    def warn_of_unknown_parameters(self) -> None:
+        """Warn of parameters that were given and never declared: mistyped, most likely."""
+        for name in self._parameter_overrides:
+            if self.has_parameter(name) or name.split(".")[0] in _COMMON_PARAMETERS:
+                continue
+            near = difflib.get_close_matches(name, self._parameters, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            self.get_logger().warning(f"parameter {name} is unknown here and has no effect{hint}")
+
+    def open(self, topics: Sequence[Topic]) -> None:
+        """Make the publishers of these topics."""
+        for topic in topics:
+            kind = message_class(topic.type_name)
+            self._senders[topic] = self.create_publisher(kind, topic.name, qos_of(topic))
+
+    def send(self, topic: Topic, message: Any) -> None:
+        """Publish a message on one of the open topics."""
+        self._senders[topic].publish(message)
+
+    def matched(self, topic: Topic) -> int:
+        """Return how many subscribers an open topic has found."""
+        return self._senders[topic].get_subscription_count()
+
+    def linger(self, topic: Topic) -> None:
+        """Give a last message time to arrive before the process ends, LINGER s at most.
+
+        Only for an end without acknowledgement: DDS itself may take 3 s to know.
+        """
+        self._senders[topic].wait_for_all_acked(Duration(seconds=LINGER))
+
+
+def _kind(default: object) -> str:
+    kinds = {float: "a number, with a decimal point", int: "a whole number", bool: "true or false"}
+    return kinds.get(type(default), "a list of texts" if isinstance(default, list) else "a text")
+
+
+class _Spinner:
+    """Runs a node's callbacks in a thread of their own."""
+
+    def __init__(self, node: BenchNode) -> None:
+        self.failure: Exception | None = None
+        self._executor: Executor = EventsExecutor()
+        self._executor.add_node(node)
+        self._stop = Future()
+        self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        try:
+            # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
+            self._executor.spin_until_future_complete(self._stop, 1e9)
+        except Exception as error:
+            self.failure = error
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    def stop(self) -> None:
+        """Let the callback that runs come to its end, and no other begin."""
+        self._stop.set_result(None)
+        self._executor.wake()
+        self._thread.join(2.0)
+        self._executor.shutdown()
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int:
+    """Make a node, do its work, end in order; return the process's exit status.
+
+    Parameters
+    ----------
+    make
+        Makes the node.
+    args
+        Command line; ``None`` for that of the process.
+
+    Returns
+    -------
+    int
+        0 done, or ended by Ctrl-C; 1 failed; 2 refused: a parameter or the scene is wrong.
+    """
+    # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, _interrupt)
+    try:
+        # a supervisor blocks it until here, where it can no longer hit an import
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            return _live(make)
+        finally:
+            rclpy.try_shutdown()
+    except CaptureSimError as error:
+        return _refuse(str(error))
+    except RCLError as error:
+        return _refuse(str(error).splitlines()[0])
+    except KeyboardInterrupt:
+        return OK
+
+
+def _refuse(reason: str) -> int:
+    print(f"error: {reason}", file=sys.stderr, flush=True)
+    return REFUSED
+
+
+def _live(make: Callable[[], BenchNode]) -> int:
+    node = make()
+    node.warn_of_unknown_parameters()
+    log = node.get_logger()
+    callbacks = _Spinner(node)
+    status = FAILED
+    interrupted = False
+    try:
+        status = node.work()
+    except KeyboardInterrupt:
+        interrupted = True
+        status = OK
+    except CaptureSimError as error:
+        log.error(str(error))
+    finally:
+        # the end is bounded in time: a second Ctrl-C would only tear it
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(signum, signal.SIG_IGN)
+        callbacks.stop()
+        if callbacks.failure is not None:
+            log.error(_one_line(callbacks.failure))
+            status = FAILED
+        elif interrupted:
+            node.interrupted()
+        node.destroy_node()
+    return status
+
+
+def _one_line(error: Exception) -> str:
+    if isinstance(error, CaptureSimError):
+        return str(error)
+    return f"stopped by {type(error).__name__}: {error}"
