@@ -9,13 +9,14 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test lint format clean
+.PHONY: help setup run test lint picture format clean
 
 help:
 	@echo "make run     set up and run the three experiments; results in runs/"
 	@echo "make test    set up, check the style and run the tests"
 	@echo "make setup   only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint    only check style and types"
+	@echo "make picture remake the picture in README.md"
 	@echo "make format  lay out the Python files as lint wants them"
 	@echo "make clean   remove .venv and everything built; keeps runs/"
 
@@ -35,6 +36,10 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+picture: setup
+	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
+	cp build/picture/overview.png docs/experiments.png
 
 format: setup
 	$(BIN)/ruff check --fix .
