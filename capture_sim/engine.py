@@ -341,22 +341,6 @@ def is_slow(y, par, which):
 
 
 @kernel
-def when_it_is_slow(y, F, rows, y_x, par, which):
-    """Return the place (0..1) in a step at which a vehicle has become slow."""
-    x_a, x_b = 0.0, 1.0
-    for _ in range(60):
-        x = 0.5 * (x_a + x_b)
-        dense(y, F, rows, x, y_x, N_STATE)
-        if is_slow(y_x, par, which):
-            x_b = x
-        else:
-            x_a = x
-        if x_b - x_a <= 1e-15:
-            break
-    return x_b
-
-
-@kernel
 def ratio_of_limit(y, par, mode, f, scratch, which):
     """Return which share of its supports' limit a vehicle needs to stand still."""
     if mode.sticking[0] or mode.sticking[1]:
@@ -368,22 +352,6 @@ def ratio_of_limit(y, par, mode, f, scratch, which):
         return load_factor(sx, sy, sm, c, s, par.balls_S)
     s, c = sine_cosine(y[7])
     return load_factor(tx, ty, tm, c, s, par.balls_T)
-
-
-@kernel
-def when_it_moves(y, F, rows, y_x, par, mode, f, scratch, which):
-    """Return the place (0..1) in a step at which a resting vehicle's limit is reached."""
-    x_a, x_b = 0.0, 1.0
-    for _ in range(60):
-        x = 0.5 * (x_a + x_b)
-        dense(y, F, rows, x, y_x, N_STATE)
-        if ratio_of_limit(y_x, par, mode, f, scratch, which) > 1.0:
-            x_b = x
-        else:
-            x_a = x
-        if x_b - x_a <= 1e-15:
-            break
-    return x_b
 
 
 @kernel
@@ -399,26 +367,29 @@ def slip_margin(y, par, mode, f, scratch, i):
 
 
 @kernel
-def when_slip_changes(y, F, rows, y_x, par, mode, f, scratch, i):
-    """Return the place (0..1) in a step at which the slip margin of wall ``i`` is used up."""
+def has_turned(y, par, mode, f, scratch, event, which):
+    """Tell whether one of the conditions without a rate holds: MOVING, SLOW or STICK."""
+    if event == MOVING:
+        return ratio_of_limit(y, par, mode, f, scratch, which) > 1.0
+    if event == SLOW:
+        return is_slow(y, par, which)
+    return slip_margin(y, par, mode, f, scratch, which) <= 0.0
+
+
+@kernel
+def when_it_turns(y, F, rows, y_x, par, mode, f, scratch, event, which):
+    """Return the place (0..1) in a step at which such a condition comes to hold; to rounding.
+
+    By bisection: it has just been left (sliding starts at slip zero) as often as not.
+    """
     x_a, x_b = 0.0, 1.0
-    # sliding may start from slip zero: look for a place where it is under way
-    for _ in range(40):
-        trial = 0.5 * (x_a + x_b)
-        dense(y, F, rows, trial, y_x, N_STATE)
-        if slip_margin(y_x, par, mode, f, scratch, i) > 0.0:
-            x_a = trial
-            break
-        x_b = trial
-    for _ in range(60):
+    while x_b - x_a > 1e-15:
         x = 0.5 * (x_a + x_b)
         dense(y, F, rows, x, y_x, N_STATE)
-        if slip_margin(y_x, par, mode, f, scratch, i) > 0.0:
-            x_a = x
-        else:
+        if has_turned(y_x, par, mode, f, scratch, event, which):
             x_b = x
-        if x_b - x_a <= 1e-15:
-            break
+        else:
+            x_a = x
     return x_b
 
 
@@ -676,7 +647,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
             for i in range(2):
                 if mode.touching[i] and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0:
                     make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                    x = when_slip_changes(y, F, rows, y_x, par, mode, y_s, scratch, i)
+                    x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, STICK, i)
                     cut = cut_at(run, x, STICK, i, cut)
     if par.has_stops:
         for side in (-1, 1):
@@ -695,11 +666,11 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
             resting = mode.rest_S if which == 0 else mode.rest_T
             if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = when_it_moves(y, F, rows, y_x, par, mode, y_s, scratch, which)
+                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, MOVING, which)
                 cut = cut_at(run, x, MOVING, which, cut)
             if not resting and is_slow(y_new, par, which) and not is_slow(y, par, which):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = when_it_is_slow(y, F, rows, y_x, par, which)
+                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, SLOW, which)
                 cut = cut_at(run, x, SLOW, which, cut)
     return cut, g0, d0, g1, d1, g2, d2, speed
 
