@@ -31,6 +31,7 @@ _CAUSES = {
     "the contact is too soft for this impact",
     engine.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
+    engine.STEP_TOO_LONG: "run.step is so long that the tip may leap over a wall or the latch",
     engine.PILE_UP: "more than 100 events fell on one instant",
 }
 

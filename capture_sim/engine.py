@@ -116,7 +116,7 @@ NO_EVENT = -1
 
 # how the loop ended
 SERVED, EVENTS_FULL, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, PILE_UP = range(6)
-TIP_THROUGH_WALL, PROBE_IN_HINGE = 6, 7
+TIP_THROUGH_WALL, PROBE_IN_HINGE, STEP_TOO_LONG = 6, 7, 8
 
 # event functions that a step is searched for
 _GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
@@ -544,16 +544,31 @@ def make_dense(par, run, mode, pair, y, y_s, K, F, scratch):
 
 
 @kernel
+def way_to_events(par, run, mode):
+    """Return how far the tip may move in the present step without leaping over an event, m.
+
+    A distance changes no faster than the tip moves: away from the walls (and the latch) the
+    step ends short of them, near them it is so short that gap and rate show every dip.
+    """
+    way = math.inf
+    if mode.latched:
+        return way
+    near = 0.25 * par.R_t
+    for i in range(2):
+        way = min(way, max(run.gap[i] - near, near))
+    if par.has_latch:
+        near = 0.25 * par.latch_radius
+        way = min(way, max(run.gap[2] - near, near))
+    return way
+
+
+@kernel
 def step_length(par, run, mode):
     """Return the length of the next step and whether its error decides."""
     if par.fixed_step == 0.0:
         h = min(run.h_next, 1.01 * (run.t_stop - run.t0))
-        if not mode.latched and run.tip_speed > 0.0:
-            # a distance changes no faster than the tip moves: away from the walls the step
-            # ends short of them, near them it is so short that gap and rate show every dip
-            near = 0.25 * par.R_t
-            free = min(run.gap[0], run.gap[1])
-            h = min(h, max(free - near, near) / run.tip_speed)
+        if run.tip_speed > 0.0:
+            h = min(h, way_to_events(par, run, mode) / run.tip_speed)
         for i in range(2):
             if mode.touching[i] and run.gap[i] < 0.0:
                 # less than a period of the contact: a longer step may be right at its end and
@@ -705,9 +720,20 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
     if not run.measured:
         g0, d0, g1, d1, g2, d2, speed = distances(y, par)
         remember_distances(run, g0, d0, g1, d1, g2, d2, speed)
-    status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
-    if status != SERVED:
-        return status
+    way = way_to_events(par, run, mode)
+    while True:
+        status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
+        if status != SERVED:
+            return status
+        # a tip that gathers speed makes more way than it seemed at the start
+        _, _, _, _, _, _, speed = distances(y_new, par)
+        made = 0.5 * (run.tip_speed + speed) * run.h
+        if not made > 1.01 * way:
+            break
+        if par.fixed_step > 0.0:
+            return STEP_TOO_LONG
+        run.rejected += 1
+        run.h_next = 0.9 * run.h * way / made
 
     cut, g0, d0, g1, d1, g2, d2, speed = search_step(
         par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
