@@ -206,15 +206,15 @@ def distances(y, par):
 
 
 @kernel
-def remember_distances(run, g0, d0, g1, d1, g2, d2, speed):
-    """Keep the gaps at the start of the next stretch."""
-    run.gap[0] = g0
-    run.gap_rate[0] = d0
-    run.gap[1] = g1
-    run.gap_rate[1] = d1
-    run.gap[2] = g2
-    run.gap_rate[2] = d2
-    run.tip_speed = speed
+def remember_distances(run, near):
+    """Keep the distances at the start of the next stretch."""
+    run.gap[0] = near[0]
+    run.gap_rate[0] = near[1]
+    run.gap[1] = near[2]
+    run.gap_rate[1] = near[3]
+    run.gap[2] = near[4]
+    run.gap_rate[2] = near[5]
+    run.tip_speed = near[6]
     run.measured = 1
 
 
@@ -634,15 +634,15 @@ def cut_at(run, x, event, wall, cut):
 
 
 @kernel
-def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
-    """Look for the first event in the step from y to y_new.
+def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
+    """Return the place (0..1) of the first event in the step from y to y_new; 2 if none.
 
-    Returns its place (0..1, 2 if there is none) and the distances at the step's end.
+    ``near`` are the distances at y_new.
     """
     rows = pair[4].shape[0]
     h = run.h
     cut = 2.0
-    g0, d0, g1, d1, g2, d2, speed = distances(y_new, par)
+    g0, d0, g1, d1, g2, d2, _ = near
     if not mode.latched:
         for i in range(2):
             g, d = (g0, d0) if i == 0 else (g1, d1)
@@ -687,7 +687,7 @@ def search_step(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, SLOW, which)
                 cut = cut_at(run, x, SLOW, which, cut)
-    return cut, g0, d0, g1, d1, g2, d2, speed
+    return cut
 
 
 @kernel
@@ -718,16 +718,15 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         for i in range(N_TOTAL):
             K[0, i] = K[stages, i]
     if not run.measured:
-        g0, d0, g1, d1, g2, d2, speed = distances(y, par)
-        remember_distances(run, g0, d0, g1, d1, g2, d2, speed)
+        remember_distances(run, distances(y, par))
     way = way_to_events(par, run, mode)
     while True:
         status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
         if status != SERVED:
             return status
         # a tip that gathers speed makes more way than it seemed at the start
-        _, _, _, _, _, _, speed = distances(y_new, par)
-        made = 0.5 * (run.tip_speed + speed) * run.h
+        near = distances(y_new, par)
+        made = 0.5 * (run.tip_speed + near[6]) * run.h
         if not made > 1.01 * way:
             break
         if par.fixed_step > 0.0:
@@ -735,9 +734,7 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         run.rejected += 1
         run.h_next = 0.9 * run.h * way / made
 
-    cut, g0, d0, g1, d1, g2, d2, speed = search_step(
-        par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
-    )
+    cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
     if cut < 1.0 and par.fixed_step == 0.0:
         # dense output inside a long step in contact is less exact than the step's end: take
         # a real step to just behind the event and look again, now near its end
@@ -753,11 +750,10 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
             run.pending = NO_EVENT
             if not error <= 1.0e3:
                 return NOT_FINITE
-            cut, g0, d0, g1, d1, g2, d2, speed = search_step(
-                par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch
-            )
+            near = distances(y_new, par)
+            cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
     h = run.h
-    if not mode.latched and min(g0, g1) < -_DEEPEST * par.R_t:
+    if not mode.latched and min(near[0], near[2]) < -_DEEPEST * par.R_t:
         return TIP_THROUGH_WALL
     if y_new[4] <= par.R_t:
         return PROBE_IN_HINGE
@@ -772,7 +768,7 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         run.t1 = run.t_stop
         run.pending = END
     elif cut > 1.0:
-        remember_distances(run, g0, d0, g1, d1, g2, d2, speed)
+        remember_distances(run, near)
         return SERVED
     run.measured = 0
     return SERVED
