@@ -88,6 +88,11 @@ def start(tmp_path):
     """Start a node: its name, parameters, and Python code that changes it before."""
     profile = tmp_path / "discovery.xml"
     profile.write_text(_DISCOVERY)
+    environment = dict(
+        os.environ,
+        FASTRTPS_DEFAULT_PROFILES_FILE=str(profile),
+        FASTDDS_BUILTIN_TRANSPORTS="UDPv4",  # a killed process would leave its shared memory
+    )
     started = []
 
     def start(name, change="", **parameters):
@@ -98,7 +103,7 @@ def start(tmp_path):
         program += "raise SystemExit(node.main())"
         process = subprocess.Popen(
             [sys.executable, "-c", program, *arguments],
-            env=dict(os.environ, FASTRTPS_DEFAULT_PROFILES_FILE=str(profile)),
+            env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -354,6 +359,17 @@ def test_ctrl_c_on_nodes_without_a_run(start):
     node.process.send_signal(signal.SIGINT)
     assert node.status(10.0) == 0
     assert "Traceback" not in node.text
+
+
+def test_disk_that_fails_ends_the_recorder_with_one_line(start_all, tmp_path):
+    (tmp_path / "out" / "tilt_0.mcap").mkdir(parents=True)  # nothing can be written there
+    nodes = start_all()
+    assert nodes["recorder"].status() == 1
+    assert "Traceback" not in nodes["recorder"].text
+    assert "Error occurred at" not in nodes["recorder"].text
+    assert "tilt_0.mcap" in nodes["recorder"].lines[-1]
+    assert nodes["simulator"].status() == 1
+    assert "recorder: no sign of life" in nodes["simulator"].text
 
 
 def test_node_whose_callback_fails_says_so_and_ends(start):

@@ -17,7 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 
-from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, qos_of
+from capture_sim.nodes.running import FAILED, OK, BenchNode
 from capture_sim.telemetry import samples_per_message
 from capture_sim.topics import (
     BENCH_STATE,
@@ -87,19 +87,9 @@ class RunFollower(BenchNode):
         self._status = OK
         self._acknowledging = threading.Lock()
         self.open((STREAM_ACK,))
-        self.create_subscription(
-            message_class(RUN_INFO.type_name),
-            RUN_INFO.name,
-            self._announced,
-            qos_of(RUN_INFO),
-            event_callbacks=SubscriptionEventCallbacks(liveliness=self._liveliness_changed),
-        )
-        self.create_subscription(
-            message_class(STREAM_COUNTS.type_name),
-            STREAM_COUNTS.name,
-            self._counted,
-            qos_of(STREAM_COUNTS),
-        )
+        watch = SubscriptionEventCallbacks(liveliness=self._liveliness_changed)
+        self.listen(RUN_INFO, self._announced, event_callbacks=watch)
+        self.listen(STREAM_COUNTS, self._counted)
         # a steady clock: this must also run when simulated time does not
         self.create_timer(0.1, self._look_at_clock, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -144,7 +134,7 @@ class RunFollower(BenchNode):
             self.end_if_complete()
 
         self._followed.append(topic)
-        self.create_subscription(message_class(topic.type_name), topic.name, take, qos_of(topic))
+        self.listen(topic, take)
 
     def advance_to(self, received: int) -> None:
         """Acknowledge that this many samples of the run, or all up to them, were taken in."""
@@ -241,7 +231,7 @@ class RunFollower(BenchNode):
             self._over.set()
 
     def _look_at_clock(self) -> None:
-        if self.run is None or time.monotonic() < self._deadline:
+        if self.run is None or self.failure or time.monotonic() < self._deadline:
             return
         if self._counts is None:
             self._finish("the simulator has gone without ending the run")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
-from capture_sim.nodes.running import ParameterError, message_class, qos_of, run
+from capture_sim.nodes.running import ParameterError, run
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.topics import BENCH_STATE, Topic
 
@@ -27,13 +27,7 @@ class RecorderNode(RunFollower):
         self._recorder = LiveRecorder(self._out)
         self._states = 0
         for topic in FOLLOWED[RECORDER]:
-            self.create_subscription(
-                message_class(topic.type_name),
-                topic.name,
-                partial(self._take, topic),
-                qos_of(topic),
-                raw=True,
-            )
+            self.listen(topic, partial(self._take, topic), raw=True)
 
     def begin(self, info: Any) -> None:
         """Say where the run goes; the recorder itself opens the file."""

@@ -86,6 +86,7 @@ class BenchNode(Node):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.messages = Messages(message_class, sequence=array.array)
+        self.failure: Exception | None = None  # that ended the callbacks
         self._senders: dict[Topic, Any] = {}
 
     def work(self) -> int:
@@ -163,6 +164,24 @@ class BenchNode(Node):
             kind = message_class(topic.type_name)
             self._senders[topic] = self.create_publisher(kind, topic.name, qos_of(topic))
 
+    def listen(self, topic: Topic, callback: Callable[[Any], None], **options: Any) -> None:
+        """Subscribe to a topic; an error of ours in the callback ends the node in one line."""
+
+        def take(message: Any) -> None:
+            if self.failure is None:
+                try:
+                    callback(message)
+                except CaptureSimError as error:
+                    self.fail(error)
+
+        kind = message_class(topic.type_name)
+        self.create_subscription(kind, topic.name, take, qos_of(topic), **options)
+
+    def fail(self, error: Exception) -> None:
+        """Let the main thread end the node because of an error in a callback."""
+        self.failure = error
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
     def send(self, topic: Topic, message: Any) -> None:
         """Publish a message on one of the open topics."""
         self._senders[topic].publish(message)
@@ -188,7 +207,7 @@ class _Spinner:
     """Runs a node's callbacks in a thread of their own."""
 
     def __init__(self, node: BenchNode) -> None:
-        self.failure: Exception | None = None
+        self._node = node
         self._executor: Executor = EventsExecutor()
         self._executor.add_node(node)
         self._stop = Future()
@@ -200,8 +219,7 @@ class _Spinner:
             # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
             self._executor.spin_until_future_complete(self._stop, 1e9)
         except Exception as error:
-            self.failure = error
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            self._node.fail(error)
 
     def stop(self) -> None:
         """Let the callback that runs come to its end, and no other begin."""
@@ -273,8 +291,8 @@ def _live(make: Callable[[], BenchNode]) -> int:
         for signum in (signal.SIGINT, signal.SIGTERM):
             signal.signal(signum, signal.SIG_IGN)
         callbacks.stop()
-        if callbacks.failure is not None:
-            log.error(_one_line(callbacks.failure))
+        if node.failure is not None:
+            log.error(_one_line(node.failure))
             status = FAILED
         elif interrupted:
             node.interrupted()

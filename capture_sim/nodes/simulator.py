@@ -23,8 +23,6 @@ from capture_sim.nodes.running import (
     OK,
     BenchNode,
     ParameterError,
-    message_class,
-    qos_of,
     run,
 )
 from capture_sim.scene import Scene
@@ -139,9 +137,8 @@ class SimulatorNode(BenchNode):
         self._run = _Run(self._scenes[0])
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
         self.open(topics_of(SIMULATOR))
-        for topic, callback in ((STREAM_ACK, self._heard), (LAUNCH_COMMAND, self._commanded)):
-            kind = message_class(topic.type_name)
-            self.create_subscription(kind, topic.name, callback, qos_of(topic))
+        self.listen(STREAM_ACK, self._heard)
+        self.listen(LAUNCH_COMMAND, self._commanded)
 
     # callbacks
 
