@@ -31,7 +31,8 @@ _CAUSES = {
     "the contact is too soft for this impact",
     engine.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
-    engine.STEP_TOO_LONG: "run.step is so long that the tip may leap over a wall or the latch",
+    engine.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
+    "or the contact is not resolved",
     engine.PILE_UP: "more than 100 events fell on one instant",
 }
 
@@ -98,7 +99,6 @@ class Bench:
         self._K = np.zeros((self._pair.A.shape[1], N_TOTAL))
         self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
         self._scratch = np.zeros(N_SCRATCH)
-        self._weights = 1.0 / error_scale(self._par)
         self._mode = np.zeros(1, MODE)
         self._run = np.zeros(1, engine.RUN)
         self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
@@ -124,6 +124,7 @@ class Bench:
         run["energy_0"] = engine.energy_at_release(
             self._par, self._mode, self._run, self._y, self._scratch, np.zeros(1, SAMPLE)
         )
+        self._weights = 1.0 / error_scale(self._par, float(run["energy_0"]))
 
     def _describe_release(self) -> str:
         if self.scene.string is None:
@@ -271,7 +272,7 @@ def _detail(kind: EventKind, raw: np.void) -> str:
     return ""
 
 
-def error_scale(par: np.ndarray) -> np.ndarray:
+def error_scale(par: np.ndarray, kinetic: float = 0.0) -> np.ndarray:
     """Return the error allowed per step of each state (16,): rtol of the scene's own scale.
 
     The scale is a length (the tip's radius) and a speed (of the approach), not the state's
@@ -284,6 +285,8 @@ def error_scale(par: np.ndarray) -> np.ndarray:
     places = np.array([length, length, length / arm, length / arm, length] + [length] * 3)
     rates = np.array([speed, speed, speed / arm, speed / arm, speed] + [speed] * 3)
     places[7], rates[7] = length / float(p["L_T"] + p["R_c"]), speed / float(p["L_T"] + p["R_c"])
-    energies = np.full(engine.N_WATCHED - 16, float(p["m_P"]) * speed**2)
-    scale: np.ndarray = float(p["rtol"]) * np.concatenate([places, rates, energies])
+    energy = float(p["rtol"] * p["m_P"]) * speed**2
+    # rounding of what is dissipated in all must not be taken for an error
+    energies = np.full(engine.N_WATCHED - 16, max(energy, 1e-15 * kinetic))
+    scale = np.concatenate([float(p["rtol"]) * np.concatenate([places, rates]), energies])
     return scale

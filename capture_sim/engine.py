@@ -89,6 +89,7 @@ RUN = np.dtype(
         ("gap_rate", "f8", (3,)),
         ("tip_speed", "f8"),  # at t0: of the tip against the target, m/s
         ("measured", "i8"),  # the gaps belong to t0
+        ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
         ("substeps", "i8"),  # events located within one fixed step
         ("n_events", "i8"),
     ],
@@ -129,6 +130,8 @@ _DEEPEST = 0.75  # of R_t: beyond it the tip's centre might pass a wall within a
 # share of the supports' limit below which a slow vehicle is put at rest: at it, the smoothed
 # resistance would let it creep at _REST_SPEED v_eps, r / sqrt(1 - r^2) = 5
 _REST_SHARE = 0.98
+_SLIP_FLOOR = 1e-10  # of the scene's speed: slip below it is rounding's, without direction
+_FIXED_ANGLE = 1.5  # rad of the contact's oscillation that a fixed step may span
 _MOST_SUBSTEPS = 8  # events located within one fixed step: bounds its cost
 
 
@@ -329,15 +332,15 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
 
 
 @kernel
-def is_slow(y, par, which):
-    """Tell whether a vehicle is slow enough to be put at rest."""
+def is_slow(y, par, which, times):
+    """Tell whether a vehicle is below ``times`` the speed at which it may be put at rest."""
     if which == 0:
         s, c = sine_cosine(y[2])
         speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
     else:
         s, c = sine_cosine(y[7])
         speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
-    return speed < _REST_SPEED * par.v_eps_ball
+    return speed < times * _REST_SPEED * par.v_eps_ball
 
 
 @kernel
@@ -361,7 +364,7 @@ def slip_margin(y, par, mode, f, scratch, i):
     Sliding: the slip in its direction, m/s.  Sticking: the force that is left, N.
     """
     if not mode.sticking[i]:
-        return slip_of(y, par, i) * mode.direction[i]
+        return slip_of(y, par, i) * mode.direction[i] + _SLIP_FLOOR * par.speed_scale
     accelerate_sticking(y, par, mode, f, scratch)
     return par.mu_s * scratch[NORMAL + i] - abs(scratch[RUB + i])
 
@@ -372,7 +375,7 @@ def has_turned(y, par, mode, f, scratch, event, which):
     if event == MOVING:
         return ratio_of_limit(y, par, mode, f, scratch, which) > 1.0
     if event == SLOW:
-        return is_slow(y, par, which)
+        return is_slow(y, par, which, 1.0)
     return slip_margin(y, par, mode, f, scratch, which) <= 0.0
 
 
@@ -520,6 +523,17 @@ def close_rail_stretch(par, run, mode, events, y, y_x):
 
 
 @kernel
+def may_rest(y, y_x, f, par, mode, scratch, which):
+    """Tell whether the supports could hold a vehicle if it stood still here."""
+    for i in range(N_STATE):
+        y_x[i] = y[i]
+    first = 8 if which == 0 else 13
+    for i in range(first, first + 3):
+        y_x[i] = 0.0
+    return ratio_of_limit(y_x, par, mode, f, scratch, which) < _REST_SHARE
+
+
+@kernel
 def stop_vehicle(par, run, mode, events, t, y, which):
     """Put a vehicle at rest on its supports; what speed it had left goes to them."""
     before = kinetic_energy(y, par)
@@ -584,10 +598,11 @@ def step_length(par, run, mode):
 
 
 @kernel
-def take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch):
-    """Take one accepted step; returns the loop's status."""
-    h = step_length(par, run, mode)
+def take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch, h):
+    """Take one accepted step of at most ``h``; returns the loop's status."""
     stages = pair[5]
+    run.dense_ready = 0
+    run.pending = NO_EVENT
     while True:
         if h < _SMALLEST_STEP:
             if run.t_stop - run.t0 >= _SMALLEST_STEP and par.fixed_step == 0.0:
@@ -683,7 +698,7 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, MOVING, which)
                 cut = cut_at(run, x, MOVING, which, cut)
-            if not resting and is_slow(y_new, par, which) and not is_slow(y, par, which):
+            if not (resting or run.slow[which]) and is_slow(y_new, par, which, 1.0):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, SLOW, which)
                 cut = cut_at(run, x, SLOW, which, cut)
@@ -698,8 +713,6 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
     """
     stages = pair[5]
     run.stretch = STEP
-    run.dense_ready = 0
-    run.pending = NO_EVENT
     if run.fresh:
         rate_of_change(run.t0, y, K[0], par, mode, scratch)
         run.evaluations += 1
@@ -721,7 +734,8 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         remember_distances(run, distances(y, par))
     way = way_to_events(par, run, mode)
     while True:
-        status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch)
+        h = step_length(par, run, mode)
+        status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch, h)
         if status != SERVED:
             return status
         # a tip that gathers speed makes more way than it seemed at the start
@@ -734,22 +748,26 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         run.rejected += 1
         run.h_next = 0.9 * run.h * way / made
 
+    if par.fixed_step > 0.0:
+        for i in range(2):
+            stiffness = 1.5 * par.K * math.sqrt(max(-near[2 * i], 0.0))
+            if mode.touching[i] and par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
+                return STEP_TOO_LONG
+
     cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
     if cut < 1.0 and par.fixed_step == 0.0:
         # dense output inside a long step in contact is less exact than the step's end: take
         # a real step to just behind the event and look again, now near its end
         h = min(1.02 * cut * run.h, run.h)
         if h > _SMALLEST_STEP:
-            error = try_step(
-                par, mode, scratch, pair, run.t0, y, h, K, y_s, e_5, e_3, y_new, weights
+            h_next = run.h_next
+            status = take_step(
+                par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch, h
             )
-            run.evaluations += stages
-            run.h = h
-            run.t1 = run.t0 + h
-            run.dense_ready = 0
-            run.pending = NO_EVENT
-            if not error <= 1.0e3:
-                return NOT_FINITE
+            if status != SERVED:
+                return status
+            if run.h == h:
+                run.h_next = h_next
             near = distances(y_new, par)
             cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
     h = run.h
@@ -848,21 +866,26 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
     t = run.t1
     run.t0 = t
     which = run.pending_wall
+    if par.has_supports:
+        for vehicle in range(2):
+            # left only well above: rounding must not make it slow again at once
+            run.slow[vehicle] = is_slow(y, par, vehicle, 2.0 if run.slow[vehicle] else 1.0)
     if run.pending == NO_EVENT:
         if par.has_supports:
             for vehicle in range(2):
                 resting = mode.rest_S if vehicle == 0 else mode.rest_T
                 if (
                     not resting
-                    and is_slow(y, par, vehicle)
-                    and ratio_of_limit(y, par, mode, y_x, scratch, vehicle) < _REST_SHARE
+                    and is_slow(y, par, vehicle, 1.0)
+                    and may_rest(y, y_x, y_s, par, mode, scratch, vehicle)
                 ):
                     stop_vehicle(par, run, mode, events, t, y, vehicle)
                     run.measured = 0
         return
     run.fresh = 1
     if run.pending == SLOW:
-        if ratio_of_limit(y, par, mode, y_x, scratch, which) < _REST_SHARE:
+        run.slow[which] = 1
+        if may_rest(y, y_x, y_s, par, mode, scratch, which):
             stop_vehicle(par, run, mode, events, t, y, which)
     elif run.pending == TOUCH_BEGINS:
         begin_touch(events, run, mode, par, t, y, which)

@@ -159,11 +159,10 @@ def plan_launch(scene: Scene) -> LaunchPlan:
             f"string.drop_height = {height:.6g} m: allowed is <= {scene.rail.length:g}, "
             "the length of the rail: the mass must land before the rail ends"
         )
-    start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
-    landing = math.sqrt(start * start + 2.0 * a * height)
+    landing = math.sqrt(2.0 * a * height)
     left = landing * landing - 2.0 * coast * (travel - height)
     impact = math.sqrt(left) if left > 0.0 else 0.0
-    landing_time = 2.0 * height / (start + landing)
+    landing_time = 2.0 * height / landing
     contact = math.inf
     if impact > 0.0:
         contact = landing_time + 2.0 * (travel - height) / (landing + impact)

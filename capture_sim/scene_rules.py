@@ -136,10 +136,10 @@ def _string(scene: Scene) -> None:
             f"{scene.rail.length:g}, rail.length: the mass must land before the rail ends"
         )
     start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
-    if start != 0.0 and string.impact_speed is not None:
+    if start != 0.0:
         raise SceneError(
-            f"initial.chaser.vx, vy: speed {start!r} m/s: allowed is 0 where the string is to give "
-            "the impact speed"
+            f"initial.chaser.vx, vy: speed {start!r} m/s: allowed is 0 with a string: the mass "
+            "starts from rest, and the string would be slack"
         )
     plan_launch(scene)
 

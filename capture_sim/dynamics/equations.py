@@ -285,16 +285,14 @@ def accelerate(y, par, mode, f, out):
 def stop_force(stroke, rate, stop, par):
     """Return the force of a stroke stop on the probe, N, and the power it loses, W.
 
-    ``stop`` is -1 at the compressed end, +1 at the extended one.  A spring and a damper
-    that push but never pull.
+    ``stop`` is -1 at the compressed end, +1 at the extended one, and in touch: the force
+    goes on smoothly behind the place where the touch ends, so that the end can be located.
+    A damper does not make it pull.
     """
     end = par.stop_compressed if stop < 0 else par.stop_extended
-    depth = stop * (stroke - end)
-    if depth <= 0.0:
-        return 0.0, 0.0
-    elastic = par.k_stop * depth
+    elastic = par.k_stop * stop * (stroke - end)
     push = elastic + par.c_stop * stop * rate
-    if push < 0.0:
+    if par.c_stop > 0.0 and push < 0.0:
         push = 0.0
     return -stop * push, (push - elastic) * stop * rate
 

@@ -1,0 +1,166 @@
+"""Benches for the hard cases, arranged so that something about them is known exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import numpy as np
+
+from capture_sim import SimulationError, load_scene, simulate
+from capture_sim.scene import Scene
+from capture_sim.simulation import Result
+
+ADAPTIVE = ("dop853", "dopri5")
+METHODS = (*ADAPTIVE, "rk4")
+
+
+@functools.cache
+def _loaded(name: str) -> Scene:
+    return load_scene(name)
+
+
+def altered(scene: Scene, changes: dict[str, Any]) -> Scene:
+    """The scene with values changed by their dotted names; like load_scene, without YAML."""
+    parts: dict[str, Any] = {}
+
+    def put(whole: Any, names: list[str], value: Any) -> Any:
+        if len(names) > 1:
+            value = put(getattr(whole, names[0]), names[1:], value)
+        return dataclasses.replace(whole, **{names[0]: value})
+
+    for key, value in changes.items():
+        name, _, rest = key.partition(".")
+        part = parts.get(name, getattr(scene, name))
+        parts[name] = put(part, rest.split("."), value) if rest else value
+    return dataclasses.replace(scene, **parts)
+
+
+def turned(angle: float, x: float, y: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * x - s * y, s * x + c * y])
+
+
+def outer_lip(scene: Scene, side: float = 1.0) -> tuple[float, float]:
+    """The outer end of a wall in the target's frame, m."""
+    cone = scene.cone
+    x = -cone.L_T - cone.L_c * math.cos(cone.beta)
+    return x, side * (cone.R_c + cone.L_c * math.sin(cone.beta))
+
+
+def in_a_row(gap: float, changes: dict[str, Any], base: str = "paper_designed") -> Scene:
+    """Chaser, probe, outer lip and the target's centre of mass on the x axis.
+
+    Everything stays on the axis: a collision of three bodies in a row, see row_model.
+    """
+    scene = _loaded(base)
+    x, y = outer_lip(scene)
+    ahead = scene.buffer.a + scene.rest_length + scene.probe.tip_radius + math.hypot(x, y) + gap
+    at = {
+        "initial.chaser.x": 0.0,
+        "initial.chaser.y": 0.0,
+        "initial.target.x": ahead,
+        "initial.target.y": 0.0,
+        "initial.target.theta": math.pi - math.atan2(y, x),
+    }
+    return altered(scene, at | changes)
+
+
+def free_impact(gap: float, speed: float, e: float, changes: dict[str, Any]) -> Scene:
+    """The probe alone against the target, both free: no axial spring, exact law."""
+    free = {
+        "buffer.k_A": 0.0,
+        "buffer.c_A": 0.0,
+        "contact.law": "exact",
+        "contact.restitution": e,
+        "initial.chaser.vx": speed,
+        "run.rate": 1.0,
+        "run.state_rate": 1.0,
+    }
+    return in_a_row(gap, free | changes)
+
+
+def anvil(
+    gap: float, changes: dict[str, Any], slope: float = 0.0, base: str = "paper_designed"
+) -> Scene:
+    """The tip ``gap`` (m) before the face of the +y wall, of a target that can not turn.
+
+    The wall's normal towards the tip is -x turned by ``slope`` (rad); the point that will
+    be touched is 45 mm from the inner edge.
+    """
+    scene = _loaded(base)
+    cone = scene.cone
+    facing = math.atan2(-math.cos(cone.beta), -math.sin(cone.beta))
+    theta = math.remainder(math.pi + slope - facing, 2.0 * math.pi)
+    b = 0.045
+    wall = turned(theta, -cone.L_T - b * math.cos(cone.beta), cone.R_c + b * math.sin(cone.beta))
+    off = (scene.probe.tip_radius + gap) * turned(slope, 1.0, 0.0)
+    at = np.array([scene.buffer.a + scene.rest_length, 0.0]) + off - wall
+    there = {
+        "target.inertia": 1e12,
+        "initial.chaser.x": 0.0,
+        "initial.chaser.y": 0.0,
+        "initial.chaser.vx": 0.0,
+        "initial.target.x": float(at[0]),
+        "initial.target.y": float(at[1]),
+        "initial.target.theta": theta,
+    }
+    return altered(scene, there | changes)
+
+
+#: On supports, without what launches and what holds.
+ON_THE_FLOOR = {"rail": None, "string": None, "latch": None}
+
+
+def slowed(scene: Scene, pull: float, speed: float, rigid: bool = False) -> Scene:
+    """Both vehicles at ``speed`` (m/s) over a floor that slows them.
+
+    The rolling resistance of the target is constant as long as it rolls one way, so it
+    presses the tip on the wall like a weight: the wall comes towards the tip with ``pull``
+    (m/s^2) while they are apart.  Without axial spring the weight is the probe's, and the
+    chaser is slowed so as to keep its distance; ``rigid``: the weight is the whole
+    chaser's, which rolls freely.
+    """
+    g = scene.gravity
+    c_target = pull / g
+    c_chaser = 0.0
+    if not rigid:
+        m_T, m_P = scene.target.mass, scene.probe.mass
+        together = pull * m_T / (m_T + m_P)
+        body = scene.chaser.mass + scene.cylinder.mass
+        c_chaser = together * body / ((body + m_P) * g)
+    return altered(
+        scene,
+        {
+            "supports.target.c_rr": c_target,
+            "supports.chaser.c_rr": c_chaser,
+            "initial.target.vx": scene.initial.target.vx + speed,
+            "initial.chaser.vx": scene.initial.chaser.vx + speed,
+        },
+    )
+
+
+def run(scene: Scene, **options: Any) -> Result:
+    """Simulate; a run that had to stop gives what it has until there, with ``failure`` set."""
+    try:
+        return simulate(scene, **options)
+    except SimulationError as error:
+        assert error.result is not None
+        return error.result
+
+
+def times(result: Result, label: str) -> np.ndarray:
+    """When something happened, s."""
+    return np.array([e.t for e in result.events if e.kind.label == label])
+
+
+def first(result: Result, label: str) -> Any:
+    """The first event of a kind."""
+    return next(e for e in result.events if e.kind.label == label)
+
+
+def residual(result: Result) -> float:
+    """Largest residual of the energy ledger, J."""
+    return float(np.abs(result.samples["energy_residual"]).max(initial=0.0))

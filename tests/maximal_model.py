@@ -1,0 +1,577 @@
+"""The bench a third time, for tests: four bodies in maximal coordinates, held together by forces.
+
+Chaser S, cylinder C, probe P and target T have x, y and angle of their own (12 coordinates,
+paper eq. 5).  Hinge and slide are the four constraints of eq. (6) and (7), kept by
+Lagrange multipliers; the buffer acts through the vector D of eq. (8) and the energies of
+eq. (9); contact forces act on probe and target at the point of contact.  Nothing of
+``capture_sim`` but the scene's numbers is used: no kinematics, mass matrix, geometry,
+event location or integrator (that is SciPy's DOP853).
+
+Two readings, both from ``physics.md``: the probe's coordinate is its true centre of mass
+(the paper puts it in the rod's middle), and the axial damper acts on the rate of D's
+length (eq. 9 as printed, on D's rate as a vector, would also resist the probe's turning).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from scipy.integrate import DOP853, DenseOutput
+from scipy.optimize import brentq, minimize, minimize_scalar
+
+from capture_sim.scene import BallSupport, Scene
+
+#: Constraint violations die out at this rate, 1/s (Baumgarte 1972, critically damped).
+BAUMGARTE = 100.0
+#: Longest step, s: no flight between two touches is much shorter.
+LONGEST_STEP = 2e-4
+#: Places in a step at which events are looked for.
+PLACES = np.linspace(0.0, 1.0, 9)
+
+
+class Constants(NamedTuple):
+    """A scene's numbers, SI units."""
+
+    inverse_mass: np.ndarray  # (12,) of S, C, P, T in x, y and angle
+    a: float  # chaser's centre of mass to the hinge
+    half_cylinder: float  # cylinder's centre to the hinge
+    tip_ahead: float  # probe's centre of mass to the tip's centre
+    rear_behind: float  # probe's centre of mass to the rod's rear
+    l_0: float  # length of D at rest
+    k_A: float
+    c_A: float
+    k_T: float
+    c_T: float
+    R_t: float
+    inner: np.ndarray  # (2, 2) target's frame: inner ends of the +y and the -y wall
+    along: np.ndarray  # (2, 2) directions from there to the lip
+    L_c: float
+    K: float
+    damping: float  # 3/4 (1 - e^2)
+    v_0_floor: float
+    mu: float
+    v_eps: float
+    balls: np.ndarray  # (2, 3, 3) chaser's and target's: x, y in its frame, c_rr N
+    v_eps_ball: float
+
+
+def probe_masses(scene: Scene) -> tuple[float, float, float]:
+    """Mass, distance of the centre of mass behind the tip's centre, and inertia of the probe."""
+    p = scene.probe
+    rod = p.density * math.pi * p.radius**2 * p.length
+    ball = p.density * 4.0 / 3.0 * math.pi * p.tip_radius**3
+    middle = p.tip_radius + 0.5 * p.length
+    behind = rod * middle / (rod + ball)
+    about_tip = rod * (p.length**2 / 12.0 + p.radius**2 / 4.0 + middle**2)
+    about_tip += ball * 0.4 * p.tip_radius**2
+    return rod + ball, behind, about_tip - (rod + ball) * behind**2
+
+
+def ball_limits(support: BallSupport, weight: float, ahead: float) -> np.ndarray:
+    """Places of three balls and what each can resist, c_rr N, (3, 3).
+
+    The loads hold up ``weight`` (N), which acts ``ahead`` (m) of the vehicle's origin, without
+    a moment about any axis in the floor.
+    """
+    places = np.array(support.balls)
+    equations = np.array([np.ones(3), places[:, 0] - ahead, places[:, 1]])
+    load = np.linalg.solve(equations, np.array([weight, 0.0, 0.0]))
+    return np.column_stack([places, support.c_rr * load])
+
+
+def constants(scene: Scene) -> Constants:
+    """Gather what the model needs from a scene with the Lankarani-Nikravesh law."""
+    assert scene.contact.law == "lankarani_nikravesh"
+    assert scene.friction.law == "tanh"
+    m_P, behind, I_P = probe_masses(scene)
+    m_C, L_C = scene.cylinder.mass, scene.cylinder.length
+    masses = [scene.chaser.mass] * 2 + [scene.chaser.inertia]
+    masses += [m_C, m_C, m_C * L_C**2 / 12.0, m_P, m_P, I_P]
+    masses += [scene.target.mass] * 2 + [scene.target.inertia]
+    p, b, cone = scene.probe, scene.buffer, scene.cone
+    h_0 = b.rest_length or p.length + p.tip_radius
+    sides = np.array([1.0, -1.0])
+    balls, v_eps_ball = np.zeros((2, 3, 3)), 1.0
+    if scene.supports is not None:
+        total = scene.chaser.mass + m_C + m_P
+        ahead = (m_C * (b.a - L_C / 2.0) + m_P * (b.a + h_0 - behind)) / total
+        balls[0] = ball_limits(scene.supports.chaser, total * scene.gravity, ahead)
+        balls[1] = ball_limits(scene.supports.target, scene.target.mass * scene.gravity, 0.0)
+        v_eps_ball = scene.supports.v_eps
+    sigma = sum((1.0 - m.nu**2) / m.E for m in (scene.contact.tip, scene.contact.wall))
+    return Constants(
+        inverse_mass=1.0 / np.array(masses),
+        a=b.a,
+        half_cylinder=L_C / 2.0,
+        tip_ahead=behind,
+        rear_behind=p.tip_radius + p.length - behind,
+        l_0=h_0 - p.tip_radius - p.length + L_C,
+        k_A=b.k_A,
+        c_A=b.c_A,
+        k_T=b.k_T,
+        c_T=b.c_T,
+        R_t=p.tip_radius,
+        inner=np.column_stack([np.full(2, -cone.L_T), sides * cone.R_c]),
+        along=np.column_stack([np.full(2, -math.cos(cone.beta)), sides * math.sin(cone.beta)]),
+        L_c=cone.L_c,
+        K=4.0 * math.sqrt(p.tip_radius) / (3.0 * sigma),
+        damping=0.75 * (1.0 - scene.contact.restitution**2),
+        v_0_floor=scene.contact.v_0_floor,
+        mu=scene.friction.mu,
+        v_eps=scene.friction.v_eps,
+        balls=balls,
+        v_eps_ball=v_eps_ball,
+    )
+
+
+@numba.njit
+def wall_contact(
+    z: np.ndarray, c: Constants, wall: int
+) -> tuple[float, float, float, float, float, float]:
+    """Where the tip is against a wall: the nearest point of a segment, and how it moves.
+
+    Returns gap (m, negative is penetration), its rate (m/s), the normal from the wall to
+    the tip's centre and the point on the wall, both in the world.
+    """
+    cP, sP = math.cos(z[8]), math.sin(z[8])
+    cT, sT = math.cos(z[11]), math.sin(z[11])
+    ax, ay = z[6] + c.tip_ahead * cP, z[7] + c.tip_ahead * sP
+    bx = z[9] + cT * c.inner[wall, 0] - sT * c.inner[wall, 1]
+    by = z[10] + sT * c.inner[wall, 0] + cT * c.inner[wall, 1]
+    ex = cT * c.along[wall, 0] - sT * c.along[wall, 1]
+    ey = sT * c.along[wall, 0] + cT * c.along[wall, 1]
+    s = min(max((ax - bx) * ex + (ay - by) * ey, 0.0), c.L_c)
+    px, py = bx + s * ex, by + s * ey
+    distance = math.hypot(ax - px, ay - py)
+    nx, ny = (ax - px) / distance, (ay - py) / distance
+    # the tip's centre against the target's material under it
+    ux = z[18] - z[20] * c.tip_ahead * sP - z[21] + z[23] * (ay - z[10])
+    uy = z[19] + z[20] * c.tip_ahead * cP - z[22] - z[23] * (ax - z[9])
+    return distance - c.R_t, ux * nx + uy * ny, nx, ny, px, py
+
+
+@numba.njit
+def contact_force(z: np.ndarray, c: Constants, wall: int, chi: float) -> tuple[float, float]:
+    """Normal force, eq. (1), and friction along (-n_y, n_x), N; zero out of contact."""
+    gap, rate, nx, ny, px, py = wall_contact(z, c, wall)
+    if gap >= 0.0:
+        return 0.0, 0.0
+    normal = max((-gap) ** 1.5 * (c.K - chi * rate), 0.0)
+    # both bodies' material at the point of contact
+    ux = z[18] - z[20] * (py - z[7]) - z[21] + z[23] * (py - z[10])
+    uy = z[19] + z[20] * (px - z[6]) - z[22] - z[23] * (px - z[9])
+    return normal, -c.mu * normal * math.tanh((uy * nx - ux * ny) / c.v_eps)
+
+
+@numba.njit
+def solve_4(M: np.ndarray, b: np.ndarray) -> None:
+    """Gauss elimination of a positive definite system of four, in place; the result is in b."""
+    for k in range(4):
+        for i in range(k + 1, 4):
+            f = M[i, k] / M[k, k]
+            for j in range(k, 4):
+                M[i, j] -= f * M[k, j]
+            b[i] -= f * b[k]
+    for k in range(3, -1, -1):
+        for j in range(k + 1, 4):
+            b[k] -= M[k, j] * b[j]
+        b[k] /= M[k, k]
+
+
+@numba.njit
+def constraints(
+    z: np.ndarray,
+    c: Constants,
+    phi: np.ndarray,
+    rate: np.ndarray,
+    bias: np.ndarray,
+    J: np.ndarray,
+) -> None:
+    """Eq. (6), theta_C = theta_P and eq. (7): values, rates, J' v and Jacobian J."""
+    cS, sS = math.cos(z[2]), math.sin(z[2])
+    cC, sC = math.cos(z[5]), math.sin(z[5])
+    half = c.half_cylinder
+    dx, dy = z[6] - z[3], z[7] - z[4]
+    ux, uy = z[18] - z[15], z[19] - z[16]
+    spin = z[17]
+    J[:] = 0.0
+    phi[0] = z[0] + c.a * cS - z[3] - half * cC
+    J[0, 0], J[0, 2], J[0, 3], J[0, 5] = 1.0, -c.a * sS, -1.0, half * sC
+    bias[0] = -c.a * z[14] ** 2 * cS + half * spin**2 * cC
+    phi[1] = z[1] + c.a * sS - z[4] - half * sC
+    J[1, 1], J[1, 2], J[1, 4], J[1, 5] = 1.0, c.a * cS, -1.0, -half * cC
+    bias[1] = -c.a * z[14] ** 2 * sS + half * spin**2 * sC
+    phi[2] = z[5] - z[8]
+    J[2, 5], J[2, 8] = 1.0, -1.0
+    bias[2] = 0.0
+    phi[3] = cC * dy - sC * dx
+    J[3, 3], J[3, 4], J[3, 6], J[3, 7] = sC, -cC, -sC, cC
+    J[3, 5] = -(cC * dx + sC * dy)
+    bias[3] = -2.0 * spin * (cC * ux + sC * uy) - spin**2 * phi[3]
+    for k in range(4):
+        rate[k] = 0.0
+        for j in range(12):
+            rate[k] += J[k, j] * z[12 + j]
+
+
+@numba.njit
+def accelerations(
+    z: np.ndarray,
+    c: Constants,
+    touching: np.ndarray,
+    chi: np.ndarray,
+    resting: np.ndarray,
+    acc: np.ndarray,
+    held: np.ndarray,
+) -> None:
+    """Accelerations (12,) of the four bodies.
+
+    ``held`` (2, 3) receives the wrench on either vehicle without its supports.  A resting
+    vehicle is one of infinite mass.
+    """
+    Q = np.zeros(12)
+    cS, sS = math.cos(z[2]), math.sin(z[2])
+    cC, sC = math.cos(z[5]), math.sin(z[5])
+    cP, sP = math.cos(z[8]), math.sin(z[8])
+    # axial spring and damper: D of eq. (8), from the cylinder's rear to the probe's
+    L = 2.0 * c.half_cylinder
+    r = c.rear_behind
+    Dx = z[6] - r * cP - (z[0] + c.a * cS - L * cC)
+    Dy = z[7] - r * sP - (z[1] + c.a * sS - L * sC)
+    rate_x = z[18] + r * sP * z[20] - (z[12] - c.a * sS * z[14] + L * sC * z[17])
+    rate_y = z[19] - r * cP * z[20] - (z[13] + c.a * cS * z[14] - L * cC * z[17])
+    length = math.hypot(Dx, Dy)
+    ex, ey = Dx / length, Dy / length
+    pull = c.k_A * (length - c.l_0) + c.c_A * (ex * rate_x + ey * rate_y)
+    Q[0] += pull * ex
+    Q[1] += pull * ey
+    Q[2] += pull * c.a * (cS * ey - sS * ex)
+    Q[5] -= pull * L * (cC * ey - sC * ex)
+    Q[6] -= pull * ex
+    Q[7] -= pull * ey
+    Q[8] += pull * r * (cP * ey - sP * ex)
+    torque = c.k_T * (z[5] - z[2]) + c.c_T * (z[17] - z[14])
+    Q[5] -= torque
+    Q[2] += torque
+    for wall in range(2):
+        if touching[wall]:
+            _, _, nx, ny, px, py = wall_contact(z, c, wall)
+            normal, rub = contact_force(z, c, wall, chi[wall])
+            fx, fy = normal * nx - rub * ny, normal * ny + rub * nx
+            Q[6] += fx
+            Q[7] += fy
+            Q[8] += (px - z[6]) * fy - (py - z[7]) * fx
+            Q[9] -= fx
+            Q[10] -= fy
+            Q[11] -= (px - z[9]) * fy - (py - z[10]) * fx
+    for which in range(2):
+        k = 9 * which
+        for i in range(3):
+            held[which, i] = Q[k + i]
+        if not resting[which]:
+            ct, st = math.cos(z[k + 2]), math.sin(z[k + 2])
+            for i in range(3):
+                x, y, limit = c.balls[which, i]
+                rx, ry = ct * x - st * y, st * x + ct * y
+                ux, uy = z[12 + k] - z[14 + k] * ry, z[13 + k] + z[14 + k] * rx
+                g = limit / math.sqrt(ux * ux + uy * uy + c.v_eps_ball**2)
+                Q[k] -= g * ux
+                Q[k + 1] -= g * uy
+                Q[k + 2] -= g * (rx * uy - ry * ux)
+    W = c.inverse_mass.copy()
+    for which in range(2):
+        if resting[which]:
+            W[9 * which : 9 * which + 3] = 0.0
+    phi, rate, b = np.zeros(4), np.zeros(4), np.zeros(4)
+    J, M = np.zeros((4, 12)), np.zeros((4, 4))
+    constraints(z, c, phi, rate, b, J)
+    for k in range(4):
+        b[k] += 2.0 * BAUMGARTE * rate[k] + BAUMGARTE**2 * phi[k]
+        for j in range(12):
+            b[k] += J[k, j] * W[j] * Q[j]
+        for i in range(4):
+            for j in range(12):
+                M[k, i] += J[k, j] * W[j] * J[i, j]
+    solve_4(M, b)  # b becomes the multipliers
+    for j in range(12):
+        force = 0.0
+        for k in range(4):
+            force += J[k, j] * b[k]
+        acc[j] = W[j] * (Q[j] - force)
+        if j < 3:
+            held[0, j] -= force
+
+
+@numba.njit
+def motion(
+    z: np.ndarray, c: Constants, touching: np.ndarray, chi: np.ndarray, resting: np.ndarray
+) -> np.ndarray:
+    """Rate of change of the state: 12 coordinates, 12 velocities, normal impulse of each wall."""
+    rate = np.zeros(26)
+    rate[:12] = z[12:24]
+    held = np.zeros((2, 3))
+    accelerations(z, c, touching, chi, resting, rate[12:24], held)
+    for wall in range(2):
+        if touching[wall]:
+            rate[24 + wall] = contact_force(z, c, wall, chi[wall])[0]
+    return rate
+
+
+def limit_used(wrench: np.ndarray, balls: np.ndarray, heading: float) -> float:
+    """Which share of what its balls can hold a vehicle at rest asks for.
+
+    The largest ratio, over all motions, of the wrench's power to the power that the balls
+    could take (Goyal, Ruina and Papadopoulos 1991): the least of a convex function
+    of the two motions that are left free by a power of one.
+    """
+    c, s = math.cos(heading), math.sin(heading)
+    x, y = c * balls[:, 0] - s * balls[:, 1], s * balls[:, 0] + c * balls[:, 1]
+    arm = np.hypot(x, y).max()
+    w = np.array([wrench[0], wrench[1], wrench[2] / arm])
+    size = np.linalg.norm(w)
+    if size == 0.0:
+        return 0.0
+    basis = np.linalg.svd((w / size)[None, :])[2]  # rows: along the wrench, then across
+
+    def taken(free: np.ndarray) -> float:
+        m = w / size + free @ basis[1:]
+        return float(balls[:, 2] @ np.hypot(m[0] - m[2] * y / arm, m[1] + m[2] * x / arm))
+
+    best = minimize(
+        taken, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-11, "fatol": 1e-15}
+    )
+    return float(size / best.fun)
+
+
+@dataclass
+class Touch:
+    """A touch of wall ``side`` (+1 or -1): times (s), approach speed (m/s), peak (N)."""
+
+    side: int
+    start: float
+    speed: float
+    end: float = math.inf
+    peak: float = 0.0
+    peak_time: float = 0.0
+
+
+@dataclass
+class MaximalRun:
+    """What a run gave: touches, minimal coordinates at the times asked for, drift."""
+
+    touches: list[Touch] = field(default_factory=list)
+    moving: list[float] = field(default_factory=list)  # when the target left its rest
+    q: list[np.ndarray] = field(default_factory=list)
+    v: list[np.ndarray] = field(default_factory=list)
+    impulse: list[np.ndarray] = field(default_factory=list)
+    drift: float = 0.0  # largest constraint violation after any step, m or rad
+
+
+def spread(c: Constants, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """State (26,) of the four bodies from minimal coordinates q (8,) and v (8,)."""
+    z = np.zeros(26)
+    for body, base in enumerate((0, 5)):
+        z[9 * body : 9 * body + 3] = q[base : base + 3]
+        z[12 + 9 * body : 15 + 9 * body] = v[base : base + 3]
+    e, f = np.array([math.cos(q[3]), math.sin(q[3])]), np.array([-math.sin(q[3]), math.cos(q[3])])
+    hinge = q[:2] + c.a * np.array([math.cos(q[2]), math.sin(q[2])])
+    hinge_rate = v[:2] + c.a * v[2] * np.array([-math.sin(q[2]), math.cos(q[2])])
+    for k, reach, rate in ((3, -c.half_cylinder, 0.0), (6, q[4] - c.tip_ahead, v[4])):
+        z[k : k + 2] = hinge + reach * e
+        z[k + 2] = q[3]
+        z[12 + k : 14 + k] = hinge_rate + rate * e + reach * v[3] * f
+        z[14 + k] = v[3]
+    return z
+
+
+def gather(c: Constants, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimal coordinates q and rates v of a state; h by eq. (11)."""
+    e, f = np.array([math.cos(z[8]), math.sin(z[8])]), np.array([-math.sin(z[8]), math.cos(z[8])])
+    hinge = z[:2] + c.a * np.array([math.cos(z[2]), math.sin(z[2])])
+    hinge_rate = z[12:14] + c.a * z[14] * np.array([-math.sin(z[2]), math.cos(z[2])])
+    tip = z[6:8] + c.tip_ahead * e
+    tip_rate = z[18:20] + c.tip_ahead * z[20] * f
+    h = float((tip - hinge) @ e)
+    rate = float((tip_rate - hinge_rate) @ e)
+    q = np.array([z[0], z[1], z[2], z[8], h, z[9], z[10], z[11]])
+    v = np.array([z[12], z[13], z[14], z[20], rate, z[21], z[22], z[23]])
+    return q, v
+
+
+class MaximalBench:
+    """Steps the four bodies with SciPy's DOP853 from one located event to the next.
+
+    ``solve_ivp`` itself looks for a change of sign between step ends only: it starts after
+    an event with a gap of +-1e-18 m and then misses a touch that follows within the step.
+    So each step is looked at in eighths by value and slope, never at its very start.
+
+    Parameters
+    ----------
+    scene
+        Lankarani-Nikravesh contact and tanh friction; no latch closes in the run.
+    t, q, v
+        Start, in minimal coordinates; the target rests there if the scene has supports.
+    rtol, atol
+        As in SciPy.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        rtol: float = 1e-13,
+        atol: float = 1e-15,
+    ) -> None:
+        self.c = constants(scene)
+        self.rtol, self.atol = rtol, atol
+        self.t, self.z = t, spread(self.c, np.asarray(q), np.asarray(v))
+        self.touching = np.zeros(2, dtype=bool)
+        self.chi = np.zeros(2)
+        self.resting = np.array([False, scene.supports is not None and not np.any(v[5:])])
+        self.open: list[Touch | None] = [None, None]
+        self.wanted: list[float] = []
+        self.run = MaximalRun()
+
+    def _rate(self, t: float, z: np.ndarray) -> np.ndarray:
+        return motion(z, self.c, self.touching, self.chi, self.resting)
+
+    def _load(self, z: np.ndarray) -> float:
+        """Share of the supports' limit that the resting target uses."""
+        held = np.zeros((2, 3))
+        accelerations(z, self.c, self.touching, self.chi, self.resting, np.zeros(12), held)
+        return limit_used(held[1], self.c.balls[1], z[11])
+
+    def _gap(self, z: np.ndarray, wall: int, sign: float) -> tuple[float, float]:
+        gap, rate = wall_contact(z, self.c, wall)[:2]
+        return sign * gap, sign * rate
+
+    def _crossing(self, dense: DenseOutput, t_a: float, t_b: float, wall: int) -> float | None:
+        """First time in a step when the gap (or, touching, the depth) goes below zero."""
+        sign = -1.0 if self.touching[wall] else 1.0
+
+        def value(t: float) -> float:
+            return self._gap(dense(t), wall, sign)[0]
+
+        def slope(t: float) -> float:
+            return self._gap(dense(t), wall, sign)[1]
+
+        times = t_a + PLACES * (t_b - t_a)
+        states = dense(times)
+        found = [self._gap(states[:, k], wall, sign) for k in range(times.size)]
+        for k in range(1, times.size):
+            low, high = times[k - 1], times[k]
+            if found[k][0] >= 0.0:
+                if not (found[k - 1][1] < 0.0 < found[k][1]):
+                    continue
+                dip = brentq(slope, low, high, xtol=1e-16)
+                if value(dip) >= 0.0:
+                    continue
+                high = dip
+            if k == 1:
+                # the start may be on the wall to rounding: begin where the gap is widest
+                if found[0][1] <= 0.0 and found[0][0] <= 1e-16:
+                    return float(low)
+                if found[0][1] > 0.0:
+                    low = brentq(slope, low, high, xtol=1e-16)
+            return float(brentq(value, low, high, xtol=1e-17, rtol=1e-15))
+        return None
+
+    def _watch_peak(self, dense: DenseOutput, t_a: float, t_b: float) -> None:
+        times = t_a + PLACES * (t_b - t_a)
+        states = dense(times)
+        for wall, touch in enumerate(self.open):
+            if touch is None:
+                continue
+            chi = self.chi[wall]
+            forces = [contact_force(states[:, k], self.c, wall, chi)[0] for k in range(times.size)]
+            best = int(np.argmax(forces))
+            if forces[best] < 0.99 * touch.peak:
+                continue
+
+            def pull(t: float, wall: int = wall, chi: float = chi) -> float:
+                return -contact_force(dense(t), self.c, wall, chi)[0]
+
+            bounds = (times[max(best - 1, 0)], times[min(best + 1, times.size - 1)])
+            top = minimize_scalar(pull, bounds=bounds, method="bounded", options={"xatol": 1e-12})
+            if -top.fun > touch.peak:
+                touch.peak, touch.peak_time = float(-top.fun), float(top.x)
+
+    def _begin(self, wall: int) -> None:
+        speed = max(-self._gap(self.z, wall, 1.0)[1], 0.0)
+        self.touching[wall] = True
+        self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
+        touch = Touch(1 - 2 * wall, self.t, speed)
+        self.open[wall] = touch
+        self.run.touches.append(touch)
+
+    def _end(self, wall: int) -> None:
+        touch = self.open[wall]
+        assert touch is not None
+        touch.end = self.t
+        self.open[wall] = None
+        self.touching[wall] = False
+
+    def _watch_drift(self) -> None:
+        phi, rate, bias, J = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros((4, 12))
+        constraints(self.z, self.c, phi, rate, bias, J)
+        self.run.drift = max(self.run.drift, float(np.abs(phi).max()))
+
+    def _step(self, solver: DOP853) -> bool:
+        """Take one step up to the first event in it; tells whether there was one."""
+        solver.step()
+        if solver.status == "failed":
+            raise RuntimeError(f"SciPy gave up at t = {self.t}")
+        dense = solver.dense_output()
+        t_a, t_b = self.t, solver.t
+        first, happening = t_b, None
+        for wall in range(2):
+            at = self._crossing(dense, t_a, t_b, wall)
+            if at is not None and (at < first or happening is None):
+                first, happening = at, wall
+        if self.resting[1] and self.touching.any() and self._load(dense(first)) > 1.0:
+            first = brentq(lambda t: self._load(dense(t)) - 1.0, t_a, first, xtol=1e-16)
+            happening = 2
+        while self.wanted and self.wanted[0] <= first:
+            z = dense(self.wanted.pop(0))
+            q, v = gather(self.c, z)
+            self.run.q.append(q)
+            self.run.v.append(v)
+            self.run.impulse.append(z[24:].copy())
+        self._watch_peak(dense, t_a, first)
+        self.z = dense(first) if happening is not None else solver.y.copy()
+        self.t = first
+        self._watch_drift()
+        if happening is None:
+            return False
+        if happening == 2:
+            self.resting[1] = False
+            self.run.moving.append(self.t)
+        elif self.touching[happening]:
+            self._end(happening)
+        else:
+            self._begin(happening)
+        return True
+
+    def advance(self, times: list[float]) -> MaximalRun:
+        """Run to the last of ``times`` (s), all of them ahead."""
+        self.wanted = list(times)
+        while self.wanted:
+            solver = DOP853(
+                self._rate,
+                self.t,
+                self.z,
+                times[-1],
+                max_step=LONGEST_STEP,
+                rtol=self.rtol,
+                atol=self.atol,
+                first_step=min(1e-7, times[-1] - self.t),
+            )
+            while solver.status == "running" and not self._step(solver):
+                pass
+        return self.run

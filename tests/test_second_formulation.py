@@ -1,0 +1,107 @@
+"""The bench against four bodies in maximal coordinates, stepped by SciPy (maximal_model.py)."""
+
+import numpy as np
+import pytest
+from maximal_model import MaximalBench, constants, limit_used, probe_masses, spread
+
+from capture_sim import load_scene, simulate
+from capture_sim.samples import EventKind
+
+#: Scene, overrides, and times to compare at (s): each kind of contact in turn.
+CASES = {
+    "designed": ("paper_designed", [], (0.1, 0.35)),
+    "undamped": ("paper_undamped", [], (0.1, 0.35)),
+    # the tip's path passes 75 mm beside the axis: outer lip only
+    "outer lip": (
+        "paper_designed",
+        ["initial.target.x=0.514", "initial.target.y=0.075"],
+        (0.1, 0.2),
+    ),
+    # soft, fast and askew: the tip runs into the throat and hammers both inner edges
+    "inner edges": (
+        "paper_designed",
+        [
+            "buffer={k_A: 145.7, c_A: 19.7, k_T: 1926}",
+            "initial.chaser={x: 0.3434, y: -0.01737, theta: -0.0505, vx: 0.2439, vy: -0.01233}",
+            "initial.target={x: 0.79958, y: -0.0285, theta: 0.04684}",
+        ],
+        (0.05, 0.08),
+    ),
+}
+
+
+def agree(found, other, times, exact):
+    """Compare states, touches and peaks of a Result with a MaximalRun."""
+    assert other.drift < 1e-12
+    for k in range(len(times)):
+        assert np.abs(found.q[k] - other.q[k]).max() < exact
+        assert np.abs(found.v[k] - other.v[k]).max() < 100 * exact
+        assert found.samples["impulse"][k] == pytest.approx(other.impulse[k], abs=exact)
+    starts = [e for e in found.events if e.kind is EventKind.TOUCH and e.t < times[-1]]
+    assert [e.wall for e in starts] == [touch.side for touch in other.touches]
+    assert [e.t for e in starts] == pytest.approx([t.start for t in other.touches], abs=10 * exact)
+    over = found.touches[found.touches["end"] < times[-1]]
+    ended = {(t.side, round(t.start, 8)): t for t in other.touches if np.isfinite(t.end)}
+    assert len(over) == len(ended)
+    for touch in over:
+        twin = ended[(int(touch["wall"]), round(float(touch["start"]), 8))]
+        assert touch["end"] == pytest.approx(twin.end, abs=10 * exact)
+        assert touch["approach_speed"] == pytest.approx(twin.speed, abs=100 * exact)
+        assert touch["peak_force"] == pytest.approx(twin.peak, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_maximal_coordinates_agree(name):
+    scene_name, overrides, times = CASES[name]
+    scene = load_scene(scene_name, [*overrides, "run.rtol=1e-12"])
+    found = simulate(scene, t_end=times[-1] + 1e-3, t_eval=np.array(times))
+    other = MaximalBench(scene, 0.0, *scene.initial_coordinates(), rtol=1e-12)
+    agree(found, other.advance(list(times)), times, exact=1e-11)
+    walls = {touch.side for touch in other.run.touches}
+    assert walls == ({-1, 1} if name == "inner edges" else {-1})
+
+
+def test_maximal_coordinates_agree_on_the_floor():
+    """From the rail's end: coasting on the balls, the target's rest, its first move, contact."""
+    scene = load_scene("tilt_p10", ["run.rtol=1e-12"])
+    whole = simulate(scene, t_end=3.2)
+    leave = next(e for e in whole.events if e.kind is EventKind.RAIL_END)
+    touch = next(e for e in whole.events if e.kind is EventKind.TOUCH)
+    moves = next(e for e in whole.events if e.kind is EventKind.MOVING)
+    times = (touch.t - 1e-3, touch.t + 0.1, touch.t + 0.35)
+    found = simulate(scene, t_end=times[-1] + 1e-3, t_eval=np.array(times))
+    other = MaximalBench(scene, leave.t, leave.q, leave.v, rtol=1e-12)
+    agree(found, other.advance(list(times)), times, exact=1e-11)
+    assert other.run.moving == pytest.approx([moves.t], abs=1e-11)
+
+
+def test_free_bodies_keep_momentum_and_constraints():
+    """The second formulation by itself: nothing outside acts on chaser, cylinder and probe."""
+    scene = load_scene("paper_designed", ["initial.target.x=3", "initial.chaser.omega=2"])
+    model = MaximalBench(scene, 0.0, *scene.initial_coordinates(), rtol=1e-11)
+    c = constants(scene)
+    m = 1.0 / c.inverse_mass
+
+    def momenta(z):
+        rate = m * z[12:24]
+        turning = sum(z[k] * rate[k + 1] - z[k + 1] * rate[k] + rate[k + 2] for k in (0, 3, 6))
+        return np.array([rate[0:9:3].sum(), rate[1:9:3].sum(), turning])
+
+    start = momenta(spread(c, *scene.initial_coordinates()))
+    model.advance([0.3])
+    assert abs(model.run.q[0][4] - scene.rest_length) > 1e-4  # the buffer is at work
+    assert momenta(model.z) == pytest.approx(start, abs=1e-9)
+    assert model.run.drift < 1e-12
+
+
+def test_probe_masses_are_those_of_the_paper():
+    mass, behind, inertia = probe_masses(load_scene("paper_designed"))
+    assert (mass, behind, inertia) == pytest.approx((0.178185, 0.0900, 8.7206e-4), rel=1e-4)
+
+
+def test_limit_of_the_supports_in_cases_that_can_be_solved_by_hand():
+    balls = np.array(
+        [[0.1, 0.0, 2.0], [-0.05, 0.0866025403784, 2.0], [-0.05, -0.0866025403784, 2.0]]
+    )
+    assert limit_used(np.array([3.0, 0.0, 0.0]), balls, 0.3) == pytest.approx(0.5, rel=1e-9)
+    assert limit_used(np.array([0.0, 0.0, 0.3]), balls, 0.3) == pytest.approx(0.5, rel=1e-6)
