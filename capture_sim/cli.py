@@ -283,7 +283,10 @@ def _view(options: argparse.Namespace) -> int:
     for run in runs:
         for problem in run.problems:
             print(f"capture-sim: {run.name}: {problem}", file=sys.stderr)
-    _draw([run for run in runs if run.samples.size], options.out)
+    drawable = [run for run in runs if run.samples.size]
+    if not drawable:
+        raise RecordingError("nothing to draw: no recording holds a sample")
+    _draw(drawable, options.out)
     return OK
 
 

@@ -24,8 +24,9 @@ _SOURCES = sorted(
 
 
 def source_hash() -> str:
-    """Return a hash of all kernel sources and of the compiler's version."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    """Return a hash of all kernel sources, of where they are and of the compiler's version."""
+    # Numba finds compiled code again by the path of its source, so another checkout has its own
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
     for path in _SOURCES:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]

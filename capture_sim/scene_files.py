@@ -6,6 +6,7 @@ itself is laid over that.  ``null`` takes a part off the bench.
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 import re
@@ -190,8 +191,9 @@ def _build_part(part: type, data: Any, where: str = "") -> Any:
     declared = {f.name: f for f in fields(part)}
     for key in data:
         if key not in declared:
-            near = difflib.get_close_matches(str(key), declared, n=1, cutoff=0.5)
-            hint = f"; did you mean {prefix}{near[0]}?" if near else ""
+            by_lower = {name.lower(): name for name in declared}
+            near = difflib.get_close_matches(str(key).lower(), by_lower, n=1, cutoff=0.5)
+            hint = f"; did you mean {prefix}{by_lower[near[0]]}?" if near else ""
             raise SceneError(
                 f"{prefix}{key}: unknown field; allowed are {', '.join(declared)}{hint}"
             )
@@ -214,9 +216,7 @@ def load_scene_text(text: str, overrides: Iterable[str] = ()) -> Scene:
     SceneError
         One line that names the field, the value, the unit and the allowed range.
     """
-    data = _apply_overrides(_parse(text, "scene"), overrides)
-    scene: Scene = _build_part(Scene, data)
-    return scene
+    return _changed(_parse(text, "scene"), list(overrides))
 
 
 def load_scene(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scene:
@@ -234,11 +234,25 @@ def load_scene(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scene
     SceneError
         One line that names the field, the value, the unit and the allowed range.
     """
+    overrides = list(overrides)
     path = _find(name_or_path)
     data = _read_extended(path)
     data.setdefault("name", path.stem)
     data.setdefault("title", str(data["name"]))
+    if path.parent != config_dir() / "scenes":
+        # a file of the user's own: say that it is this one, before its values are changed
+        try:
+            _build_part(Scene, data)
+        except SceneError as error:
+            raise SceneError(f"{path.name}: {error}") from None
+    return _changed(data, overrides)
+
+
+def _changed(data: dict[str, Any], overrides: list[str]) -> Scene:
+    """Make a scene with values changed; its title says which."""
     scene: Scene = _build_part(Scene, _apply_overrides(data, overrides))
+    if overrides and not any(item.startswith("title=") for item in overrides):
+        scene = dataclasses.replace(scene, title=f"{scene.title}; with {', '.join(overrides)}")
     return scene
 
 

@@ -121,3 +121,12 @@ def test_table_has_a_row_for_each_run(runs):
     row = next(line for line in lines if line.startswith("paper_undamped"))
     assert " rebound " in row
     assert " 272.8 " in row
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])
+def test_the_bench_without_latches_runs_to_its_end(name):
+    """Vehicles come to rest and start again many times; nothing may pile up on one instant."""
+    run = simulate(load_scene(name, ["latch=null"]))
+    assert run.events[-1].kind.label == "end"
+    assert run.t[-1] == pytest.approx(20.0)
+    assert run.verdict.label == "captured"

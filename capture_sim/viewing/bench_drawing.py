@@ -74,4 +74,13 @@ def _label(axes: Axes, text: str, outline: np.ndarray) -> None:
     middle = outline[:4].mean(axis=0)
     along = outline[1] - outline[0]
     turn = float(np.rad2deg(np.arctan2(along[1], along[0])))
-    axes.text(middle[0], middle[1], text, ha="center", va="center", fontsize=12, rotation=turn)
+    axes.text(
+        middle[0],
+        middle[1],
+        text,
+        ha="center",
+        va="center",
+        fontsize=12,
+        rotation=turn,
+        bbox={"facecolor": palette.LIGHT, "edgecolor": "none", "pad": 2.0},  # over the ghost's line
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -59,10 +60,12 @@ def impact_speed(run: ViewableRun) -> float | None:
 
 
 def headline(run: ViewableRun) -> str:
-    """Return name, verdict and impact speed in one line."""
+    """Return name, verdict and impact speed in one line, and what was changed in another."""
     speed = impact_speed(run)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
-    return f"{run.scene.name}: {verdict(run)}, {impact}"
+    changed = run.scene.title.partition("; with ")[2]
+    line = f"{run.scene.name}: {verdict(run)}, {impact}"
+    return line + ("\nwith " + textwrap.shorten(changed, 90) if changed else "")
 
 
 def in_contact(run: ViewableRun) -> np.ndarray:
