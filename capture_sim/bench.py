@@ -15,6 +15,7 @@ from capture_sim import engine
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
 from capture_sim.dynamics.parameters import pack
 from capture_sim.errors import SimulationError
+from capture_sim.integration.implicit import make_work
 from capture_sim.integration.pairs import PAIRS, padded
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
@@ -99,6 +100,7 @@ class Bench:
         self._K = np.zeros((self._pair.A.shape[1], N_TOTAL))
         self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
         self._scratch = np.zeros(N_SCRATCH)
+        self._implicit = make_work(8, N_TOTAL)
         self._mode = np.zeros(1, MODE)
         self._run = np.zeros(1, engine.RUN)
         self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
@@ -197,6 +199,7 @@ class Bench:
                 self._F,
                 self._weights,
                 self._scratch,
+                tuple(self._implicit),
                 times[served:],
                 samples[served:],
                 self._event_room,

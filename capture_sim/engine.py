@@ -40,6 +40,8 @@ from capture_sim.dynamics.observation import (
 from capture_sim.dynamics.supports import fastest_ball, load_factor
 from capture_sim.dynamics.trig import sine_cosine
 from capture_sim.integration.explicit import dense, make_stepper, next_factor
+from capture_sim.integration.implicit import C as STAGE_TIMES
+from capture_sim.integration.implicit import factor_systems, make_implicit
 from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import entry_kernel, kernel
 from capture_sim.samples import TOUCH
@@ -48,6 +50,7 @@ from capture_sim.samples import TOUCH
 N_WATCHED = STOP + 1
 
 try_step, prepare_dense = make_stepper(rate_of_change)
+derivatives, solve_step = make_implicit(rate_of_change)
 
 #: Where a run stands; the loop's own notebook.
 RUN = np.dtype(
@@ -62,6 +65,12 @@ RUN = np.dtype(
         ("fresh", "i8"),  # equations have changed: K[0] is stale
         ("h_next", "f8"),
         ("error", "f8"),
+        ("stiff", "i8"),  # the implicit method is at work
+        ("held_back", "i8"),  # explicit steps in a row that only the contact kept short
+        ("h_stiff", "f8"),  # next implicit step; the last one; the one that is factorised
+        ("h_last", "f8"),
+        ("h_factored", "f8"),
+        ("derived", "i8"),  # the derivatives belong to this touch
         ("on_rail", "i8"),
         ("taut", "i8"),
         ("travel", "f8"),  # along the rail at t0
@@ -125,6 +134,8 @@ _GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
 _EVENT_ROOM = 8  # events that one stretch may cause
 _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
+_HELD_BACK = 3  # explicit steps that only the contact kept short, before implicit ones
+_PATIENCE = 20  # explicit steps after an event has shown up, before they are tried again
 _CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span
 _DEEPEST = 0.75  # of R_t: beyond it the tip's centre might pass a wall within a step
 # share of the supports' limit below which a slow vehicle is put at rest: at it, the smoothed
@@ -588,13 +599,79 @@ def step_length(par, run, mode):
                 # less than a period of the contact: a longer step may be right at its end and
                 # far off in between, where samples and events are read
                 stiffness = 1.5 * par.K * math.sqrt(-run.gap[i])
-                h = min(h, _CONTACT_ANGLE * math.sqrt(par.m_P / stiffness))
+                longest = _CONTACT_ANGLE * math.sqrt(par.m_P / stiffness)
+                if h > longest:
+                    h = longest
+                    run.held_back += 1
+                elif h < 0.3 * longest:
+                    run.held_back = min(run.held_back, 0)
         return h
     # to the next multiple of the fixed step; what an event has cut off is caught up
     n = math.floor(run.t0 / par.fixed_step + 1.0 + 1e-9)
     if run.substeps == 0 or n * par.fixed_step - run.t0 > 0.999 * par.fixed_step:
         run.substeps = 0
     return n * par.fixed_step - run.t0
+
+
+@kernel
+def take_implicit_step(par, run, mode, y, y_new, y_s, K, F, weights, scratch, stages, work):
+    """Take one accepted step of the implicit method; returns whether it could."""
+    Z = work[6]
+    h = min(run.h_stiff, 1.01 * (run.t_stop - run.t0))
+    guess = run.h_last > 0.0
+    fresh = False
+    for _ in range(20):
+        if not run.derived:
+            derivatives(par, mode, scratch, run.t0, y, y_s, 1e-9, 1e-7, work)
+            run.evaluations += 2 * N_STATE
+            run.derived = 1
+            run.h_factored = 0.0
+            fresh = True
+        if h != run.h_factored:
+            if not factor_systems(h, work):
+                return False
+            run.h_factored = h
+        # first guess: the last step's cubic carried on, or the motion now
+        for k in range(3):
+            if guess:
+                x = 1.0 + STAGE_TIMES[k] * h / run.h_last
+                for i in range(N_STATE):
+                    Z[k, i] = x * (F[0, i] + (1.0 - x) * (F[1, i] + x * F[2, i])) - F[0, i]
+            else:
+                tau = STAGE_TIMES[k] * h
+                for i in range(8):
+                    Z[k, i] = tau * (y[8 + i] + 0.5 * tau * K[0, 8 + i])
+                    Z[k, 8 + i] = tau * K[0, 8 + i]
+        iterations, rate, error = solve_step(
+            par, mode, scratch, run.t0, y, K[0], h, y_s, y_new, K[stages], weights, work, F
+        )
+        run.evaluations += 3 * max(iterations, 1) + 1
+        guess = False
+        if iterations < 0:
+            run.rejected += 1
+            if fresh:
+                h *= 0.3
+            run.derived = 0
+            run.h_last = 0.0
+            continue
+        factor = min(4.0, max(0.2, 0.9 * error**-0.25)) if error > 0.0 else 4.0
+        if error > 1.0:
+            run.rejected += 1
+            h *= factor
+            continue
+        run.h_last = h
+        # a new step length costs a factorisation: only for a gain
+        run.h_stiff = h if 1.0 <= factor < 1.3 else h * factor
+        if iterations > 3 or rate > 0.1:
+            run.derived = 0
+        run.steps += 1
+        run.pending = NO_EVENT
+        run.h = h
+        run.t1 = run.t0 + h
+        run.dense_ready = 1
+        run.error = 1e-4
+        return True
+    return False
 
 
 @kernel
@@ -706,7 +783,7 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
 
 
 @kernel
-def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch):
+def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch, work):
     """Take one accepted step of the integrator and cut it at the first event in it.
 
     Returns the loop's status; SERVED if all is well.
@@ -717,6 +794,8 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         rate_of_change(run.t0, y, K[0], par, mode, scratch)
         run.evaluations += 1
         run.fresh = 0
+        run.stiff = 0
+        run.held_back = 0
         if par.has_supports:
             # a change of forces may ask more of the supports at once than they can hold
             for which in range(2):
@@ -733,7 +812,17 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
     if not run.measured:
         remember_distances(run, distances(y, par))
     way = way_to_events(par, run, mode)
-    while True:
+    smooth = False
+    if run.stiff:
+        smooth = take_implicit_step(
+            par, run, mode, y, y_new, y_s, K, F, weights, scratch, stages, work
+        )
+        near = distances(y_new, par)
+        if not smooth or 0.5 * (run.tip_speed + near[6]) * run.h > 1.01 * way:
+            smooth = False
+            run.stiff = 0
+            run.held_back = -_PATIENCE
+    while not smooth:
         h = step_length(par, run, mode)
         status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch, h)
         if status != SERVED:
@@ -748,6 +837,11 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         run.rejected += 1
         run.h_next = 0.9 * run.h * way / made
 
+    if par.implicit and not smooth and run.held_back >= _HELD_BACK:
+        run.stiff = 1
+        run.h_stiff = run.h
+        run.h_last = 0.0
+        run.derived = 0
     if par.fixed_step > 0.0:
         for i in range(2):
             stiffness = 1.5 * par.K * math.sqrt(max(-near[2 * i], 0.0))
@@ -755,6 +849,16 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
                 return STEP_TOO_LONG
 
     cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
+    if cut < 1.0 and smooth:
+        # an event ends the smooth stretch: back to short steps, for some while
+        run.stiff = 0
+        run.held_back = -_PATIENCE
+        h = step_length(par, run, mode)
+        status = take_step(par, run, mode, pair, y, y_new, y_s, e_5, e_3, K, weights, scratch, h)
+        if status != SERVED:
+            return status
+        near = distances(y_new, par)
+        cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
     if cut < 1.0 and par.fixed_step == 0.0:
         # dense output inside a long step in contact is less exact than the step's end: take
         # a real step to just behind the event and look again, now near its end
@@ -926,6 +1030,7 @@ def advance(
     F,
     weights,
     scratch,
+    work,
     times,
     samples,
     events,
@@ -978,20 +1083,7 @@ def advance(
             plan_rail_stretch(par, run)
         else:
             status = plan_step(
-                par,
-                run,
-                mode,
-                pair,
-                y,
-                y_new,
-                y_s,
-                y_x,
-                e_5,
-                e_3,
-                K,
-                F,
-                weights,
-                scratch,
+                par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights, scratch, work
             )
             if status != SERVED:
                 run.stretch = NONE

@@ -355,6 +355,10 @@ class Run(_Checked):
         "1", Range(1e-13, 1e-2), default=1e-8, doc="error a step may make, of the scene's scale"
     )
     method: str = choice(METHODS, default="dop853", doc="integrator")
+    stiff: bool = field(
+        default=False,
+        metadata={"doc": "Radau IIA in sustained contact, where stability alone limits the step"},
+    )
     step: float = quantity(
         "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
     )

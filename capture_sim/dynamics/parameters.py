@@ -74,6 +74,7 @@ PARAMETERS = np.dtype(
         ("length_scale", "f8"),
         ("speed_scale", "f8"),
         ("max_steps", "i8"),
+        ("implicit", "i8"),  # Radau IIA where the contact alone keeps the steps short
         ("fixed_step", "f8"),  # 0: chosen by the error
     ],
     align=True,
@@ -166,6 +167,7 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["length_scale"] = scene.probe.tip_radius
     p["speed_scale"] = speed_scale(scene)
     p["max_steps"] = scene.run.max_steps
+    p["implicit"] = scene.run.stiff and scene.run.method != "rk4"
     p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     return record
 
