@@ -26,6 +26,7 @@ from capture_sim.dynamics.equations import (
     accelerate,
     accelerate_sticking,
     rate_of_change,
+    slip_acceleration,
     slip_of,
     tip_in_cone,
     wall_gap,
@@ -391,12 +392,12 @@ def has_turned(y, par, mode, f, scratch, event, which):
 
 
 @kernel
-def when_it_turns(y, F, rows, y_x, par, mode, f, scratch, event, which):
-    """Return the place (0..1) in a step at which such a condition comes to hold; to rounding.
+def when_it_turns(y, F, rows, y_x, par, mode, f, scratch, event, which, x_b):
+    """Return the place before ``x_b``, where it holds, at which such a condition comes to hold.
 
     By bisection: it has just been left (sliding starts at slip zero) as often as not.
     """
-    x_a, x_b = 0.0, 1.0
+    x_a = 0.0
     while x_b - x_a > 1e-15:
         x = 0.5 * (x_a + x_b)
         dense(y, F, rows, x, y_x, N_STATE)
@@ -405,6 +406,39 @@ def when_it_turns(y, F, rows, y_x, par, mode, f, scratch, event, which):
         else:
             x_a = x
     return x_b
+
+
+@kernel
+def where_slip_changes(par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, i):
+    """Return a place (0..1) in the step by which the slip margin of wall ``i`` is used up; 2: none.
+
+    A tip may reverse twice within a step, and the force that holds it may swing: it is
+    looked at inside the step too, while sliding only where the slip's rates allow a dip.
+    """
+    end = slip_margin(y_new, par, mode, y_x, scratch, i)
+    if end <= 0.0:
+        return 1.0
+    stages = pair[5]
+    place = -1.0
+    if not mode.sticking[i]:
+        width = mode.direction[i] * run.h
+        trial = scratch[32:48]
+        start = max(slip_margin(y, par, mode, y_x, scratch, i), 0.0)
+        rate_a = width * slip_acceleration(y, K[0], par, i, trial)
+        rate_b = width * slip_acceleration(y_new, K[stages], par, i, trial)
+        if not may_cross(start, rate_a, end, rate_b, 0.05):
+            return 2.0
+        place, _ = cubic_minimum(start, rate_a, end, rate_b)
+    make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+    rows = pair[4].shape[0]
+    found = 2.0
+    for k in range(4):
+        x = 0.25 * (k + 1) if k < 3 else place
+        if 0.0 < x < found:
+            dense(y, F, rows, x, y_x, N_STATE)
+            if slip_margin(y_x, par, mode, y_s, scratch, i) <= 0.0:
+                found = x
+    return found
 
 
 @kernel
@@ -654,6 +688,15 @@ def take_implicit_step(par, run, mode, y, y_new, y_s, K, F, weights, scratch, st
             run.derived = 0
             run.h_last = 0.0
             continue
+        # rounding in the linear systems must not move a vehicle that its supports hold
+        for which in range(2):
+            if (mode.rest_S if which == 0 else mode.rest_T) == 1:
+                for i in range(5 * which, 5 * which + 3):
+                    for j in (i, 8 + i):
+                        y_new[j] = y[j]
+                        K[stages, j] = 0.0
+                        for k in range(F.shape[0]):
+                            F[k, j] = 0.0
         factor = min(4.0, max(0.2, 0.9 * error**-0.25)) if error > 0.0 else 4.0
         if error > 1.0:
             run.rejected += 1
@@ -752,10 +795,14 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
             cut = cut_at(run, x, LATCHED, 0, cut)
         if par.friction_law == COULOMB:
             for i in range(2):
-                if mode.touching[i] and slip_margin(y_new, par, mode, y_x, scratch, i) <= 0.0:
-                    make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                    x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, STICK, i)
-                    cut = cut_at(run, x, STICK, i, cut)
+                if mode.touching[i]:
+                    x = where_slip_changes(
+                        par, run, mode, pair, y, y_new, y_s, y_x, K, F, scratch, i
+                    )
+                    if x <= 1.0:
+                        make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
+                        x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, STICK, i, x)
+                        cut = cut_at(run, x, STICK, i, cut)
     if par.has_stops:
         for side in (-1, 1):
             if mode.stop == -side:
@@ -773,11 +820,11 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
             resting = mode.rest_S if which == 0 else mode.rest_T
             if resting and ratio_of_limit(y_new, par, mode, y_x, scratch, which) > 1.0:
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, MOVING, which)
+                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, MOVING, which, 1.0)
                 cut = cut_at(run, x, MOVING, which, cut)
             if not (resting or run.slow[which]) and is_slow(y_new, par, which, 1.0):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, SLOW, which)
+                x = when_it_turns(y, F, rows, y_x, par, mode, y_s, scratch, SLOW, which, 1.0)
                 cut = cut_at(run, x, SLOW, which, cut)
     return cut
 

@@ -96,10 +96,10 @@ def load_factor(
     """
     limit = balls[0, 2] + balls[1, 2] + balls[2, 2]
     force = math.sqrt(fx * fx + fy * fy)
-    if force == 0.0 and torque == 0.0:
-        return 0.0
     if limit <= 0.0:
         return math.inf
+    if force == 0.0 and torque == 0.0:
+        return 0.0
     arm = 0.0
     for i in range(3):
         arm = max(arm, math.hypot(balls[i, 0], balls[i, 1]))

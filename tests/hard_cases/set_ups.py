@@ -147,7 +147,8 @@ def run(scene: Scene, **options: Any) -> Result:
     try:
         return simulate(scene, **options)
     except SimulationError as error:
-        assert error.result is not None
+        if error.result is None:
+            raise
         return error.result
 
 

@@ -227,3 +227,40 @@ def test_stop_that_is_met_for_a_moment_only(method):
         if met:
             hit = first(result, "stop_hit")
             assert hit.q[4] - free.rest_length == pytest.approx(-share * greatest, abs=1e-14)
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+@pytest.mark.parametrize("spin", [0.1, 3.0, -100.0])
+def test_lip_that_a_spinning_target_sweeps_against_a_standing_tip(spin, method):
+    """Nothing moves but the target, about its centre of mass, up to 16 turns a second.
+
+    Exact: the angle at which the outer lip first meets the tip, by the law of cosines.
+    """
+    base = load_scene("paper_designed")
+    x, y = outer_lip(base, -math.copysign(1.0, spin))  # seen from outside the cone
+    lip, bearing = math.hypot(x, y), math.atan2(y, x)
+    reach, radius = base.buffer.a + base.rest_length, base.probe.tip_radius
+    # the tip lies on the lip's circle, 1 rad of its way ahead; seen from the target at pi
+    start = math.pi - bearing - math.copysign(1.0, spin)
+    scene = altered(
+        base,
+        {
+            "initial.chaser.vx": 0.0,
+            "initial.target.x": reach + lip,
+            "initial.target.y": 0.0,
+            "initial.target.theta": math.remainder(start, 2 * math.pi),
+            "initial.target.omega": spin,
+            "run.method": method,
+            "run.t_end": 2.0 / abs(spin),
+            "run.state_rate": 100.0,
+            "run.rate": 100.0,
+        },
+    )
+    # the chord from the lip to the tip's centre is R_t
+    angle = 1.0 - 2 * math.asin(radius / (2 * lip))
+    result = run(scene, t_eval=[])
+    began = times(result, "touch")
+    assert began.size >= 1
+    assert began[0] == pytest.approx(angle / abs(spin), rel=1e-12)
+    closing = abs(spin) * lip * math.cos(math.asin(radius / (2 * lip)))
+    assert result.touches["approach_speed"][0] == pytest.approx(closing, rel=1e-12)
