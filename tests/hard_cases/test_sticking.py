@@ -128,8 +128,8 @@ def test_regularised_friction_creeps_by_the_predicted_speed(share, v_eps, law):
     result = run(block_on_a_slope(degrees_at(share), how))
     way, speed = along_the_wall(result, slope)
     later = result.t >= 0.4
-    assert speed[later] == pytest.approx(creep, rel=1e-3)
-    assert way[later][-1] - way[later][0] == pytest.approx(0.1 * creep, rel=1e-3)
+    assert speed[later] == pytest.approx(creep, rel=2e-3)
+    assert way[later][-1] - way[later][0] == pytest.approx(0.1 * creep, rel=2e-3)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -281,7 +281,7 @@ def test_stick_slip_of_a_dragged_tip(method):
     expected = stick_slip_of_one_freedom(result.scene, begin.t, begin.q[3], 1.0)
     assert [label for label, _ in found] == [label for label, _ in expected]
     assert len(found) >= 4
-    assert [t for _, t in found] == pytest.approx([t for _, t in expected], abs=2e-5)
+    assert [t for _, t in found] == pytest.approx([t for _, t in expected], abs=5e-5)
 
 
 def test_no_reversal_of_the_slip_is_missed():
