@@ -1,4 +1,4 @@
-"""The command line: ``capture-sim run | bench | view | scenes``."""
+"""The command line: ``capture-sim run | bench | view | benchmark | scenes | show``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from capture_sim import __version__
+from capture_sim import __version__, benchmarking
 from capture_sim.errors import CaptureSimError, RecordingError, SceneError, SimulationError
 
 if TYPE_CHECKING:
@@ -85,6 +85,15 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
     )
     view.set_defaults(command=_view)
+
+    benchmark = commands.add_parser(
+        "benchmark",
+        help="measure speed against error on this machine",
+        description="Measure speed against error on this machine, beside what else there is; "
+        "write a page with diagrams.",
+    )
+    benchmarking.add_arguments(benchmark)
+    benchmark.set_defaults(command=benchmarking.run)
 
     scenes = commands.add_parser("scenes", help="list the scenes that come with the package")
     scenes.set_defaults(command=_scenes)

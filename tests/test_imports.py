@@ -22,7 +22,7 @@ VIEWING = ("matplotlib", "pyarrow", "rerun")
 ROS = re.compile(
     rf"(ament_\w+|launch\w*|rcl\w*|rosidl\w*|tf2\w*|\w+_msgs|\w+_srvs|\w+_interfaces|{PACKAGE}\.(msg|srv))$"
 )
-ADAPTERS = ("nodes", "recording", "viewing", "cli", "__main__")
+ADAPTERS = ("nodes", "recording", "viewing", "benchmarking", "cli", "__main__")
 # The only ones that may show or record for a node
 EXCEPTIONS = {
     ("nodes.recorder", "recording"),
@@ -74,6 +74,8 @@ def forbidden(name, imported):
     top = imported.split(".")[0]
     own = layer(name)
     if top in VIEWING:
+        if own == "benchmarking" and top == "matplotlib":
+            return None  # its diagrams are of the integrators, not of runs
         return None if own == "viewing" else "only viewing draws"
     if top in RECORDING:
         return None if own == "recording" else "only recording reads and writes bags"

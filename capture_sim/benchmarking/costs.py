@@ -1,0 +1,268 @@
+"""What things cost: one evaluation, each part of a scene, simulated time, touches, batches."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.bench import Bench
+from capture_sim.benchmarking.own_runs import with_run
+from capture_sim.benchmarking.problems import into_wall, packed
+from capture_sim.benchmarking.trial import Progress, spread
+from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL, rate_of_change
+from capture_sim.kernels import entry_kernel
+from capture_sim.scene import BallSupport, Latch, Scene, Stops, Supports
+
+_LOOP = 20_000  # evaluations in one measurement of an evaluation
+
+
+@entry_kernel
+def evaluate_often(parameters, modes, y, f, scratch, n):  # type: ignore[no-untyped-def]
+    """Evaluate the equations of motion ``n`` times, each waiting for the one before."""
+    par = parameters[0]
+    mode = modes[0]
+    for _ in range(n):
+        rate_of_change(0.0, y, f, par, mode, scratch)
+        y[0] += 1e-18 * f[8]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and quartiles of a measurement."""
+
+    median: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: list[float]) -> Spread:
+        """Return the spread of values."""
+        return cls(statistics.median(values), *spread(values))
+
+
+@dataclass(frozen=True)
+class EvaluationCost:
+    """Time of one evaluation of the equations of motion, s."""
+
+    free: Spread
+    sliding: Spread  # in contact, slip far above v_eps
+    creeping: Spread  # in contact, slip about v_eps
+
+
+@dataclass(frozen=True)
+class PartCost:
+    """What a scene costs with one thing changed.
+
+    Attributes
+    ----------
+    name : str
+        What was added to the row before, or changed.
+    free, contact : float
+        Of one evaluation, s, medians.
+    evaluations, touches : int
+        Of the run to ``t_end``.
+    t_end : float
+        s, simulated.
+    seconds : Spread
+        Wall time of the run.
+    """
+
+    name: str
+    free: float
+    contact: float
+    evaluations: int
+    touches: int
+    t_end: float
+    seconds: Spread
+
+
+@dataclass(frozen=True)
+class RunCost:
+    """What a run costs that ends at ``t_end`` (s)."""
+
+    t_end: float
+    touches: int
+    evaluations: int
+    seconds: Spread
+
+
+@dataclass(frozen=True)
+class BatchCost:
+    """What ``runs`` runs of as many different scenes cost.
+
+    Attributes
+    ----------
+    runs : int
+        Number of scenes.
+    seconds : Spread
+        Wall time, all in all.
+    preparing : float
+        Share of it before the integration.
+    """
+
+    runs: int
+    seconds: Spread
+    preparing: float
+
+
+def evaluation_cost(scene: Scene, repeats: int) -> EvaluationCost:
+    """Measure one evaluation."""
+    slow = dataclasses.replace(scene.initial.chaser, vx=1e-3 * np.sqrt(2.0))
+    creeping = dataclasses.replace(scene, initial=dataclasses.replace(scene.initial, chaser=slow))
+    return EvaluationCost(
+        free=_evaluation(scene, touching=False, repeats=repeats),
+        sliding=_evaluation(scene, touching=True, repeats=repeats),
+        creeping=_evaluation(creeping, touching=True, repeats=repeats),
+    )
+
+
+def _evaluation(scene: Scene, touching: bool, repeats: int) -> Spread:
+    parameters, mode = packed(scene), np.zeros(1, MODE)
+    q, v = scene.initial_coordinates()
+    y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
+    if touching:
+        mode["touching"][0, 1] = 1
+        mode["chi"][0] = 1e9
+        mode["direction"][0] = 1.0
+        y[0] = into_wall(scene)
+    f, scratch = np.zeros(N_TOTAL), np.zeros(N_SCRATCH)
+    evaluate_often(parameters, mode, y, f, scratch, _LOOP)
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        evaluate_often(parameters, mode, y, f, scratch, _LOOP)
+        seconds.append((time.perf_counter() - began) / _LOOP)
+    return Spread.of(seconds)
+
+
+def _timed(job: Callable[[], object]) -> float:
+    gc.collect()
+    gc.disable()
+    try:
+        began = time.perf_counter()
+        job()
+        return time.perf_counter() - began
+    finally:
+        gc.enable()
+
+
+def _run(scene: Scene, repeats: int) -> tuple[Bench, Spread]:
+    """Run a scene to its end some times; return the last bench and the wall times."""
+    times, seconds = np.array([scene.run.t_end]), []
+    for _ in range(repeats):
+        bench = Bench(scene)
+        seconds.append(_timed(lambda b=bench: b.advance(times)))  # type: ignore[misc]
+    return bench, Spread.of(seconds)
+
+
+def parts(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Yield the paper's scene with and without its parts, each with its name."""
+
+    def change(old: Scene, **values: object) -> Scene:
+        new = {
+            name: dataclasses.replace(getattr(old, name), **value)
+            if isinstance(value, dict)
+            else value
+            for name, value in values.items()
+        }
+        return dataclasses.replace(old, **new)  # type: ignore[arg-type]
+
+    bare = change(scene, buffer={"c_A": 0.0, "c_T": 0.0}, friction={"law": "none"})
+    yield "vehicles, buffer's springs, contact", bare
+    damped = change(bare, buffer={"c_A": scene.buffer.c_A})
+    yield "+ axial damper", damped
+    yield "+ torsional damper as well", change(damped, buffer={"c_T": 0.2})
+    rubbing = change(damped, friction={"law": "tanh"})
+    yield "+ axial damper and friction (tanh): the paper's scene", rubbing
+    for law in ("brown_mcphee", "coulomb"):
+        yield f"the paper's scene, friction {law}", change(rubbing, friction={"law": law})
+    yield "+ stroke stops, never met", change(rubbing, stops=Stops(0.1, 0.1, 1e5, 0.0))
+    yield "+ latch, never closed", change(rubbing, latch=Latch(1e-5, 2e4, 80.0))
+    balls = ((0.12, 0.0), (-0.06, 0.104), (-0.06, -0.104))
+    support = BallSupport(balls, 1e-3)
+    yield "+ ball supports", change(rubbing, supports=Supports(support, support))
+
+
+def part_costs(scene: Scene, t_end: float, repeats: int, progress: Progress) -> list[PartCost]:
+    """Measure the paper's scene with and without its parts, and the ground bench's rail."""
+    rows = []
+    cases = list(parts(with_run(scene, t_end=t_end)))
+    for number, (name, case) in enumerate(cases):
+        progress.at("cost of parts", number, len(cases), name)
+        bench, seconds = _run(case, repeats)
+        rows.append(
+            PartCost(
+                name=name,
+                free=_evaluation(case, touching=False, repeats=repeats).median,
+                contact=_evaluation(case, touching=True, repeats=repeats).median,
+                evaluations=bench.statistics.evaluations,
+                touches=bench.touches.size,
+                t_end=t_end,
+                seconds=seconds,
+            )
+        )
+    return rows
+
+
+def rail_cost(scene: Scene, repeats: int) -> RunCost:
+    """Measure a scene with rail and string from the release to the rail's end."""
+    bench = Bench(scene)
+    bench.advance(np.zeros(0))
+    end = next(event.t for event in bench.events if event.kind.label == "rail_end")
+    return run_cost(scene, 0.999 * end, repeats)
+
+
+def run_cost(scene: Scene, t_end: float, repeats: int) -> RunCost:
+    """Measure a run to ``t_end`` (s)."""
+    bench, seconds = _run(with_run(scene, t_end=t_end), repeats)
+    return RunCost(t_end, bench.touches.size, bench.statistics.evaluations, seconds)
+
+
+def time_costs(
+    scene: Scene, t_ends: tuple[float, ...], repeats: int, progress: Progress
+) -> list[RunCost]:
+    """Measure runs of growing length."""
+    rows = []
+    for number, t_end in enumerate(t_ends):
+        progress.at("cost of simulated time", number, len(t_ends), f"{t_end:g} s")
+        rows.append(run_cost(scene, t_end, repeats))
+    return rows
+
+
+def batch_costs(
+    scene: Scene, t_end: float, sizes: tuple[int, ...], repeats: int, progress: Progress
+) -> list[BatchCost]:
+    """Measure batches of runs that differ in the speed of the approach, one after the other."""
+    scene = with_run(scene, t_end=t_end)
+    rows = []
+    for number, size in enumerate(sizes):
+        progress.at("cost of batches", number, len(sizes), f"{size} runs")
+        totals, shares = [], []
+        for _ in range(repeats):
+            preparing, running = _batch(scene, size)
+            totals.append(preparing + running)
+            shares.append(preparing / (preparing + running))
+        rows.append(BatchCost(size, Spread.of(totals), statistics.median(shares)))
+    return rows
+
+
+def _batch(scene: Scene, size: int) -> tuple[float, float]:
+    """Run ``size`` scenes; return the wall times before and in the integration, s."""
+    preparing = running = 0.0
+    times = np.array([scene.run.t_end])
+    for vx in np.linspace(0.05, 0.15, size):
+        began = time.perf_counter()
+        chaser = dataclasses.replace(scene.initial.chaser, vx=float(vx))
+        initial = dataclasses.replace(scene.initial, chaser=chaser)
+        bench = Bench(dataclasses.replace(scene, initial=initial))
+        ready = time.perf_counter()
+        bench.advance(times)
+        preparing += ready - began
+        running += time.perf_counter() - ready
+    return preparing, running

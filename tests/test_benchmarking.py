@@ -1,0 +1,44 @@
+"""The benchmark: its references, and that it says what it found, failures too."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene, simulate
+from capture_sim.benchmarking.reference import load_reference
+from capture_sim.cli import main
+
+
+@pytest.mark.parametrize("name", ["paper_designed", "paper_undamped"])
+@pytest.mark.parametrize("method", ["dop853", "dopri5"])
+def test_the_bench_agrees_with_the_references(name, method):
+    """Another method, other equations, extended precision: see benchmarks/references."""
+    reference = load_reference(name)
+    scene = load_scene(name, ["run.rtol=1e-12", f"run.method={method}"])
+    result = simulate(scene, t_end=0.4, t_eval=np.array([t for t in reference.times if t < 0.4]))
+    for k, t in enumerate(result.t):
+        assert np.abs(result.q[k] - reference.q[reference.times.index(t)]).max() < 1e-9
+    begun = [e.t for e in result.events if e.kind.label == "touch" and e.t <= 0.35]
+    starts = reference.touches["start"]
+    assert begun == pytest.approx(starts[starts <= 0.35], abs=1e-9)
+
+
+def test_a_quick_benchmark_writes_its_page_and_every_trial(tmp_path, capsys):
+    assert main(["benchmark", "--quick", "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    page = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    assert "SciPy" in page
+    assert "wanted" in shown
+    with (tmp_path / "benchmark" / "trials.csv").open(encoding="utf-8") as file:
+        trials = list(csv.DictReader(file))
+    families = {trial["family"] for trial in trials}
+    assert {"dop853", "dopri5"} < families
+    assert any("SciPy" in family for family in families)
+    for trial in trials:
+        # a trial has its error and its cost, or it says why not
+        measured = trial["position_error_m_or_rad"] != "" and float(trial["median_s"]) > 0.0
+        assert measured or trial["failure"]
+    ours = [t for t in trials if t["family"] == "dop853" and t["setting"] == "rtol 1e-08"]
+    assert float(ours[0]["position_error_m_or_rad"]) < 1e-9
+    assert (tmp_path / "benchmark" / "work_precision.svg").stat().st_size > 10_000
