@@ -22,7 +22,7 @@ VIEWING = ("matplotlib", "pyarrow", "rerun")
 ROS = re.compile(
     rf"(ament_\w+|launch\w*|rcl\w*|rosidl\w*|tf2\w*|\w+_msgs|\w+_srvs|\w+_interfaces|{PACKAGE}\.(msg|srv))$"
 )
-ADAPTERS = ("nodes", "recording", "viewing", "benchmarking", "cli", "__main__")
+ADAPTERS = ("nodes", "recording", "viewing", "benchmarking", "commands", "cli", "__main__")
 # The only ones that may show or record for a node
 EXCEPTIONS = {
     ("nodes.recorder", "recording"),
@@ -87,7 +87,9 @@ def forbidden(name, imported):
     other = layer(inner)
     if other in ("core", own) or own == "__main__" or (own == "cli" and other != "__main__"):
         return None
-    if own == "core" or other in ("cli", "__main__"):
+    if own == "commands" and other not in ("cli", "__main__"):
+        return None
+    if own == "core" or other in ("commands", "cli", "__main__"):
         return f"{own} may not know {other}"
     return None if (name, other) in EXCEPTIONS else f"{own} and {other} stay apart"
 

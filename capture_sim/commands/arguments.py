@@ -1,0 +1,88 @@
+"""Arguments that several commands take, and what they check before anything runs."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from capture_sim.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from capture_sim.scene import Scene
+
+#: Exit statuses
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def add_experiments(parser: argparse.ArgumentParser) -> None:
+    """Add experiments, the folder of the results, and changes to the scenes."""
+    parser.add_argument(
+        "experiments",
+        nargs="+",
+        metavar="EXPERIMENT",
+        help="names of scenes, paths of YAML files, or recorded .mcap files",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs"), help="folder of the results (default: runs)"
+    )
+    add_overrides(parser)
+
+
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set PART.FIELD=VALUE``."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="overrides",
+        metavar="PART.FIELD=VALUE",
+        help="change a value of the scene, in SI units; may be repeated",
+    )
+
+
+def not_negative(text: str) -> float:
+    """Read a finite number >= 0 off the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number >= 0")
+    return value
+
+
+def load(source: str, overrides: Sequence[str]) -> Scene:
+    """Load a scene by name, from a YAML file, or out of a recording."""
+    from capture_sim.scene_files import load_scene, load_scene_text
+
+    if not source.endswith(".mcap"):
+        return load_scene(source, overrides)
+    from capture_sim.recording import read_run
+
+    return load_scene_text(read_run(source).scene_text, overrides)
+
+
+def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
+    """Load several scenes; their names must differ."""
+    scenes = [load(source, overrides) for source in sources]
+    names = [scene.name for scene in scenes]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise SceneError(
+            f"experiments: {', '.join(sorted(twice))} given twice: each needs a name of its own, "
+            "for its files"
+        )
+    return scenes
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make sure, before anything runs, that results can be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise RecordingError(f"--out {folder}: cannot be written: {error.strerror}") from None

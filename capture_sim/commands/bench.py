@@ -1,0 +1,42 @@
+"""``capture-sim bench``."""
+
+from __future__ import annotations
+
+import argparse
+
+from capture_sim.commands.arguments import add_experiments, load_all, not_negative, prepare_folder
+from capture_sim.commands.showing import compile_first, draw, report, summary_of
+
+HELP = "run experiments with the ROS 2 nodes"
+DESCRIPTION = (
+    "Run experiments with the ROS 2 nodes, each in a process of its own; "
+    "record, tabulate and draw them."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_experiments(parser)
+    parser.add_argument(
+        "--rtf",
+        type=not_negative,
+        default=0.0,
+        metavar="FACTOR",
+        help="real-time factor; 0 runs as fast as it goes (default: 0)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.nodes.suite import run_suite
+    from capture_sim.recording import read_run
+
+    scenes = load_all(options.experiments, options.overrides)
+    prepare_folder(options.out)
+    compile_first()
+    status = run_suite(scenes, options.out, pace=options.rtf)
+    paths = [options.out / f"{scene.name}.mcap" for scene in scenes]
+    runs = [read_run(path) for path in paths if path.is_file()]
+    report([summary_of(run) for run in runs if run.samples.size], options.out)
+    draw([run for run in runs if run.samples.size], options.out)
+    return int(status)

@@ -1,0 +1,80 @@
+"""What several commands tell and draw: progress, the table of results, pictures."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.errors import RecordingError
+
+if TYPE_CHECKING:
+    from capture_sim.recording import Run
+    from capture_sim.simulation import Result
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a pipe."""
+    print(text, flush=True)
+
+
+def compile_first() -> None:
+    """Compile the kernels if this version never was, and say so: it takes a while."""
+    from capture_sim.bench import compile_kernels
+    from capture_sim.kernels import is_compiled
+
+    if not is_compiled():
+        say("compiling the kernels, once for this version (about ten seconds) ...")
+        began = time.perf_counter()
+        compile_kernels()
+        say(f"compiled in {time.perf_counter() - began:.1f} s")
+
+
+def summary_of(run: Run) -> dict[str, Any]:
+    """Summarise a recorded run as a simulated one's ``Result.summary`` does."""
+    from capture_sim.results import summarize
+
+    verdict = run.verdict.label if run.verdict is not None else "none"
+    return summarize(run.scene, run.samples, run.touches, run.events, verdict, run.wall_time)
+
+
+def report(summaries: list[dict[str, Any]], folder: Path) -> None:
+    """Print the table of results, and keep it and its numbers in ``folder``."""
+    from capture_sim.results import table
+
+    text = table(summaries)
+    print()
+    print(text)
+    print()
+    try:
+        (folder / "results.txt").write_text(text + "\n", encoding="utf-8")
+        (folder / "results.json").write_text(
+            json.dumps(summaries, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from None
+    say(f"table in {folder / 'results.txt'}, numbers in {folder / 'results.json'}")
+
+
+def draw(runs: Sequence[Result | Run], folder: Path) -> None:
+    """Draw each run, all side by side, and all for rerun, where what that takes is installed."""
+    if not runs:
+        return
+    try:
+        from capture_sim.viewing import save_figure, save_overview
+
+        for run in runs:
+            say(f"picture in {save_figure(run, folder / f'{run.scene.name}.png')}")
+        if len(runs) > 1:
+            say(f"side by side in {save_overview(runs, folder / 'overview.png')}")
+    except ImportError as error:
+        say(f"no pictures: {error}")
+    try:
+        from capture_sim.viewing import save_rrd
+
+        say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd')}")
+    except ImportError as error:
+        # an ordinary workstation's ROS bears no rerun: the recording is what counts there
+        say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
