@@ -72,13 +72,6 @@ class Bench:
     plan
         How it is launched; None lets :func:`capture_sim.launching.plan_launch` decide.
 
-    Attributes
-    ----------
-    events : list of Event
-        In order; the release first.  Grows in :meth:`advance`.
-    done : bool
-        The run is over.
-
     Examples
     --------
     >>> from capture_sim import Bench, load_scene
@@ -106,7 +99,8 @@ class Bench:
         self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
         self._begin()
         self._touches: list[np.void] = []
-        self.events: list[Event] = []
+        self._events: list[Event] = []
+        self._unread: list[np.ndarray] = []
         self._log(EventKind.RELEASE, 0.0, q, v, detail=self._describe_release())
 
     def _begin(self) -> None:
@@ -141,7 +135,14 @@ class Bench:
     @property
     def touches(self) -> np.ndarray:
         """All touches that have ended so far, (n,) of dtype TOUCH."""
+        self._read_events()
         return np.array(self._touches, dtype=TOUCH)
+
+    @property
+    def events(self) -> list[Event]:
+        """What has happened so far, in order; the same list, longer, after more of the run."""
+        self._read_events()
+        return self._events
 
     @property
     def statistics(self) -> Statistics:
@@ -205,7 +206,9 @@ class Bench:
                 self._event_room,
             )
             served += count
-            self._drain()
+            happened = int(self._run[0]["n_events"])
+            if happened:
+                self._unread.append(self._event_room[:happened].copy())
             if status == engine.EVENTS_FULL:
                 continue
             if status != engine.SERVED:
@@ -223,8 +226,10 @@ class Bench:
             partial,
         )
 
-    def _drain(self) -> None:
-        for raw in self._event_room[: self._run[0]["n_events"]]:
+    def _read_events(self) -> None:
+        """Turn the loop's raw events into Python's, when somebody asks for them."""
+        unread, self._unread = self._unread, []
+        for raw in (event for batch in unread for event in batch):
             kind = EventKind(int(raw["kind"]))
             touch = None
             if kind is EventKind.LIFT_OFF:
@@ -251,7 +256,7 @@ class Bench:
         detail: str = "",
         touch: np.void | None = None,
     ) -> None:
-        self.events.append(Event(kind, t, q, v, wall, detail, touch))
+        self._events.append(Event(kind, t, q, v, wall, detail, touch))
 
 
 def _detail(kind: EventKind, raw: np.void) -> str:

@@ -50,7 +50,7 @@ from capture_sim.samples import TOUCH
 #: The states and the energies count in the error, the impulses do not.
 N_WATCHED = STOP + 1
 
-try_step, prepare_dense = make_stepper(rate_of_change)
+try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCHED)
 derivatives, solve_step = make_implicit(rate_of_change)
 
 #: Where a run stands; the loop's own notebook.
@@ -65,6 +65,7 @@ RUN = np.dtype(
         ("dense_ready", "i8"),
         ("fresh", "i8"),  # equations have changed: K[0] is stale
         ("h_next", "f8"),
+        ("h_free", "f8"),  # next step before the last touch began
         ("error", "f8"),
         ("stiff", "i8"),  # the implicit method is at work
         ("held_back", "i8"),  # explicit steps in a row that only the contact kept short
@@ -175,6 +176,9 @@ def end_touch(events, run, mode, t, y, i):
     touch.impulse = y[IMPULSE + i] - run.touch_impulse[i]
     touch.dissipated = y[HYSTERESIS + i] - run.touch_hysteresis[i]
     mode.touching[i] = 0
+    if not mode.touching[1 - i]:
+        # in free flight again, where the step was of this size
+        run.h_next = max(run.h_next, 0.3 * run.h_free)
 
 
 @kernel
@@ -200,7 +204,10 @@ def begin_touch(events, run, mode, par, t, y, i):
     # a Hertz impact at this speed of the probe alone lasts about as long as this touch
     v = max(speed, par.v_0_floor)
     depth = (1.25 * par.m_P * v * v / par.K) ** 0.4
-    run.h_next = min(run.h_next, 0.05 * depth / v)
+    # F ~ delta^1.5 costs a step from 0 its order: its error grows as h^3.5
+    share = min(0.15, 0.05 * (1e8 * par.rtol) ** (1.0 / 3.5))
+    run.h_free = run.h_next
+    run.h_next = min(run.h_next, share * depth / v)
 
 
 @kernel
@@ -259,12 +266,11 @@ def event_value(y, par, kind, i):
 
 
 @kernel
-def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b):
+def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b, x):
     """Return where an event function passes zero between x_a (>= 0) and x_b (< 0).
 
-    Newton's method, bisecting where that would leave the bracket; to rounding.
+    Newton's method from ``x``, bisecting where that would leave the bracket; to rounding.
     """
-    x = 0.5 * (x_a + x_b)
     for _ in range(80):
         dense(y, F, rows, x, y_x, N_STATE)
         g, d = event_value(y_x, par, kind, i)
@@ -280,26 +286,31 @@ def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b):
         trial = x + step
         if d == 0.0 or not (x_a < trial < x_b):
             trial = 0.5 * (x_a + x_b)
-        elif abs(step) <= 2e-16 * x:
-            x = trial
-            break
+        elif abs(step) <= 1e-9 * x:
+            # the error after a step is of the order of its square
+            return trial
         x = trial
     return x
 
 
 @kernel
-def first_crossing(y, F, rows, h, y_x, par, kind, i):
+def first_crossing(y, y_new, F, rows, h, y_x, par, kind, i):
     """Return the first place (0..1) in a step where an event function goes below zero; 2 if none.
 
-    The step is looked at in quarters; in each, the cubic through value and slope of both
-    ends points to where a dip would be.
+    One that falls nearly straight is followed down at once.  Else the step is looked at in
+    quarters; in each, the cubic through value and slope of both ends points to where a dip
+    would be.
     """
     x_a = 0.0
-    dense(y, F, rows, 0.0, y_x, N_STATE)
-    g_a, d_a = event_value(y_x, par, kind, i)
+    g_a, d_a = event_value(y, par, kind, i)
     if g_a <= 0.0 and d_a < 0.0:
         return 0.0
     g_a = max(g_a, 0.0)
+    g_b, d_b = event_value(y_new, par, kind, i)
+    fall = (g_a - g_b) / h
+    if g_a > 0.0 > g_b and 0.7 * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < 1.3 * fall:
+        start = g_a / (g_a - g_b)
+        return refine(y, F, rows, h, y_x, par, kind, i, 0.0, 1.0, start)
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
         dense(y, F, rows, x_b, y_x, N_STATE)
@@ -337,8 +348,9 @@ def first_crossing(y, F, rows, h, y_x, par, kind, i):
                     trial = low_a + 0.5 * (trial - low_a)
                 if trial - low_a < 1e-15:
                     return low_a
-                low_a = trial
-            return refine(y, F, rows, h, y_x, par, kind, i, low_a, high_b)
+                low_a, low_g = trial, g_t
+            start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
+            return refine(y, F, rows, h, y_x, par, kind, i, low_a, high_b, start)
         x_a, g_a, d_a = x_b, g_b, d_b
     return 2.0
 
@@ -467,31 +479,47 @@ def force_at(y, par, mode, i):
 
 
 @kernel
+def force_inside(y, F, rows, x, y_x, par, mode, i):
+    """Return the normal force of wall ``i`` at the fraction ``x`` of the present step, N."""
+    dense(y, F, rows, x, y_x, N_STATE)
+    return force_at(y_x, par, mode, i)
+
+
+@kernel
 def peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end):
     """Return place and value of the largest normal force of wall ``i`` up to ``x_end``."""
     golden = 0.6180339887498949
     a, b = 0.0, x_end
     x1 = b - golden * (b - a)
     x2 = a + golden * (b - a)
-    dense(y, F, rows, x1, y_x, N_STATE)
-    f1 = force_at(y_x, par, mode, i)
-    dense(y, F, rows, x2, y_x, N_STATE)
-    f2 = force_at(y_x, par, mode, i)
-    # the peak is flat: 1e-5 of the step in place is 1e-10 in force
-    while b - a > 1e-5:
+    f1 = force_inside(y, F, rows, x1, y_x, par, mode, i)
+    f2 = force_inside(y, F, rows, x2, y_x, par, mode, i)
+    while b - a > 0.05 * x_end:
         if f1 < f2:
             a, x1, f1 = x1, x2, f2
             x2 = a + golden * (b - a)
-            dense(y, F, rows, x2, y_x, N_STATE)
-            f2 = force_at(y_x, par, mode, i)
+            f2 = force_inside(y, F, rows, x2, y_x, par, mode, i)
         else:
             b, x2, f2 = x2, x1, f1
             x1 = b - golden * (b - a)
-            dense(y, F, rows, x1, y_x, N_STATE)
-            f1 = force_at(y_x, par, mode, i)
-    if f1 > f2:
-        return x1, f1
-    return x2, f2
+            f1 = force_inside(y, F, rows, x1, y_x, par, mode, i)
+    x, f = (x1, f1) if f1 > f2 else (x2, f2)
+    # then parabolas through three places, ever closer
+    width = 0.5 * (b - a)
+    for _ in range(2):
+        if x - width < 0.0 or x + width > x_end:
+            break
+        left = force_inside(y, F, rows, x - width, y_x, par, mode, i)
+        right = force_inside(y, F, rows, x + width, y_x, par, mode, i)
+        bend = left - 2.0 * f + right
+        if bend >= 0.0 or abs(left - right) > -2.0 * bend:
+            break
+        trial = x + 0.5 * width * (left - right) / bend
+        top = force_inside(y, F, rows, trial, y_x, par, mode, i)
+        if top > f:
+            x, f = trial, top
+        width *= 0.1
+    return x, f
 
 
 @kernel
@@ -786,12 +814,12 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
             if may_cross(start, sign * run.gap_rate[i] * h, sign * g, sign * d * h, 0.05):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
                 kind = _DEPTH if mode.touching[i] else _GAP
-                x = first_crossing(y, F, rows, h, y_x, par, kind, i)
+                x = first_crossing(y, y_new, F, rows, h, y_x, par, kind, i)
                 event = LIFT_OFF if mode.touching[i] else TOUCH_BEGINS
                 cut = cut_at(run, x, event, i, cut)
         if par.has_latch and may_cross(run.gap[2], run.gap_rate[2] * h, g2, d2 * h, 0.05):
             make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-            x = first_crossing(y, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
+            x = first_crossing(y, y_new, F, rows, h, y_x, par, _LATCH_DISTANCE, 0)
             cut = cut_at(run, x, LATCHED, 0, cut)
         if par.friction_law == COULOMB:
             for i in range(2):
@@ -812,7 +840,7 @@ def search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch):
             g_b, d_b = event_value(y_new, par, kind, side)
             if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, 0.05):
                 make_dense(par, run, mode, pair, y, y_s, K, F, scratch)
-                x = first_crossing(y, F, rows, h, y_x, par, kind, side)
+                x = first_crossing(y, y_new, F, rows, h, y_x, par, kind, side)
                 event = STOP_LEFT if mode.stop == side else STOP_HIT
                 cut = cut_at(run, x, event, side, cut)
     if par.has_supports:
@@ -906,7 +934,8 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
             return status
         near = distances(y_new, par)
         cut = search_step(par, run, mode, pair, y, y_new, near, y_s, y_x, K, F, scratch)
-    if cut < 1.0 and par.fixed_step == 0.0:
+    in_contact = mode.touching[0] or mode.touching[1] or mode.stop or mode.latched
+    if cut < 0.95 and par.fixed_step == 0.0 and in_contact:
         # dense output inside a long step in contact is less exact than the step's end: take
         # a real step to just behind the event and look again, now near its end
         h = min(1.02 * cut * run.h, run.h)
@@ -954,9 +983,10 @@ def watch_force(par, run, mode, pair, y, y_s, y_x, K, F, scratch, y_end, x_end):
     for i in range(2):
         if not mode.touching[i]:
             continue
-        force = force_at(y_end, par, mode, i)
-        # rate by a small move along the flow: it only decides where to look.  A stretch cut
-        # short ends with the touch, or is to be looked through anyway
+        # a whole step's last evaluation has the force; one cut short ends with the touch, or
+        # is to be looked through anyway
+        force = K[stages, IMPULSE + i] if x_end == 1.0 else force_at(y_end, par, mode, i)
+        # rate by a small move along the flow: it only decides where to look
         rate = (force_at(y_s, par, mode, i) - force) / small if x_end == 1.0 else -1.0
         if run.force_rate[i] > 0.0 and rate < 0.0:
             width = x_end * run.h

@@ -31,7 +31,7 @@ CONTACT_LAWS = (
     "carvalho_martins",
     "exact",
 )
-FRICTION_LAWS = ("tanh", "brown_mcphee", "coulomb", "none")
+FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 METHODS = ("dop853", "dopri5", "rk4")
 
 

@@ -1,10 +1,10 @@
-"""Sine and cosine of the kernels against the C library's."""
+"""Sine, cosine and hyperbolic tangent of the kernels against the C library's."""
 
 import math
 
 import numpy as np
 
-from capture_sim.dynamics.trig import sine_cosine
+from capture_sim.dynamics.trig import hyperbolic_tangent, sine_cosine
 from capture_sim.kernels import kernel
 
 
@@ -37,3 +37,30 @@ def test_to_the_last_place_over_all_quarters_and_sizes():
 def test_what_is_not_a_number_stays_so():
     assert math.isnan(sine_cosine(math.nan)[0])
     assert math.isnan(sine_cosine(math.inf)[1])
+
+
+@kernel
+def tangents(x, out):
+    """Evaluate a whole array."""
+    for i in range(x.size):
+        out[i] = hyperbolic_tangent(x[i])
+
+
+def test_hyperbolic_tangent_to_three_units_in_the_last_place():
+    rng = np.random.default_rng(8)
+    steps = np.concatenate([[0.45, 20.0, 21.0], np.arange(1, 40) * math.log(2) / 4])
+    x = np.concatenate(
+        [
+            rng.uniform(-25, 25, 50_000),
+            rng.uniform(-1, 1, 50_000),
+            10.0 ** rng.uniform(-300, -1, 1_000),
+            *(steps * (1.0 + shift) for shift in (0.0, 2e-16, -2e-16, 1e-9)),
+            [0.0, 1e300, -math.inf],
+        ]
+    )
+    out = np.zeros_like(x)
+    tangents(x, out)
+    true = np.tanh(x.astype(np.longdouble))
+    assert (np.abs(out - true) <= 3 * np.spacing(np.abs(true).astype(float))).all()
+    assert np.array_equal(np.signbit(out), np.signbit(x))
+    assert math.isnan(hyperbolic_tangent(math.nan))

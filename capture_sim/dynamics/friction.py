@@ -1,10 +1,13 @@
 """Coulomb friction of the tip on the wall.
 
-Two laws regularise it at zero slip, one switches there:
+Three laws regularise it at zero slip, one switches there:
 
 ``tanh``
     mu F_n tanh(v / v_eps): smooth and cheap; creeps by about v_eps where a real tip
     would stick.
+``clamp``
+    mu F_n v / v_eps up to v_eps, mu F_n beyond: what other engines have, for comparison with
+    them; its corners cost accuracy.
 ``brown_mcphee``
     F_n (mu tanh 4x + (mu_s - mu) x / (x^2 / 4 + 3/4)^2), x = v / v_eps: the continuous law
     of Brown and McPhee (2016) without its viscous part; its peak, mu_s, lies at v_eps.
@@ -16,12 +19,17 @@ Two laws regularise it at zero slip, one switches there:
 
 from __future__ import annotations
 
-import math
-
+from capture_sim.dynamics.trig import hyperbolic_tangent
 from capture_sim.kernels import inline_kernel
 
-NONE, TANH, BROWN_MCPHEE, COULOMB = 0, 1, 2, 3
-NUMBER = {"none": NONE, "tanh": TANH, "brown_mcphee": BROWN_MCPHEE, "coulomb": COULOMB}
+NONE, TANH, BROWN_MCPHEE, COULOMB, CLAMP = range(5)
+NUMBER = {
+    "none": NONE,
+    "tanh": TANH,
+    "clamp": CLAMP,
+    "brown_mcphee": BROWN_MCPHEE,
+    "coulomb": COULOMB,
+}
 
 
 @inline_kernel
@@ -33,10 +41,7 @@ def friction_coefficient(slip, mu, mu_s, v_eps, law):
     x = slip / v_eps
     if law == BROWN_MCPHEE:
         shape = 0.25 * x * x + 0.75
-        return mu * math.tanh(4.0 * x) + (mu_s - mu) * x / (shape * shape)
-    # beyond 20 the hyperbolic tangent is 1 to the last bit
-    if x > 20.0:
-        return mu
-    if x < -20.0:
-        return -mu
-    return mu * math.tanh(x)
+        return mu * hyperbolic_tangent(4.0 * x) + (mu_s - mu) * x / (shape * shape)
+    if law == CLAMP:
+        return mu * min(1.0, max(-1.0, x))
+    return mu * hyperbolic_tangent(x)

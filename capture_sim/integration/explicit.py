@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from capture_sim.integration.rows import add_rows
 from capture_sim.kernels import inline_kernel, kernel
 
 SAFETY = 0.9
@@ -54,7 +55,9 @@ class Stepper(NamedTuple):
     prepare_dense: Callable[..., Any]
 
 
-def make_stepper(rhs: Callable[..., Any]) -> Stepper:
+def make_stepper(
+    rhs: Callable[..., Any], states: int, total: int, watched: int
+) -> Stepper:
     """Compile the steps for a right-hand side.
 
     Parameters
@@ -71,17 +74,10 @@ def make_stepper(rhs: Callable[..., Any]) -> Stepper:
     them.
     """
 
-    @kernel
+    @inline_kernel
     def stage(par, mode, scratch, A, C, s, t, y, h, K, y_s):
         """Evaluate stage ``s`` from the stages before it into K[s]."""
-        states = y_s.shape[0]
-        for i in range(states):
-            y_s[i] = y[i]
-        for j in range(0, s, 4):
-            # four at once; weights beyond the stages are zero, and so is K where unused
-            w0, w1, w2, w3 = h * A[s, j], h * A[s, j + 1], h * A[s, j + 2], h * A[s, j + 3]
-            for i in range(states):
-                y_s[i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (w2 * K[j + 2, i] + w3 * K[j + 3, i])
+        add_rows(y_s, y, K, A[s], s, h, states)
         rhs(t + C[s] * h, y_s, K[s], par, mode, scratch)
 
     @kernel
@@ -91,31 +87,15 @@ def make_stepper(rhs: Callable[..., Any]) -> Stepper:
         Writes the result into ``y_new`` and its derivative into K[stages]; returns the
         weighted error, 1 being just good enough: ``weights`` (watched,) are the inverse of
         what each place of ``y`` may be wrong by.  ``y_s`` (states,), ``e_5`` and ``e_3``
-        (watched,) are scratch.
+        (watched,) are scratch; e_5 and e_3 must be zero.
         """
         A, C, E5, E3, _, stages, _, _ = pair
-        total = y.shape[0]
-        watched = weights.shape[0]
         for s in range(1, stages):
             stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
-        for i in range(total):
-            y_new[i] = y[i]
-        for j in range(0, stages, 4):
-            w0, w1 = h * A[stages, j], h * A[stages, j + 1]
-            w2, w3 = h * A[stages, j + 2], h * A[stages, j + 3]
-            for i in range(total):
-                y_new[i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (
-                    w2 * K[j + 2, i] + w3 * K[j + 3, i]
-                )
+        add_rows(y_new, y, K, A[stages], stages, h, total)
         rhs(t + h, y_new, K[stages], par, mode, scratch)
-        for i in range(watched):
-            e_5[i] = 0.0
-            e_3[i] = 0.0
-        for j in range(stages + 1):
-            five, three = E5[j], E3[j]
-            for i in range(watched):
-                e_5[i] += five * K[j, i]
-                e_3[i] += three * K[j, i]
+        add_rows(e_5, None, K, E5, stages + 1, h, watched)
+        add_rows(e_3, None, K, E3, stages + 1, h, watched)
         sum5 = 0.0
         sum3 = 0.0
         for i in range(watched):
@@ -125,7 +105,7 @@ def make_stepper(rhs: Callable[..., Any]) -> Stepper:
             sum3 += b * b
         if sum5 == 0.0:
             return 0.0
-        return h * sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
+        return sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
 
     @kernel
     def prepare_dense(par, mode, scratch, pair, t, y, h, K, y_s, F):
@@ -133,15 +113,7 @@ def make_stepper(rhs: Callable[..., Any]) -> Stepper:
         A, C, _, _, G, stages, _, _ = pair
         for s in range(stages + 1, C.shape[0]):
             stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
-        total = y.shape[0]
         for r in range(G.shape[0]):
-            for i in range(total):
-                F[r, i] = 0.0
-            for j in range(0, G.shape[1], 4):
-                w0, w1, w2, w3 = h * G[r, j], h * G[r, j + 1], h * G[r, j + 2], h * G[r, j + 3]
-                for i in range(total):
-                    F[r, i] += (w0 * K[j, i] + w1 * K[j + 1, i]) + (
-                        w2 * K[j + 2, i] + w3 * K[j + 3, i]
-                    )
+            add_rows(F[r], None, K, G[r], C.shape[0], h, total)
 
     return Stepper(try_step, prepare_dense)
