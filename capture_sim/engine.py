@@ -28,6 +28,7 @@ from capture_sim.dynamics.equations import (
     rate_of_change,
     slip_acceleration,
     slip_of,
+    stiff_directions,
     tip_in_cone,
     wall_gap,
 )
@@ -51,7 +52,7 @@ from capture_sim.samples import TOUCH
 N_WATCHED = STOP + 1
 
 try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCHED)
-derivatives, solve_step = make_implicit(rate_of_change)
+derivatives, solve_step = make_implicit(rate_of_change, stiff_directions)
 
 #: Where a run stands; the loop's own notebook.
 RUN = np.dtype(
@@ -136,6 +137,7 @@ _GAP, _DEPTH, _LATCH_DISTANCE, _STOP_GAP, _STOP_DEPTH = range(5)
 _EVENT_ROOM = 8  # events that one stretch may cause
 _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
+_HELD_SHARE = 0.6  # of the longest step in contact
 _HELD_BACK = 3  # explicit steps that only the contact kept short, before implicit ones
 _PATIENCE = 20  # explicit steps after an event has shown up, before they are tried again
 _CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span
@@ -287,9 +289,19 @@ def refine(y, F, rows, h, y_x, par, kind, i, x_a, x_b, x):
         if d == 0.0 or not (x_a < trial < x_b):
             trial = 0.5 * (x_a + x_b)
         elif abs(step) <= 1e-9 * x:
-            # the error after a step is of the order of its square
-            return trial
+            # the error after this step is of the order of its square
+            x = trial
+            break
         x = trial
+    # rounding may leave it a hair short: what has been left must not be met again at once
+    nudge = 2e-16 * x
+    for _ in range(40):
+        dense(y, F, rows, x, y_x, N_STATE)
+        g, _ = event_value(y_x, par, kind, i)
+        if g < 0.0 or x + nudge >= x_b:
+            return x
+        x += nudge
+        nudge *= 2.0
     return x
 
 
@@ -336,20 +348,22 @@ def first_crossing(y, y_new, F, rows, h, y_x, par, kind, i):
             else:
                 high_b, high_g, high_d = x_m, g_m, d_m
         if high_g < 0.0:
-            # the bracket must start above zero: a touch that has just ended starts at it
-            if low_g == 0.0:
+            # the bracket must start above zero: what has just been left starts at it and rises
+            if low_g == 0.0 or low_d > 0.0:
                 trial = low_a + 0.5 * (high_b - low_a)
                 for _ in range(60):
                     dense(y, F, rows, trial, y_x, N_STATE)
                     g_t, _ = event_value(y_x, par, kind, i)
-                    if g_t > 0.0:
+                    if g_t > low_g:
                         break
                     high_b = trial
                     trial = low_a + 0.5 * (trial - low_a)
                 if trial - low_a < 1e-15:
                     return low_a
                 low_a, low_g = trial, g_t
-            start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
+            start = 0.5 * (low_a + high_b)
+            if low_d < 0.0:
+                start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
             return refine(y, F, rows, h, y_x, par, kind, i, low_a, high_b, start)
         x_a, g_a, d_a = x_b, g_b, d_b
     return 2.0
@@ -506,19 +520,22 @@ def peak_in_stretch(y, F, rows, y_x, par, mode, i, x_end):
     x, f = (x1, f1) if f1 > f2 else (x2, f2)
     # then parabolas through three places, ever closer
     width = 0.5 * (b - a)
-    for _ in range(2):
-        if x - width < 0.0 or x + width > x_end:
+    for _ in range(5):
+        width = min(width, x, x_end - x)
+        if width < 1e-6 * x_end:
             break
         left = force_inside(y, F, rows, x - width, y_x, par, mode, i)
         right = force_inside(y, F, rows, x + width, y_x, par, mode, i)
         bend = left - 2.0 * f + right
-        if bend >= 0.0 or abs(left - right) > -2.0 * bend:
-            break
-        trial = x + 0.5 * width * (left - right) / bend
+        shift = 0.5 * (left - right) / bend if bend < 0.0 else math.copysign(1.0, right - left)
+        trial = x + width * min(1.0, max(-1.0, shift))
         top = force_inside(y, F, rows, trial, y_x, par, mode, i)
         if top > f:
             x, f = trial, top
-        width *= 0.1
+        if abs(shift) < 1.0:
+            width *= 0.1
+            if abs(shift) < 0.1 and width < 1e-3 * x_end:
+                break
     return x, f
 
 
@@ -662,9 +679,10 @@ def step_length(par, run, mode):
                 # far off in between, where samples and events are read
                 stiffness = 1.5 * par.K * math.sqrt(-run.gap[i])
                 longest = _CONTACT_ANGLE * math.sqrt(par.m_P / stiffness)
-                if h > longest:
-                    h = longest
+                if h > _HELD_SHARE * longest:
+                    # an explicit step of this size is kept short by its stability
                     run.held_back += 1
+                    h = min(h, longest)
                 elif h < 0.3 * longest:
                     run.held_back = min(run.held_back, 0)
         return h
@@ -678,14 +696,15 @@ def step_length(par, run, mode):
 @kernel
 def take_implicit_step(par, run, mode, y, y_new, y_s, K, F, weights, scratch, stages, work):
     """Take one accepted step of the implicit method; returns whether it could."""
-    Z = work[6]
+    Z = work[8]
     h = min(run.h_stiff, 1.01 * (run.t_stop - run.t0))
     guess = run.h_last > 0.0
     fresh = False
     for _ in range(20):
         if not run.derived:
-            derivatives(par, mode, scratch, run.t0, y, y_s, 1e-9, 1e-7, work)
-            run.evaluations += 2 * N_STATE
+            run.evaluations += derivatives(
+                par, mode, scratch, run.t0, y, K[0], y_s, 1e-10, 1e-7, work
+            )
             run.derived = 1
             run.h_factored = 0.0
             fresh = True
@@ -725,14 +744,13 @@ def take_implicit_step(par, run, mode, y, y_new, y_s, K, F, weights, scratch, st
                         K[stages, j] = 0.0
                         for k in range(F.shape[0]):
                             F[k, j] = 0.0
-        factor = min(4.0, max(0.2, 0.9 * error**-0.25)) if error > 0.0 else 4.0
+        factor = min(4.0, max(0.2, 0.85 * error**-0.25)) if error > 0.0 else 4.0
         if error > 1.0:
             run.rejected += 1
             h *= factor
             continue
         run.h_last = h
-        # a new step length costs a factorisation: only for a gain
-        run.h_stiff = h if 1.0 <= factor < 1.3 else h * factor
+        run.h_stiff = h * factor
         if iterations > 3 or rate > 0.1:
             run.derived = 0
         run.steps += 1

@@ -22,7 +22,7 @@ def pendulum(t, y, f, par, mode, scratch):
     f[2] = -math.sin(y[0]) * y[1]
 
 
-STEPPER = make_stepper(pendulum)
+STEPPER = make_stepper(pendulum, 2, 3, 2)
 
 
 def fixed_steps(name, n, t_end=2.0, fractions=()):

@@ -132,7 +132,7 @@ def tip_forces(y, par, mode, px, py, wx, wy, out):
                 rub = out[RUB + i] if mode.sticking[i] else -par.mu * force * mode.direction[i]
             else:
                 rub = -force * friction_coefficient(
-                    slip, par.mu, par.mu_s, par.v_eps_tip, par.friction_law
+                    slip * par.inverse_v_eps, par.mu, par.mu_s, par.friction_law
                 )
             # the contact point lies on the wall, dist behind the tip's centre
             dist = gap + par.R_t
@@ -248,7 +248,9 @@ def accelerate(y, par, mode, f, out):
         inverse_w = 1.0 / S_w
         e_u = S_uS * par.inverse_m_SC
         e_w = S_wS * inverse_w
-        alpha = (r_S - e_u * r_u - e_w * r_w) / (S_S - e_u * S_uS - e_w * S_wS)
+        # the reciprocal does not wait for the forces
+        inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
+        alpha = (r_S - e_u * r_u - e_w * r_w) * inverse_S
         acc_u = r_u * par.inverse_m_SC - e_u * alpha
         acc_w = r_w * inverse_w - e_w * alpha
         f[8] = acc_u * cP - acc_w * sP
@@ -303,6 +305,57 @@ def slip_of(y, par, i):
     px, py, wx, wy = tip_in_cone(y, par)
     gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
     return slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
+
+
+@kernel
+def stiff_directions(y, par, mode, Q):
+    """Write the directions in which forces change fast into rows of ``Q`` (8, 8); return how many.
+
+    Buffer, stops and latch act along their own coordinates, a touched wall along and across
+    its normal.  Ball supports resist any motion of the vehicles: with them it is all eight.
+    """
+    count = 0
+    Q[:, :] = 0.0
+    if par.has_supports:
+        for i in range(8):
+            Q[i, i] = 1.0
+        return 8
+    Q[0, 4] = 1.0
+    Q[1, 3] = 1.0
+    Q[1, 2] = -1.0
+    count = 2
+    if not (mode.latched or mode.touching[0] or mode.touching[1]):
+        return count
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    sT, cT = sine_cosine(y[7])
+    px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
+    for i in range(2):
+        nx = 1.0 if i == 0 else 0.0
+        ny = 1.0 - nx
+        dist = 0.0
+        if not mode.latched:
+            if not mode.touching[i]:
+                continue
+            gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            dist = gap + par.R_t
+        for across in range(1 if mode.latched else 2):
+            # in the world's axes
+            ex = cT * nx - sT * ny
+            ey = sT * nx + cT * ny
+            # the tip turns with the probe, so a slip has a part in its rate
+            spin = dist if across else 0.0
+            Q[count, 0] = ex
+            Q[count, 1] = ey
+            Q[count, 2] = par.a * (ey * cS - ex * sS)
+            Q[count, 3] = y[4] * (ey * cP - ex * sP) - spin
+            Q[count, 4] = ex * cP + ey * sP
+            Q[count, 5] = -ex
+            Q[count, 6] = -ey
+            Q[count, 7] = spin - (px * ny - py * nx)
+            count += 1
+            nx, ny = -ny, nx
+    return count
 
 
 @kernel

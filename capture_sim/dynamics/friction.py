@@ -33,12 +33,11 @@ NUMBER = {
 
 
 @inline_kernel
-def friction_coefficient(slip, mu, mu_s, v_eps, law):
-    """Return friction force per normal force, with the sign of the slip (m/s).
+def friction_coefficient(x, mu, mu_s, law):
+    """Return friction force per normal force, with the sign of the slip.
 
-    For the regularised laws.
+    For the regularised laws; ``x`` is the slip over v_eps.
     """
-    x = slip / v_eps
     if law == BROWN_MCPHEE:
         shape = 0.25 * x * x + 0.75
         return mu * hyperbolic_tangent(4.0 * x) + (mu_s - mu) * x / (shape * shape)

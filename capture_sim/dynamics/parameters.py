@@ -46,7 +46,7 @@ PARAMETERS = np.dtype(
         ("mu", "f8"),
         ("mu_s", "f8"),
         ("friction_law", "i8"),
-        ("v_eps_tip", "f8"),
+        ("inverse_v_eps", "f8"),  # s/m
         ("has_supports", "i8"),
         ("v_eps_ball", "f8"),
         ("balls_S", "f8", (3, 3)),  # x, y, limit c_rr N
@@ -138,7 +138,7 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
     p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
     p["friction_law"] = NUMBER[scene.friction.law]
-    p["v_eps_tip"] = scene.friction.v_eps
+    p["inverse_v_eps"] = 1.0 / scene.friction.v_eps
     p["gravity"] = scene.gravity
     if scene.supports is not None:
         p["has_supports"] = 1

@@ -1,10 +1,11 @@
 """Sine and cosine of one angle together, and the hyperbolic tangent, inlined into the kernels.
 
-For sine and cosine the argument is reduced to a quarter turn by Cody and Waite's method and put into the
-minimax polynomials of fdlibm (Sun Microsystems, 1993: k_sin.c, k_cos.c), which are good
-to less than one unit in the last place; calls to the C library would cost more than the
-rest of a free-flight evaluation.  The hyperbolic tangent is a Pade approximant near zero and
-1 - 2 / (exp(2x) + 1) beyond, good to three units in the last place.
+For sine and cosine the argument is reduced to a quarter turn by Cody and Waite's method, where
+it is not small enough as it is, and put into the minimax polynomials of fdlibm (Sun
+Microsystems, 1993: k_sin.c, k_cos.c), which are good to less than one unit in the last place;
+calls to the C library would cost more than the rest of a free-flight evaluation.  The
+hyperbolic tangent is a Pade approximant near zero and 1 - 2 / (exp(2x) + 1) beyond, good to
+four units in the last place.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from capture_sim.kernels import inline_kernel
 
 _TWO_OVER_PI = 6.36619772367581382433e-01
+_EIGHTH = 0.785398163397448  # rad
 _HALF_PI_HEAD = 1.57079632673412561417e00  # 33 bits: a small multiple is exact
 _HALF_PI_TAIL = 6.07710050650619224932e-11
 _LARGEST = 1e5  # rad; beyond it the reduction would lose digits
@@ -29,25 +31,30 @@ _POWERS_OF_2 = 2.0 ** np.arange(64)
 @inline_kernel
 def sine_cosine(angle):
     """Return (sin, cos) of an angle, rad."""
-    if not abs(angle) < _LARGEST:
-        return math.sin(angle), math.cos(angle)
-    turns = math.floor(angle * _TWO_OVER_PI + 0.5)
-    x = angle - turns * _HALF_PI_HEAD - turns * _HALF_PI_TAIL
+    x = angle
+    turns = 0.0
+    if not abs(angle) < _EIGHTH:
+        if not abs(angle) < _LARGEST:
+            return math.sin(angle), math.cos(angle)
+        turns = math.floor(angle * _TWO_OVER_PI + 0.5)
+        x = angle - turns * _HALF_PI_HEAD - turns * _HALF_PI_TAIL
+    # both polynomials in pairs of terms: half as long a chain of dependent operations
     z = x * x
-    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    s = 2.75573137070700676789e-06 + z * s
-    s = -1.98412698298579493134e-04 + z * s
-    s = 8.33333333332248946124e-03 + z * s
-    s = -1.66666666666666324348e-01 + z * s
+    w = z * z
+    s = (-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03) + w * (
+        (-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06)
+        + w * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+    )
     s = x + x * z * s
-    c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-    c = -2.75573143513906633035e-07 + z * c
-    c = 2.48015872894767294178e-05 + z * c
-    c = -1.38888888888741095749e-03 + z * c
-    c = 4.16666666666666019037e-02 + z * c
+    c = (4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) + w * (
+        (2.48015872894767294178e-05 + z * -2.75573143513906633035e-07)
+        + w * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
+    )
     half = 0.5 * z
     top = 1.0 - half
-    c = top + (((1.0 - top) - half) + z * z * c)
+    c = top + (((1.0 - top) - half) + w * c)
+    if turns == 0.0:
+        return s, c
     quarter = int(turns) & 3
     if quarter & 1:
         s, c = c, s

@@ -55,9 +55,7 @@ class Stepper(NamedTuple):
     prepare_dense: Callable[..., Any]
 
 
-def make_stepper(
-    rhs: Callable[..., Any], states: int, total: int, watched: int
-) -> Stepper:
+def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int) -> Stepper:
     """Compile the steps for a right-hand side.
 
     Parameters

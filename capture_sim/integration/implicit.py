@@ -1,4 +1,4 @@
-r"""One step of Radau IIA of order 5, for second-order systems with a stiff part.
+r"""One step of Radau IIA of order 5, for second-order systems with a few stiff directions.
 
 Hairer and Wanner (Solving Ordinary Differential Equations II, 2nd ed. 1996, IV.8): three
 stages, L-stable, stiffly accurate, error estimate of order 3.  The states are (q, v) with
@@ -8,9 +8,13 @@ q' = v, so that each linear system of 2m unknowns is reduced to one of m:
 
 with A_q, A_v the derivatives of the accelerations and s an eigenvalue of the method over h.
 
-The derivatives are central differences: Newton's iteration converges by a factor of 1e3 to
-1e4 a time with them, so exact ones would save nothing, and they are made a few times per
-stiff stretch.
+Stiff are only the few directions in which springs and contacts act.  With an orthonormal
+basis Q (r, m) of them and W = A Q^T (m, r), found by differences along Q,
+
+    A ~ W Q,    (s^2 - s A_v - A_q)^-1 = s^-2 (1 + Z (1 - Q Z)^-1 Q),   Z = (s W_v + W_q) / s^2
+
+so what is factorised is r by r.  Newton's iteration minds no error of its derivatives but in
+its number of turns; with all m directions it is the full method.
 """
 
 from __future__ import annotations
@@ -59,38 +63,41 @@ NEWTON_DONE = 1e-3  # of the error that a step may make
 class Work(NamedTuple):
     """Memory of an implicit stepper for m coordinates and ``total`` places of y."""
 
-    A_q: np.ndarray  # (m, m), derivatives of the accelerations
-    A_v: np.ndarray
-    real: np.ndarray  # (m, m), factors
+    rank: np.ndarray  # (1,), how many directions are in use
+    Q: np.ndarray  # (m, m), a row each, orthonormal
+    W_q: np.ndarray  # (m, m), derivatives of the accelerations, a row for each direction
+    W_v: np.ndarray
+    Z_real: np.ndarray  # (m, m), those of the real system, a row for each direction
+    Z_pair: np.ndarray  # (2m, m), of the complex one: real parts, then imaginary ones
+    real: np.ndarray  # (m, m), inverse of 1 - Q Z
     pair: np.ndarray  # (m, m), complex
-    real_pivots: np.ndarray
-    pair_pivots: np.ndarray
     Z: np.ndarray  # (3, total), stage increments
     S: np.ndarray  # (3, total), stage derivatives
     W: np.ndarray  # (3, 2m), transformed increments
-    b: np.ndarray  # (2m,)
-    d: np.ndarray  # (m,)
-    c: np.ndarray  # (m,), complex
-    r: np.ndarray  # (2m,), complex
+    b: np.ndarray  # (4, 2m), right-hand sides: real, real and imaginary part of the complex one
+    c: np.ndarray  # (4, m), what of them lies along the directions
 
 
 def make_work(m: int, total: int) -> Work:
     """Return memory for m coordinates and ``total`` places of y."""
-    square = (m, m)
+
+    def square() -> np.ndarray:
+        return np.zeros((m, m))
+
     return Work(
-        np.zeros(square),
-        np.zeros(square),
-        np.zeros(square),
-        np.zeros(square, complex),
-        np.zeros(m, np.int64),
-        np.zeros(m, np.int64),
-        np.zeros((3, total)),
-        np.zeros((3, total)),
-        np.zeros((3, 2 * m)),
-        np.zeros(2 * m),
-        np.zeros(m),
-        np.zeros(m, complex),
-        np.zeros(2 * m, complex),
+        rank=np.zeros(1, np.int64),
+        Q=square(),
+        W_q=square(),
+        W_v=square(),
+        Z_real=square(),
+        Z_pair=np.zeros((2 * m, m)),
+        real=square(),
+        pair=np.zeros((m, m), complex),
+        Z=np.zeros((3, total)),
+        S=np.zeros((3, total)),
+        W=np.zeros((3, 2 * m)),
+        b=np.zeros((4, 2 * m)),
+        c=np.zeros((4, m)),
     )
 
 
@@ -102,99 +109,172 @@ class Implicit(NamedTuple):
 
 
 @kernel
-def factorise(M, pivots):
-    """LU with partial pivoting, in place; returns False if the matrix is singular."""
-    n = M.shape[0]
+def orthonormalise(Q, count):
+    """Make the first ``count`` rows of ``Q`` orthonormal (Gram and Schmidt, modified).
+
+    Rows that depend on those before them are dropped; returns how many are left.
+    """
+    m = Q.shape[1]
+    kept = 0
+    for k in range(count):
+        before = 0.0
+        for i in range(m):
+            before += Q[k, i] * Q[k, i]
+        for j in range(kept):
+            along = 0.0
+            for i in range(m):
+                along += Q[j, i] * Q[k, i]
+            for i in range(m):
+                Q[k, i] -= along * Q[j, i]
+        after = 0.0
+        for i in range(m):
+            after += Q[k, i] * Q[k, i]
+        if after > 1e-16 * before:
+            inverse = 1.0 / math.sqrt(after)
+            for i in range(m):
+                Q[kept, i] = Q[k, i] * inverse
+            kept += 1
+    return kept
+
+
+@kernel
+def invert(M, n):
+    """Invert the upper left (n, n) of ``M`` in place by Gauss and Jordan's elimination.
+
+    Returns False if it is singular.  Its diagonal is kept as pivots: 1 - Q Z is 1 where a
+    direction is not stiff and large where it is.
+    """
     for k in range(n):
-        p = k
-        for i in range(k + 1, n):
-            if abs(M[i, k]) > abs(M[p, k]):
-                p = i
-        pivots[k] = p
-        if abs(M[p, k]) == 0.0:
+        if abs(M[k, k]) == 0.0:
             return False
-        if p != k:
-            for j in range(n):
-                M[k, j], M[p, j] = M[p, j], M[k, j]
         inverse = 1.0 / M[k, k]
-        for i in range(k + 1, n):
-            M[i, k] *= inverse
-            factor = M[i, k]
-            for j in range(k + 1, n):
-                M[i, j] -= factor * M[k, j]
+        M[k, k] = 1.0
+        for j in range(n):
+            M[k, j] *= inverse
+        for i in range(n):
+            if i != k:
+                factor = M[i, k]
+                M[i, k] = 0.0
+                for j in range(n):
+                    M[i, j] -= factor * M[k, j]
     return True
 
 
 @kernel
-def substitute(M, pivots, b):
-    """Solve with the factors of :func:`factorise`; the answer replaces ``b``."""
-    n = M.shape[0]
-    for k in range(n):
-        p = pivots[k]
-        if p != k:
-            b[k], b[p] = b[p], b[k]
-    for k in range(n):
-        for i in range(k + 1, n):
-            b[i] -= M[i, k] * b[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            b[k] -= M[k, j] * b[j]
-        b[k] /= M[k, k]
-
-
-@kernel
 def factor_systems(h, work):
-    """Factorise the real and the complex system for the step ``h``; False if singular."""
-    A_q, A_v, real, pair, real_pivots, pair_pivots, _, _, _, _, _, _, _ = work
-    m = A_q.shape[0]
-    s = _GAMMA / h
-    z = complex(_MU_RE / h, _MU_IM / h)
-    for i in range(m):
-        for j in range(m):
-            real[i, j] = -s * A_v[i, j] - A_q[i, j]
-            pair[i, j] = -z * A_v[i, j] - A_q[i, j]
-        real[i, i] += s * s
-        pair[i, i] += z * z
-    return factorise(real, real_pivots) and factorise(pair, pair_pivots)
+    """Prepare the real and the complex system for the step ``h``; False if singular."""
+    rank, Q, W_q, W_v, Z_real, Z_pair, real, pair, _, _, _, _, _ = work
+    r = rank[0]
+    m = Q.shape[1]
+    s = h / _GAMMA
+    z = h / complex(_MU_RE, _MU_IM)
+    z2 = z * z
+    for k in range(r):
+        for i in range(m):
+            Z_real[k, i] = s * (W_v[k, i] + s * W_q[k, i])
+            Z_pair[k, i] = z.real * W_v[k, i] + z2.real * W_q[k, i]
+            Z_pair[m + k, i] = z.imag * W_v[k, i] + z2.imag * W_q[k, i]
+    for j in range(r):
+        for k in range(r):
+            one = 1.0 if j == k else 0.0
+            x = 0.0
+            re = 0.0
+            im = 0.0
+            for i in range(m):
+                x += Q[j, i] * Z_real[k, i]
+                re += Q[j, i] * Z_pair[k, i]
+                im += Q[j, i] * Z_pair[m + k, i]
+            real[j, k] = one - x
+            pair[j, k] = complex(one - re, -im)
+    return invert(real, r) and invert(pair, r)
 
 
 @kernel
-def solve_real(h, work, b):
-    """Solve (gamma / h - J) x = b, (2m,); the answer replaces ``b``."""
-    _, A_v, real, _, pivots, _, _, _, _, _, right, _, _ = work
-    m = A_v.shape[0]
+def solve_real(h, work):
+    """Solve (gamma / h - J) x = b[0], (2m,); the answer replaces it."""
+    rank, Q, _, W_v, Z_real, _, real, _, _, _, _, right, c = work
+    r = rank[0]
+    m = Q.shape[1]
+    b = right[0]
     s = _GAMMA / h
+    d = right[3]
+    for k in range(r):
+        c[0, k] = 0.0
+        for i in range(m):
+            c[0, k] += Q[k, i] * b[i]
     for i in range(m):
-        total = b[m + i] + s * b[i]
-        for j in range(m):
-            total -= A_v[i, j] * b[j]
-        right[i] = total
-    substitute(real, pivots, right)
+        d[i] = b[m + i] + s * b[i]
+    for k in range(r):
+        for i in range(m):
+            d[i] -= W_v[k, i] * c[0, k]
+    for k in range(r):
+        c[1, k] = 0.0
+        for i in range(m):
+            c[1, k] += Q[k, i] * d[i]
+    for k in range(r):
+        x = 0.0
+        for j in range(r):
+            x += real[k, j] * c[1, j]
+        for i in range(m):
+            d[i] += Z_real[k, i] * x
+    scale = 1.0 / (s * s)
     for i in range(m):
-        dq = right[i]
+        dq = d[i] * scale
         b[m + i] = s * dq - b[i]
         b[i] = dq
 
 
 @kernel
 def solve_pair(h, work):
-    """Solve the complex system for r (2m,); the answer replaces it."""
-    _, A_v, _, pair, _, pivots, _, _, _, _, _, right, r = work
-    m = A_v.shape[0]
-    z = complex(_MU_RE / h, _MU_IM / h)
+    """Solve the complex system for b[1] + i b[2], (2m,); the answer replaces them."""
+    rank, Q, _, W_v, _, Z_pair, _, pair, _, _, _, right, c = work
+    r = rank[0]
+    m = Q.shape[1]
+    re, im = right[1], right[2]
+    z_re, z_im = _MU_RE / h, _MU_IM / h
+    d, e = right[3, :m], right[3, m:]
+    for k in range(r):
+        c[0, k] = 0.0
+        c[1, k] = 0.0
+        for i in range(m):
+            c[0, k] += Q[k, i] * re[i]
+            c[1, k] += Q[k, i] * im[i]
     for i in range(m):
-        total = r[m + i] + z * r[i]
-        for j in range(m):
-            total -= A_v[i, j] * r[j]
-        right[i] = total
-    substitute(pair, pivots, right)
+        d[i] = re[m + i] + z_re * re[i] - z_im * im[i]
+        e[i] = im[m + i] + z_re * im[i] + z_im * re[i]
+    for k in range(r):
+        for i in range(m):
+            d[i] -= W_v[k, i] * c[0, k]
+            e[i] -= W_v[k, i] * c[1, k]
+    for k in range(r):
+        c[2, k] = 0.0
+        c[3, k] = 0.0
+        for i in range(m):
+            c[2, k] += Q[k, i] * d[i]
+            c[3, k] += Q[k, i] * e[i]
+    for k in range(r):
+        x = 0.0
+        y = 0.0
+        for j in range(r):
+            p = pair[k, j]
+            x += p.real * c[2, j] - p.imag * c[3, j]
+            y += p.real * c[3, j] + p.imag * c[2, j]
+        for i in range(m):
+            d[i] += Z_pair[k, i] * x - Z_pair[m + k, i] * y
+            e[i] += Z_pair[k, i] * y + Z_pair[m + k, i] * x
+    scale = 1.0 / complex(z_re * z_re - z_im * z_im, 2.0 * z_re * z_im)
     for i in range(m):
-        dq = right[i]
-        r[m + i] = z * dq - r[i]
-        r[i] = dq
+        x = d[i] * scale.real - e[i] * scale.imag
+        y = e[i] * scale.real + d[i] * scale.imag
+        d_re = z_re * x - z_im * y - re[i]
+        d_im = z_re * y + z_im * x - im[i]
+        re[i] = x
+        im[i] = y
+        re[m + i] = d_re
+        im[m + i] = d_im
 
 
-def make_implicit(rhs: Callable[..., Any]) -> Implicit:
+def make_implicit(rhs: Callable[..., Any], directions: Callable[..., Any]) -> Implicit:
     """Compile the steps for a right-hand side of the form q' = v, v' = a(q, v).
 
     Parameters
@@ -202,28 +282,34 @@ def make_implicit(rhs: Callable[..., Any]) -> Implicit:
     rhs
         ``rhs(t, y, f, par, mode, scratch)``, compiled; the first 2m places of ``y`` are q
         and v, the others integrals.
+    directions
+        ``directions(y, par, mode, Q)``, compiled; writes the stiff directions of the
+        coordinates into rows of ``Q`` (m, m) and returns how many, at most m.
     """
 
     @kernel
-    def derivatives(par, mode, scratch, t, y, y_s, q_small, v_small, work):
-        """Fill the derivatives of the accelerations at ``y`` by central differences."""
-        A_q, A_v, _, _, _, _, _, S, _, _, _, _, _ = work
-        m = A_q.shape[0]
-        for k in range(2 * m):
-            y_s[k] = y[k]
-        for k in range(2 * m):
-            small = q_small if k < m else v_small
-            y_s[k] = y[k] + small
-            rhs(t, y_s, S[0], par, mode, scratch)
-            y_s[k] = y[k] - small
-            rhs(t, y_s, S[1], par, mode, scratch)
-            y_s[k] = y[k]
-            for i in range(m):
-                slope = (S[0, m + i] - S[1, m + i]) / (2.0 * small)
-                if k < m:
-                    A_q[i, k] = slope
-                else:
-                    A_v[i, k - m] = slope
+    def derivatives(par, mode, scratch, t, y, f_0, y_s, q_small, v_small, work):
+        """Fill the derivatives of the accelerations along the directions, by differences.
+
+        ``f_0`` is the right-hand side at ``y``.  Returns how many evaluations it took.
+        """
+        rank, Q, W_q, W_v, _, _, _, _, _, S, _, _, _ = work
+        m = Q.shape[1]
+        r = orthonormalise(Q, directions(y, par, mode, Q))
+        rank[0] = r
+        for k in range(r):
+            for half in range(2):
+                small = q_small if half == 0 else v_small
+                for i in range(m):
+                    y_s[i] = y[i]
+                    y_s[m + i] = y[m + i]
+                for i in range(m):
+                    y_s[half * m + i] += small * Q[k, i]
+                rhs(t, y_s, S[0], par, mode, scratch)
+                W = W_q if half == 0 else W_v
+                for i in range(m):
+                    W[k, i] = (S[0, m + i] - f_0[m + i]) / small
+        return 2 * r
 
     @kernel
     def solve_step(par, mode, scratch, t, y, f_0, h, y_s, y_new, f_new, weights, work, F):
@@ -233,7 +319,8 @@ def make_implicit(rhs: Callable[..., Any]) -> Implicit:
         nested form of :mod:`capture_sim.integration.explicit`).  Returns (iterations, rate
         of convergence, weighted error); iterations is -1 if Newton's method failed.
         """
-        _, _, _, _, _, _, Z, S, W, b, _, _, r = work
+        _, _, _, _, _, _, _, _, Z, S, W, right, _ = work
+        b = right[0]
         n = y_s.shape[0]
         total = y.shape[0]
         for i in range(n):
@@ -254,12 +341,13 @@ def make_implicit(rhs: Callable[..., Any]) -> Implicit:
                 two = _TI[2, 0] * f0 + _TI[2, 1] * f1 + _TI[2, 2] * f2
                 one -= (_MU_RE * W[1, i] + _MU_IM * W[2, i]) / h
                 two -= (_MU_RE * W[2, i] - _MU_IM * W[1, i]) / h
-                r[i] = complex(one, -two)
-            solve_real(h, work, b)
+                right[1, i] = one
+                right[2, i] = -two
+            solve_real(h, work)
             solve_pair(h, work)
             norm = 0.0
             for i in range(n):
-                d0, d1, d2 = b[i], r[i].real, -r[i].imag
+                d0, d1, d2 = b[i], right[1, i], -right[2, i]
                 W[0, i] += d0
                 W[1, i] += d1
                 W[2, i] += d2
@@ -291,7 +379,7 @@ def make_implicit(rhs: Callable[..., Any]) -> Implicit:
             y_new[i] = y[i] + Z[2, i]
         for i in range(n):
             b[i] = f_0[i] + (_E[0] * Z[0, i] + _E[1] * Z[1, i] + _E[2] * Z[2, i]) / h
-        solve_real(h, work, b)
+        solve_real(h, work)
         error = 0.0
         for i in range(n):
             error += (b[i] * weights[i]) ** 2

@@ -29,7 +29,9 @@ def _blocks(n: int) -> list[tuple[int, int]]:
 
 
 @intrinsic(prefer_literal=True)
-def add_rows(typingctx: Any, out: Any, base: Any, rows: Any, weights: Any, count: Any, h: Any, n: Any) -> Any:
+def add_rows(
+    typingctx: Any, out: Any, base: Any, rows: Any, weights: Any, count: Any, h: Any, n: Any
+) -> Any:
     """Write base[:n] + h * sum(weights[j] * rows[j, :n] for j < count) into out[:n].
 
     ``n`` is known when compiling, ``count`` is not; all arrays float64, rows contiguous.
@@ -44,7 +46,7 @@ def add_rows(typingctx: Any, out: Any, base: Any, rows: Any, weights: Any, count
             return context.make_array(signature.args[i])(context, builder, arguments[i])
 
         out_p, rows_p, weights_p = array(0).data, array(2).data, array(3).data
-        base_p = None if isinstance(signature.args[1], types.NoneType) else array(1).data
+        base_p = None if isinstance(signature.args[1], type(types.none)) else array(1).data
         stride = builder.extract_value(array(2).strides, 0)
         count_v, h_v = arguments[4], arguments[5]
         double = ir.DoubleType()
@@ -101,7 +103,7 @@ def add_rows(typingctx: Any, out: Any, base: Any, rows: Any, weights: Any, count
             total.add_incoming(value, body)
 
         builder.position_at_end(after)
-        for (start, width), value in zip(blocks, grown, strict=True):
+        for (_, width), value in zip(blocks, grown, strict=True):
             final = builder.phi(kind_of(width))
             final.add_incoming(ir.Constant(kind_of(width), None if width > 1 else 0.0), before)
             final.add_incoming(value, body)
