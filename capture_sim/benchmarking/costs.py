@@ -180,7 +180,7 @@ def parts(scene: Scene) -> Iterator[tuple[str, Scene]]:
     yield "+ torsional damper as well", change(damped, buffer={"c_T": 0.2})
     rubbing = change(damped, friction={"law": "tanh"})
     yield "+ axial damper and friction (tanh): the paper's scene", rubbing
-    for law in ("brown_mcphee", "coulomb"):
+    for law in ("clamp", "brown_mcphee", "coulomb"):
         yield f"the paper's scene, friction {law}", change(rubbing, friction={"law": law})
     yield "+ stroke stops, never met", change(rubbing, stops=Stops(0.1, 0.1, 1e5, 0.0))
     yield "+ latch, never closed", change(rubbing, latch=Latch(1e-5, 2e4, 80.0))
