@@ -139,6 +139,7 @@ _SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
 _HELD_SHARE = 0.6  # of the longest step in contact
 _HELD_BACK = 3  # explicit steps that only the contact kept short, before implicit ones
+_WORTH = 2.0  # explicit steps that an implicit one must span to be worth its cost
 _PATIENCE = 20  # explicit steps after an event has shown up, before they are tried again
 _CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span
 _DEEPEST = 0.75  # of R_t: beyond it the tip's centre might pass a wall within a step
@@ -906,6 +907,10 @@ def plan_step(par, run, mode, pair, y, y_new, y_s, y_x, e_5, e_3, K, F, weights,
         remember_distances(run, distances(y, par))
     way = way_to_events(par, run, mode)
     smooth = False
+    if run.stiff and run.h_last > 0.0 and run.h_stiff < _WORTH * run.h_next:
+        # the force changes too fast for steps that would pay
+        run.stiff = 0
+        run.held_back = -_PATIENCE
     if run.stiff:
         smooth = take_implicit_step(
             par, run, mode, y, y_new, y_s, K, F, weights, scratch, stages, work
