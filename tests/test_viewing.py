@@ -24,7 +24,7 @@ from capture_sim.viewing.bench_drawing import draw_bench
 from capture_sim.viewing.bench_model import cone_mesh
 from capture_sim.viewing.cone_drawing import key_moments
 from capture_sim.viewing.geometry import tip_bound, tip_in_cone, tip_in_world, wall
-from capture_sim.viewing.source import decided_at, headline, in_contact, verdict
+from capture_sim.viewing.source import decided_at, headline, in_contact, time_window, verdict
 
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
 SHOWN = 2.86  # s, of the pictured instant: some tips touch, some do not
@@ -141,7 +141,7 @@ def test_verdict_is_marked_when_it_fell(runs):
         assert verdict(run) == run.summary["verdict"]
         final = [status.t for status in run.statuses if status.final]
         assert decided_at(run) == final[0]
-        start, end = plots.time_window(run)
+        start, end = time_window(run)
         assert start < run.touches["start"].min() < final[0] < end
 
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle, Polygon
 
 from capture_sim.samples import EventKind
@@ -19,6 +18,7 @@ from capture_sim.viewing.source import ViewableRun, first_touch, in_contact
 _MM = 1e3
 _WALL_THICKNESS = 0.006  # m, for the eye only
 LETTERS = "abcdefgh"
+FREE_LINE = (0, (4, 3))  # dashes
 
 
 class Moment(NamedTuple):
@@ -66,10 +66,20 @@ def key_moments(run: ViewableRun) -> list[Moment]:
     return sorted(found, key=lambda moment: moment.t)
 
 
-def draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw both walls, the bound of the tip's centre and the capture zone."""
+def draw_cone(axes: Axes, scene: Scene, *, coloured: bool = True) -> None:
+    """Draw both walls, the bound of the tip's centre and the capture zone.
+
+    Parameters
+    ----------
+    axes, scene
+        Where and what.
+    coloured
+        Whether the walls have colours of their own; not where the runs have.
+    """
     cone, radius = scene.cone, scene.probe.tip_radius
-    for side, colour in ((1, palette.PLUS_WALL), (-1, palette.MINUS_WALL)):
+    explained = bool(axes.get_legend_handles_labels()[1])
+    for side, own in ((1, palette.PLUS_WALL), (-1, palette.MINUS_WALL)):
+        colour = own if coloured else palette.DARK
         face = wall(cone, side) * _MM
         # the wall's body lies on the far side of its face
         out = np.array([np.sin(cone.beta), side * np.cos(cone.beta)]) * _WALL_THICKNESS * _MM
@@ -82,7 +92,7 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
             lw=1.2,
             ls=":",
             zorder=2,
-            label="centre when touching" if side > 0 else None,
+            label="centre when touching" if side > 0 and not explained else None,
         )
         middle = face.mean(axis=0) + 1.9 * out
         axes.text(
@@ -98,17 +108,23 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
             va="center",
         )
     zone = circle(np.zeros(2), scene.detector.radius) * _MM
-    axes.plot(*zone.T, color=palette.GREEN, lw=1.8, zorder=4, label="capture zone")
+    label = None if explained else "capture zone"
+    axes.plot(*zone.T, color=palette.GREEN, lw=1.8, zorder=4, label=label)
     axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=palette.GREEN, zorder=4)
 
 
 def draw_path(axes: Axes, run: ViewableRun, colour: str = palette.BLACK) -> None:
     """Draw the way of the tip's centre: solid while it touches, dashed while it does not."""
     way = tip_in_cone(run.samples) * _MM
-    pieces = np.stack([way[:-1], way[1:]], axis=1)
-    touching = in_contact(run)[:-1]
-    axes.plot(*way.T, color=colour, lw=1.3, ls=(0, (4, 3)), zorder=5, label="centre, free")
-    axes.add_collection(LineCollection(list(pieces[touching]), colors=colour, lw=3.2, zorder=5))
+    touching = in_contact(run)
+    touching[1:] |= touching[:-1]  # a stretch belongs to the sample before it
+    axes.plot(*way.T, color=colour, lw=1.3, ls=FREE_LINE, zorder=5)
+    axes.plot(*np.where(touching[:, None], way, np.nan).T, color=colour, lw=3.2, zorder=5)
+
+
+def label_path(axes: Axes, colour: str = palette.BLACK) -> None:
+    """Explain the way's dashes in the legend."""
+    axes.plot([], [], color=colour, lw=1.3, ls=FREE_LINE, label="centre, free")
     axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
 
 

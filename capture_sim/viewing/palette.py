@@ -10,6 +10,8 @@ YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
+DARK_GREEN = "#006B4E"  # for text on light green
+DARK = "#404040"
 GREY = "#7F7F7F"
 LIGHT = "#D9D9D9"
 

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from capture_sim.errors import RecordingError
 from capture_sim.samples import EventKind
 from capture_sim.viewing import palette
 from capture_sim.viewing.bench_drawing import draw_bench
+from capture_sim.viewing.canvas import new_figure, save
 from capture_sim.viewing.cone_drawing import (
     LETTERS,
     draw_cone,
@@ -22,13 +20,20 @@ from capture_sim.viewing.cone_drawing import (
     draw_tip,
     frame_cone,
     key_moments,
+    label_path,
 )
-from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, headline, verdict
+from capture_sim.viewing.source import (
+    ViewableRun,
+    decided_at,
+    headline,
+    start_word,
+    time_window,
+    verdict,
+)
 
 _MM = 1e3
 _FONT = 12.0
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
-_DPI = 110
 
 
 def save_figure(run: ViewableRun, path: Path | str) -> Path:
@@ -44,7 +49,7 @@ def save_figure(run: ViewableRun, path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return _save(draw_run(run), path)
+    return save(draw_run(run), path)
 
 
 def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
@@ -60,12 +65,12 @@ def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return _save(draw_overview(runs), path)
+    return save(draw_overview(runs), path)
 
 
 def draw_run(run: ViewableRun) -> Figure:
     """Return the figure of one run."""
-    figure = _new_figure(15.5, 10.0)
+    figure = new_figure(15.5, 10.0)
     figure.suptitle(headline(run), fontsize=19, fontweight="bold")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.15])[0]
     bench, cone = left.subplots(2, 1, height_ratios=[1.0, 3.2])
@@ -85,7 +90,7 @@ def draw_run(run: ViewableRun) -> Figure:
 
 def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
     """Return the figure of several runs side by side, one column each."""
-    figure = _new_figure(6.4 * len(runs), 13.8)
+    figure = new_figure(6.4 * len(runs), 13.8)
     rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.1, 3.3, 1.3, 1.1])
     for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
         _draw_bench(bench, run)
@@ -99,30 +104,16 @@ def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
     return figure
 
 
-def time_window(run: ViewableRun) -> tuple[float, float]:
-    """Return from when to when something happens: shortly round contact and verdict, s."""
-    t = run.samples["t"]
-    touch = first_touch(run)
-    if touch is None:
-        return float(t[0]), float(t[-1])
-    action = [touch.t, *run.touches["end"].tolist()]
-    action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
-    decided = decided_at(run)
-    if decided is not None:
-        action.append(decided)
-    margin = 0.12 * max(max(action) - touch.t, 0.1)
-    return max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
-
-
 def _draw_bench(axes: Axes, run: ViewableRun) -> None:
-    draw_bench(axes, run)
-    axes.set_title("From above, at the release and at the first touch", fontsize=_FONT + 1)
+    seen = draw_bench(axes, run)
+    axes.set_title(f"From above, {seen}", fontsize=_FONT + 1)
 
 
 def _draw_trajectory(axes: Axes, run: ViewableRun) -> None:
     moments = key_moments(run)
     draw_cone(axes, run.scene)
     draw_path(axes, run)
+    label_path(axes)
     draw_tip(axes, run.scene, moments)
     frame_cone(axes, run.scene)
     axes.set_title("The tip in the cone (the chaser comes from the left)", fontsize=_FONT + 1)
@@ -247,14 +238,7 @@ def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
         axes.set_xlim(time_window(run))
         axes.grid(color=palette.LIGHT, lw=0.6)
         axes.set_axisbelow(True)
-    all_axes[-1].set_xlabel("time since the release  [s]   (shaded: in contact)")
-
-
-def _new_figure(width: float, height: float) -> Figure:
-    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    figure = Figure(figsize=(width, height), layout=layout)
-    FigureCanvasAgg(figure)  # no screen needed, and none of pyplot's global state
-    return figure
+    all_axes[-1].set_xlabel(f"time since the {start_word(run.scene)}  [s]   (shaded: in contact)")
 
 
 def _set_fonts(figure: Figure, size: float) -> None:
@@ -262,13 +246,3 @@ def _set_fonts(figure: Figure, size: float) -> None:
         axes.tick_params(labelsize=size - 1)
         axes.xaxis.label.set_fontsize(size)
         axes.yaxis.label.set_fontsize(size)
-
-
-def _save(figure: Figure, path: Path | str) -> Path:
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=_DPI)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
-    return path

@@ -32,10 +32,12 @@ from capture_sim.viewing.geometry import (
 )
 from capture_sim.viewing.source import (
     ViewableRun,
+    distinct_names,
     first_touch,
     headline,
     impact_speed,
     in_contact,
+    normal_force_with_peaks,
     verdict,
 )
 
@@ -75,7 +77,7 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
         The file cannot be written.
     """
     path = Path(path)
-    names = _distinct([run.scene.name for run in runs])
+    names = distinct_names([run.scene.name for run in runs])
     colours = [palette.RUNS[i % len(palette.RUNS)] for i in range(len(runs))]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -331,7 +333,7 @@ class _RunLogger:
         samples, t = self._run.samples, self._run.samples["t"]
         # the peaks are what is looked for: no averaging of rows that share a pixel
         highest = rr.components.AggregationPolicy.Max
-        self._log_plot("contact_force", *_force_with_peaks(self._run), highest)
+        self._log_plot("contact_force", *normal_force_with_peaks(self._run), highest)
         self._log_plot("axial_stroke", t, samples["axial_stroke"] * _MM)
         self._log_plot("torsion", t, np.rad2deg(samples["torsion"]))
         self._log_plot("distance", t, samples["tip_distance"] * _MM)
@@ -353,21 +355,6 @@ class _RunLogger:
         )
         self._recording.log(path, style, static=True)
         self._columns(path, t, rr.Scalars.columns(scalars=values), own=False)
-
-
-def _force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and normal force, with every touch's start, peak and end put in.
-
-    Most touches are shorter than the distance of two samples and would not be seen.
-    """
-    touches, samples = run.touches, run.samples
-    nothing = np.zeros(len(touches))
-    t = np.concatenate([samples["t"], touches["start"], touches["peak_time"], touches["end"]])
-    force = np.concatenate(
-        [samples["normal_force"].sum(axis=1), nothing, touches["peak_force"], nothing]
-    )
-    t, first = np.unique(t, return_index=True)
-    return t, force[first]
 
 
 def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
@@ -509,13 +496,3 @@ def _body(box: Box, grey: int) -> rr.Boxes3D:
         colors=(grey, grey, grey),
         fill_mode="solid",
     )
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Number names that occur more than once."""
-    counted: dict[str, int] = {}
-    distinct = []
-    for name in names:
-        counted[name] = counted.get(name, 0) + 1
-        distinct.append(name if names.count(name) == 1 else f"{name}_{counted[name]}")
-    return distinct

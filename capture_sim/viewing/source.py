@@ -59,6 +59,52 @@ def impact_speed(run: ViewableRun) -> float | None:
     return math.hypot(float(v[0] - v[5]), float(v[1] - v[6]))
 
 
+def start_word(scene: Scene) -> str:
+    """Return what a run of the scene begins with: bodies in free flight are not released."""
+    return "release" if scene.string is not None else "start"
+
+
+def distinct_names(names: Sequence[str]) -> list[str]:
+    """Number names that occur more than once."""
+    counted: dict[str, int] = {}
+    distinct = []
+    for name in names:
+        counted[name] = counted.get(name, 0) + 1
+        distinct.append(name if names.count(name) == 1 else f"{name}_{counted[name]}")
+    return distinct
+
+
+def time_window(run: ViewableRun) -> tuple[float, float]:
+    """Return from when to when something happens: shortly round contact and verdict, s."""
+    t = run.samples["t"]
+    touch = first_touch(run)
+    if touch is None:
+        return float(t[0]), float(t[-1])
+    action = [touch.t, *run.touches["end"].tolist()]
+    action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
+    decided = decided_at(run)
+    if decided is not None:
+        action.append(decided)
+    margin = 0.12 * max(max(action) - touch.t, 0.1)
+    return max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+
+
+def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,), s, and normal force of both walls (n,), N, with every touch in it.
+
+    Start, located peak and end of each touch are put in between the samples: most touches are
+    shorter than the distance of two samples and would not be seen.
+    """
+    touches, samples = run.touches, run.samples
+    nothing = np.zeros(len(touches))
+    t = np.concatenate([samples["t"], touches["start"], touches["peak_time"], touches["end"]])
+    force = np.concatenate(
+        [samples["normal_force"].sum(axis=1), nothing, touches["peak_force"], nothing]
+    )
+    t, first = np.unique(t, return_index=True)
+    return t, force[first]
+
+
 def headline(run: ViewableRun) -> str:
     """Return name, verdict and impact speed in one line, and what was changed in another."""
     speed = impact_speed(run)

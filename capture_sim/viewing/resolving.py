@@ -1,0 +1,70 @@
+"""A run with its touches resolved: run again from its scene, sampled where things happen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from capture_sim.errors import CaptureSimError, SimulationError
+from capture_sim.simulation import Result, simulate
+from capture_sim.viewing.source import ViewableRun
+
+#: Samples over the length of each touch, and over a window that is asked for.
+PER_TOUCH = 40
+PER_WINDOW = 4000
+
+
+def resolved(
+    run: ViewableRun, window: tuple[float, float] | None = None, per_touch: int = PER_TOUCH
+) -> Result:
+    """Run a run's scene again and sample every touch by the integrator's dense output.
+
+    Parameters
+    ----------
+    run
+        With the scene that made it.
+    window
+        From when to when, s since the start: only this is returned, in some 4000 samples more.
+        None keeps the whole run.
+    per_touch
+        Samples from the start to the end of each touch.
+
+    Returns
+    -------
+    Result
+        The same motion, touches and events as the run's.
+
+    Raises
+    ------
+    CaptureSimError
+        This version of the simulator gives other touches than the run has.
+    """
+    grid, touches = np.asarray(run.samples["t"]), run.touches
+    start, end = (float(grid[0]), float(grid[-1])) if window is None else window
+    times = [grid[(grid >= start) & (grid <= end)]]
+    for touch in touches[(touches["end"] >= start) & (touches["start"] <= end)]:
+        times.append(np.linspace(touch["start"], touch["end"], per_touch))
+        times.append(touch["peak_time"][None])
+    if window is not None:
+        times.append(np.linspace(start, end, PER_WINDOW))
+    wanted = np.unique(np.concatenate(times))
+    wanted = wanted[(wanted >= start) & (wanted <= min(end, grid[-1]))]
+    try:
+        again = simulate(run.scene, t_eval=wanted)
+    except SimulationError as error:
+        if error.result is None:
+            raise
+        again = error.result
+    if not _same(again.touches, touches):
+        raise CaptureSimError(
+            f"{run.scene.name}: this version of the simulator gives other touches than the run "
+            "has; it can only be drawn as it was sampled"
+        )
+    return again
+
+
+def _same(touches: np.ndarray, others: np.ndarray) -> bool:
+    """Tell whether two runs have the same touches, to 1 us."""
+    return len(touches) == len(others) and bool(
+        np.array_equal(touches["wall"], others["wall"])
+        and np.allclose(touches["start"], others["start"], rtol=0.0, atol=1e-6)
+    )

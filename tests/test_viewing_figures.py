@@ -1,0 +1,204 @@
+"""The paper's figures: what their lines hold, and whether a person can read them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import capture_sim
+from capture_sim.errors import CaptureSimError
+from capture_sim.samples import EventKind
+from capture_sim.viewing import figures, palette
+from capture_sim.viewing.canvas import DPI, save, save_both
+from capture_sim.viewing.geometry import tip_in_world
+from capture_sim.viewing.resolving import resolved
+from capture_sim.viewing.series import Trace
+from capture_sim.viewing.snapshots import snapshot_times, snapshots
+
+
+@pytest.fixture(scope="module")
+def undamped():
+    return capture_sim.simulate(capture_sim.load_scene("paper_undamped"))
+
+
+@pytest.fixture(scope="module")
+def tilts():
+    names = ("tilt_0", "tilt_p10", "tilt_m10")
+    return [capture_sim.simulate(capture_sim.load_scene(name)) for name in names]
+
+
+def curves(axes, colour):
+    """Return the lines of a colour that span some time, by their dashes."""
+    found = {"solid": [], "dashed": []}
+    for line in axes.get_lines():
+        if line.get_color() == colour and len(line.get_xdata()) > 10:
+            found["dashed" if line.is_dashed() else "solid"].append(line.get_xydata())
+    return found
+
+
+def test_lines_are_solid_in_contact_and_dashed_out_of_it(undamped):
+    [axes] = figures.axial_performance(undamped).axes
+    found = curves(axes, palette.BLACK)
+    [solid], [dashed] = found["solid"], found["dashed"]
+    start, end = axes.get_xlim()
+    t = undamped.samples["t"]
+    stroke = undamped.samples["axial_stroke"][(t >= start) & (t <= end)] * 1e3
+    # together they are the whole curve, and only at their ends do they overlap
+    assert np.where(np.isnan(solid[:, 1]), dashed[:, 1], solid[:, 1]) == pytest.approx(stroke)
+    both = ~np.isnan(solid[:, 1]) & ~np.isnan(dashed[:, 1])
+    assert 0 < both.sum() <= 4 * len(undamped.touches)
+    # by the located touches, not by the samples' flags
+    in_touch = np.zeros(len(solid), bool)
+    for touch in undamped.touches:
+        in_touch |= (solid[:, 0] >= touch["start"]) & (solid[:, 0] <= touch["end"])
+    assert not np.isnan(solid[in_touch, 1]).any()
+    far = np.array(
+        [
+            np.abs(np.concatenate([undamped.touches["start"], undamped.touches["end"]]) - x).min()
+            for x in solid[:, 0]
+        ]
+    )
+    assert np.isnan(solid[~in_touch & (far > 2e-3), 1]).all()
+
+
+def test_force_reaches_every_located_peak(undamped):
+    [axes] = figures.impact_force(undamped).axes
+    [[curve], _] = curves(axes, palette.BLACK).values()
+    for touch in undamped.touches:
+        at_peak = curve[curve[:, 0] == touch["peak_time"], 1]
+        assert at_peak.tolist() == [touch["peak_force"]]
+        assert curve[curve[:, 0] == touch["start"], 1].tolist() == [0.0]
+
+
+def test_resolved_run_is_the_same_motion_with_its_touches_whole(undamped):
+    fine = resolved(undamped)
+    same = np.isin(fine.samples["t"], undamped.samples["t"])
+    assert np.abs(fine.samples["q"][same] - undamped.samples["q"]).max() < 1e-12
+    # the samples themselves now come near each peak that was located between steps
+    for touch in undamped.touches:
+        inside = (fine.samples["t"] >= touch["start"]) & (fine.samples["t"] <= touch["end"])
+        assert inside.sum() >= 40
+        force = fine.samples["normal_force"][inside].max()
+        assert 0.995 * touch["peak_force"] < force <= touch["peak_force"] * (1 + 1e-6)
+    # Hertz and hysteresis (eq. 1 to 4): the depth under a force is within what restitution allows
+    [axes] = figures.intrusion(fine).axes
+    [[depth], _] = curves(axes, palette.BLACK).values()
+    stiffness = undamped.scene.contact_stiffness
+    hertz = (undamped.touches["peak_force"].max() / stiffness) ** (2 / 3) * 1e6
+    assert 0.8 * hertz < depth[:, 1].max() < 1.05 * hertz
+
+
+def test_resolved_window_holds_the_contact_alone(undamped):
+    touch = undamped.touches[1]
+    fine = resolved(undamped, (touch["start"] - 1e-3, touch["end"] + 1e-3))
+    t = fine.samples["t"]
+    assert t[0] >= touch["start"] - 1e-3
+    assert t[-1] <= touch["end"] + 1e-3
+    assert np.diff(t).max() < 2e-6
+
+
+def test_run_of_other_touches_is_not_resolved(undamped):
+    import dataclasses
+
+    altered = undamped.touches.copy()
+    altered["start"][3] += 1e-3
+    with pytest.raises(CaptureSimError, match="other touches"):
+        resolved(dataclasses.replace(undamped, touches=altered))
+
+
+def test_distance_and_velocities_are_the_samples(tilts):
+    run = tilts[1]
+    figure = figures.velocities(run, window=(2.5, 3.3))
+    t = run.samples["t"]
+    inside = (t >= 2.5) & (t <= 3.3)
+    for axes, index in zip(figure.axes, (0, 5, 1, 6, 2, 7), strict=True):
+        found = curves(axes, palette.BLACK)
+        [solid], [dashed] = found["solid"], found["dashed"]
+        drawn = np.where(np.isnan(solid[:, 1]), dashed[:, 1], solid[:, 1])
+        assert drawn == pytest.approx(run.samples["v"][inside, index] * 1e3)
+
+
+def test_overlaid_runs_start_together_at_their_first_touch(tilts):
+    [axes] = figures.impact_force(tilts, aligned=True).axes
+    for run, colour in zip(tilts, palette.RUNS, strict=False):
+        [curve], _ = curves(axes, colour).values()
+        assert curve[np.argmax(curve[:, 1] > 0.0) - 1, 0] == pytest.approx(0.0, abs=1e-12)
+        assert curve[:, 1].max() == run.touches["peak_force"].max()
+    assert "first touch" in axes.get_xlabel()
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names[:3] == ["tilt_0", "tilt_p10", "tilt_m10"]
+
+
+def test_curves_from_elsewhere_are_drawn_over_the_run(undamped):
+    t, v = undamped.samples["t"], undamped.samples["v"]
+    figure = figures.velocities(undamped, traces=[Trace("other engine", t, v)])
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "other engine" in legend
+    for axes, index in zip(figure.axes, (0, 5, 1, 6, 2, 7), strict=True):
+        [points] = [line.get_xydata() for line in axes.get_lines() if line.get_marker() == "o"][:1]
+        assert 25 <= len(points) <= 65
+        expected = np.interp(points[:, 0], t, v[:, index] * 1e3)
+        assert points[:, 1] == pytest.approx(expected, abs=1e-9)
+
+
+def test_snapshots_show_the_tip_where_it_was(tilts):
+    for run in tilts:
+        figure = snapshots(run, count=6)
+        when = snapshot_times(run, 6)
+        touch = next(event for event in run.events if event.kind is EventKind.TOUCH)
+        assert when[0] == 0.0
+        assert when[1] == touch.t
+        assert len(figure.axes) == 6
+        for axes, t in zip(figure.axes, when, strict=True):
+            from matplotlib.colors import to_rgba
+
+            [tip] = [p for p in axes.patches if p.get_facecolor() == to_rgba(palette.SKY)]
+            k = round(t * 1000)
+            near = tip_in_world(run.scene, run.samples["q"][k : k + 1])[0]
+            assert tip.center == pytest.approx(near, abs=1.5e-4)  # 1 ms at 0.15 m/s
+            left, right = axes.get_xlim()
+            assert left < tip.center[0] < right
+
+
+def test_figures_can_be_read_at_half_size(undamped, tilts, tmp_path):
+    drawn = [figure(runs) for figure in figures.FIGURES.values() for runs in (undamped, tilts)]
+    drawn += [figures.undamped_results(undamped), figures.buffer_results(tilts, aligned=True)]
+    drawn += [figures.trajectories(tilts), snapshots(tilts), snapshots(undamped)]
+    for figure in drawn:
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                shown = axis.get_label().get_text()
+                assert not shown or "[" in shown, shown
+            # pixels of the line height in a PNG that is shown at half its size
+            assert all(size * DPI / 72 / 2 >= 9.0 for size in size_of(axes))
+        # every row and column of panels says what it shows
+        assert any(axes.get_xlabel() for axes in figure.axes)
+        assert any(axes.get_ylabel() for axes in figure.axes)
+
+
+def size_of(axes):
+    texts = [axes.xaxis.label, axes.yaxis.label, axes.title, *axes.texts]
+    texts += axes.get_xticklabels() + axes.get_yticklabels()
+    legend = axes.get_legend()
+    texts += [] if legend is None else legend.get_texts()
+    return [text.get_fontsize() for text in texts if text.get_text()]
+
+
+def test_files_are_the_same_every_time(undamped, tmp_path):
+    first = save_both(figures.trajectory(undamped), tmp_path / "a")
+    again = save_both(figures.trajectory(undamped), tmp_path / "b")
+    assert [path.suffix for path in first] == [".svg", ".png"]
+    for one, other in zip(first, again, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+    assert first[0].stat().st_size < 200_000
+    image = imread(first[1])[..., :3]
+    assert (np.abs(image - 1.0).max(axis=-1) > 0.1).mean() > 0.02
+
+
+def test_labels_must_fit_the_runs(tilts, tmp_path):
+    with pytest.raises(ValueError, match="2 labels for 3 runs"):
+        figures.distance(tilts, labels=["a", "b"])
+    with pytest.raises(ValueError, match="no run"):
+        figures.distance([])
+    assert save(figures.distance(tilts, labels=["a", "b", "c"]), tmp_path / "x.png").is_file()
