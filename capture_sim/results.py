@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,43 +75,87 @@ def summarize(
     }
 
 
+class _Column(NamedTuple):
+    """One column of the table: group, name and unit in its head, and its number."""
+
+    group: str
+    name: str
+    unit: str
+    key: str
+    form: str
+    factor: float = 1.0
+
+
 _COLUMNS = (
-    ("experiment", "name", "", 1.0, "{}"),
-    ("verdict", "verdict", "", 1.0, "{}"),
-    ("impact", "impact_speed", "m/s", 1.0, "{:.4f}"),
-    ("at", "first_contact_time", "s", 1.0, "{:.4f}"),
-    ("contact", "first_contact_duration", "ms", 1e3, "{:.1f}"),
-    ("touches", "first_contact_touches", "", 1.0, "{}"),
-    ("peak", "first_contact_peak_force", "N", 1.0, "{:.1f}"),
-    ("all", "touches", "touches", 1.0, "{}"),
-    ("peak of all", "peak_force", "N", 1.0, "{:.1f}"),
-    ("stroke", "max_axial_stroke", "mm", 1e3, "{:.2f}"),
-    ("torsion", "max_torsion", "mrad", 1e3, "{:.2f}"),
-    ("nearest", "nearest_distance", "mm", 1e3, "{:.2f}"),
-    ("residual", "energy_residual", "J", 1.0, "{:.1e}"),
-    ("x real time", "real_time_factor", "", 1.0, "{:.0f}"),
+    _Column("", "experiment", "", "name", "{}"),
+    _Column("", "verdict", "", "verdict", "{}"),
+    _Column("first touch", "speed", "m/s", "impact_speed", "{:.4f}"),
+    _Column("first touch", "time", "s", "first_contact_time", "{:.3f}"),
+    _Column("first contact", "lasts", "ms", "first_contact_duration", "{:.1f}", 1e3),
+    _Column("first contact", "n", "", "first_contact_touches", "{}"),
+    _Column("first contact", "peak", "N", "first_contact_peak_force", "{:.1f}"),
+    _Column("all touches", "n", "", "touches", "{}"),
+    _Column("all touches", "peak", "N", "peak_force", "{:.1f}"),
+    _Column("buffer up to", "stroke", "mm", "max_axial_stroke", "{:.2f}", 1e3),
+    _Column("buffer up to", "torsion", "mrad", "max_torsion", "{:.2f}", 1e3),
+    _Column("", "to BE", "mm", "nearest_distance", "{:.2f}", 1e3),
+    _Column("energy", "error", "J", "energy_residual", "{:.0e}"),
+)
+
+#: What the heads of the table mean.
+LEGEND = (
+    f"n: touches. First contact: touches that follow each other within {CLUSTER_GAP * 1e3:g} ms.",
+    "To BE: smallest distance of the tip's centre to that of BE. Energy error: of the ledger.",
 )
 
 
+def heads() -> list[tuple[str, str, str]]:
+    """Return group, name and unit of every column; neighbours of one group share it."""
+    return [(column.group, column.name, column.unit) for column in _COLUMNS]
+
+
+def rows(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Return summaries as texts in the units of :func:`heads`, a row each; '-' for None."""
+    return [[_text(column, summary[column.key]) for column in _COLUMNS] for summary in summaries]
+
+
+def _text(column: _Column, value: Any) -> str:
+    if value is None or value == math.inf:
+        return "-"
+    return column.form.format(value if column.factor == 1.0 else value * column.factor)
+
+
 def table(summaries: Sequence[dict[str, Any]]) -> str:
-    """Return summaries as a table for people, with units in its head."""
-    rows = [[head for head, *_ in _COLUMNS], [unit for _, _, unit, _, _ in _COLUMNS]]
-    for summary in summaries:
-        row = []
-        for _, key, _, factor, form in _COLUMNS:
-            value = summary[key]
-            if value is None:
-                row.append("-")
-            else:
-                row.append(form.format(value * factor if factor != 1.0 else value))
-        rows.append(row)
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
-    lines = [
-        "  ".join(
-            cell.ljust(w) if i < 2 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
+    """Return summaries as a table for people, with units in its head.
+
+    It fits 100 columns unless an experiment's name is longer than 14 letters.
+    """
+    cells = [[c.name for c in _COLUMNS], [c.unit for c in _COLUMNS], *rows(summaries)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(_COLUMNS))]
+    # a group's columns stand close to each other, and are as wide together as its name
+    gaps = [
+        "" if i == 0 else " " if c.group and c.group == _COLUMNS[i - 1].group else "  "
+        for i, c in enumerate(_COLUMNS)
     ]
-    lines.insert(2, "-" * max(map(len, lines)))
+    groups = []
+    for group, members in itertools.groupby(range(len(_COLUMNS)), lambda i: _COLUMNS[i].group):
+        inside = list(members)
+        span = sum(widths[i] for i in inside) + sum(len(gaps[i]) for i in inside[1:])
+        if len(group) > span:
+            widths[inside[0]] += len(group) - span
+        groups.append(gaps[inside[0]] + group.rjust(max(span, len(group))))
+    lines = ["".join(groups).rstrip()]
+    for row in cells:
+        padded = (
+            gap + (cell.ljust(w) if i < 2 else cell.rjust(w))
+            for i, (gap, cell, w) in enumerate(zip(gaps, row, widths, strict=True))
+        )
+        lines.append("".join(padded).rstrip())
+    lines.insert(3, "-" * max(map(len, lines)))
+    lines += ["", *LEGEND]
+    factors = [s["real_time_factor"] for s in summaries if s["real_time_factor"]]
+    if factors:
+        low, high = (f"{f:.0f}" if f >= 10 else f"{f:.1f}" for f in (min(factors), max(factors)))
+        span_text = low if low == high else f"{low} to {high}"
+        lines.append(f"Run at {span_text} times real time.")
     return "\n".join(lines)

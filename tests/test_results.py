@@ -1,0 +1,57 @@
+"""The table of results: what a person reads off it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import capture_sim
+from capture_sim.results import heads, rows, table
+
+NAMES = ("tilt_0", "tilt_m10", "paper_undamped", "paper_clamped")
+
+
+@pytest.fixture(scope="module")
+def results():
+    return [capture_sim.simulate(capture_sim.load_scene(name)) for name in NAMES]
+
+
+def test_table_fits_a_hundred_columns_and_has_a_unit_over_every_number(results):
+    lines = table([run.summary for run in results]).splitlines()
+    assert max(map(len, lines)) <= 100
+    groups, names, units, rule = lines[:4]
+    assert set(rule) == {"-"}
+    starts = [m.start() for m in re.finditer(r"\S+", lines[4])]
+    ends = [m.end() for m in re.finditer(r"\S+", lines[4])]
+    counts = {i for i, head in enumerate(heads()) if head[1] == "n"}
+    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        assert names[:end].split(), names
+        if i >= 2 and i not in counts:
+            # right-aligned under its unit and its name
+            assert units[end - 1] != " ", (i, units)
+            assert names[end - 1] != " "
+        assert start < end
+    assert "first contact" in groups
+
+
+def test_table_holds_the_runs_numbers(results):
+    for run, row in zip(results, rows([run.summary for run in results]), strict=True):
+        by_head = {(group, name): cell for (group, name, _), cell in zip(heads(), row, strict=True)}
+        first = run.touches["start"].min()
+        assert float(by_head["first touch", "time"]) == pytest.approx(first, abs=5e-4)
+        assert int(by_head["all touches", "n"]) == len(run.touches)
+        peak = run.touches["peak_force"].max()
+        assert float(by_head["all touches", "peak"]) == pytest.approx(peak, abs=0.05)
+        assert float(by_head["", "to BE"]) == pytest.approx(
+            run.samples["tip_distance"].min() * 1e3, abs=0.005
+        )
+
+
+def test_run_without_a_touch_has_dashes():
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=0.5)
+    [row] = rows([run.summary])
+    cells = dict(zip(heads(), row, strict=True))
+    assert cells["first touch", "time", "s"] == "-"
+    assert cells["first contact", "peak", "N"] == "-"
+    assert max(map(len, table([run.summary]).splitlines())) <= 100
