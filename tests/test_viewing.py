@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import math
-import socket
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +21,6 @@ from capture_sim.viewing.geometry import tip_bound, tip_in_cone, tip_in_world, w
 from capture_sim.viewing.source import decided_at, headline, in_contact, time_window, verdict
 
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
-SHOWN = 2.86  # s, of the pictured instant: some tips touch, some do not
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +31,6 @@ def runs():
 @pytest.fixture(scope="module")
 def rebound():
     return capture_sim.simulate(capture_sim.load_scene("paper_undamped"))
-
-
-@pytest.fixture(scope="module")
-def rrd(runs, tmp_path_factory):
-    pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing import save_rrd
-
-    return save_rrd(runs, tmp_path_factory.mktemp("viewing") / "runs.rrd")
 
 
 # shapes
@@ -251,185 +236,3 @@ def test_colours_of_runs_differ_also_for_the_colour_blind():
         for i in range(3):
             for j in range(i):
                 assert np.abs(seen[i] - seen[j]).max() > 0.15
-
-
-# rerun
-
-
-def chunks(rrd):
-    from rerun.chunk import RrdReader
-
-    by_path = {}
-    for chunk in RrdReader(rrd).stream():
-        by_path.setdefault(str(chunk.entity_path), []).append(chunk)
-    return by_path
-
-
-def column(found, path, ending):
-    """Return times (s) and values of a component, by time."""
-    times, values = [], []
-    for chunk in found[path]:
-        batch = chunk.to_record_batch()
-        names = [n for n in batch.schema.names if n.endswith(ending)]
-        if chunk.is_static or not names:
-            continue
-        index = batch.column("sim_time")
-        times += [
-            v.value * 1e-9 if hasattr(v, "value") else v for v in index.to_numpy().astype("i8")
-        ]
-        values += [row[0] for row in batch.column(names[0]).to_pylist()]
-    order = np.argsort(times, kind="stable")
-    return np.array(times)[order], np.array(values)[order]
-
-
-def test_rrd_holds_the_numbers_of_every_run(rrd, runs):
-    found = chunks(rrd)
-    for run in runs:
-        name, samples = run.scene.name, run.samples
-        for plot, expected in (
-            ("axial_stroke", samples["axial_stroke"] * 1e3),
-            ("distance", samples["tip_distance"] * 1e3),
-            ("string_tension", samples["string_tension"]),
-        ):
-            times, values = column(found, f"/plots/{plot}/{name}", "scalars")
-            assert values.tolist() == expected.tolist()
-            assert times * 1e-9 == pytest.approx(samples["t"], abs=1e-9)
-        _, force = column(found, f"/plots/contact_force/{name}", "scalars")
-        assert force.max() == run.touches["peak_force"].max()
-        _, place = column(found, f"/{name}/world/target", "translation")
-        assert place[:, :2] == pytest.approx(samples["q"][:, 5:7], abs=1e-6)
-        _, turn = column(found, f"/{name}/world/target", "quaternion")
-        assert 2 * np.arctan2(turn[:, 2], turn[:, 3]) == pytest.approx(samples["q"][:, 7], abs=1e-6)
-        _, tip = column(found, f"/{name}/close_up/tip", "positions")
-        assert tip == pytest.approx(tip_in_cone(samples) * 1e3, abs=1e-4)
-
-
-def test_rrd_of_three_runs_is_made_in_two_seconds_and_small(rrd, runs, tmp_path):
-    from capture_sim.viewing import save_rrd
-
-    began = time.perf_counter()
-    path = save_rrd(runs, tmp_path / "again.rrd")
-    assert time.perf_counter() - began < 2.0
-    assert path.stat().st_size < 15e6
-
-
-def test_rrd_tells_verdict_and_scene(rrd, runs):
-    found = chunks(rrd)
-    properties = [path for path in found if "properties" in path]
-    texts = " ".join(
-        str(chunk.to_record_batch().to_pylist()) for path in properties for chunk in found[path]
-    )
-    for run in runs:
-        assert f"/__properties/{run.scene.name}" in properties
-    assert texts.count("captured") >= len(runs)
-    assert "drop_height" in texts
-
-
-def test_runs_of_one_name_are_kept_apart(runs, tmp_path):
-    pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing import save_rrd
-
-    found = chunks(save_rrd([runs[0], runs[0]], tmp_path / "twice.rrd"))
-    assert {"/plots/distance/tilt_0_1", "/plots/distance/tilt_0_2"} <= set(found)
-
-
-def software_vulkan():
-    """Return whether Mesa's software Vulkan is there, to draw without a graphics card."""
-    drivers = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
-    return bool(drivers) and ctypes.util.find_library("vulkan") is not None
-
-
-@pytest.mark.skipif(
-    not software_vulkan(), reason="needs mesa-vulkan-drivers and libvulkan1 to draw headless"
-)
-def test_picture_of_the_rrd_as_a_person_sees_it(rrd, runs, tmp_path):
-    experimental = pytest.importorskip("rerun.experimental", reason="needs rerun")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "rerun", str(rrd), "--headless", "--bind", "127.0.0.1"]
-    command += ["--port", str(port), "--window-size", "1600x900"]
-    command += ["--hide-welcome-screen", "--renderer", "vulkan"]
-    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        client = connected(experimental, port)
-        views = wait_for_views(client, 3 * len(runs) - 3 + 5)
-        assert all(not view.reports for view in views), [view.reports for view in views]
-        client.set_time("sim_time", duration=SHOWN, play_state="paused")
-        image = settled_picture(client, tmp_path / "shot.png")
-    finally:
-        viewer.terminate()
-        viewer.wait(10)
-    third = image.shape[1] // 3
-    upper, middle = (
-        image[: image.shape[0] // 3],
-        image[image.shape[0] // 3 : 2 * image.shape[0] // 3],
-    )
-    shown_colours = []
-    for i, colour in enumerate(palette.RUNS[:3]):
-        columns = slice(i * third, (i + 1) * third)
-        # the tip is drawn shaded: count by hue
-        assert hue_area(upper[:, columns], to_rgb(colour)) > 60
-        touching = in_contact(runs[i])[round(SHOWN * 1000)]
-        shown = palette.rgb(colour) if touching else palette.light(palette.rgb(colour))
-        shown_colours.append(np.array(shown) / 255)
-        assert hue_area(middle[:, columns], shown_colours[i]) > 1500
-    assert 0 < sum(in_contact(run)[round(SHOWN * 1000)] for run in runs) < len(runs)
-    # seen from above, +y is up: the run at +10 degrees has its tip above the axis then
-    rows = [
-        np.mean(np.nonzero(hue_mask(middle[:, i * third : (i + 1) * third], colour))[0])
-        for i, colour in enumerate(shown_colours)
-    ]
-    laterals = [run.samples["tip_lateral"][round(SHOWN * 1000)] for run in runs]
-    assert laterals[1] > 5e-3
-    assert laterals[2] < -5e-3
-    assert rows[1] < rows[0] - 5 < rows[2] - 10
-    # the cones in 3D open to the left: +10 degrees further down (to -y), -10 further up
-    heights = [
-        np.mean(np.nonzero(hue_mask(upper[:, i * third : (i + 1) * third], to_rgb(palette.SKY)))[0])
-        for i in range(3)
-    ]
-    assert heights[1] > heights[0] + 2 > heights[2] + 4
-
-
-def connected(experimental, port):
-    for _ in range(120):
-        try:
-            return experimental.ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-        except Exception:
-            time.sleep(0.25)
-    raise AssertionError("the viewer does not answer")
-
-
-def wait_for_views(client, count):
-    for _ in range(80):
-        views = client.get_state().views
-        if len(views) >= count:
-            return views
-        time.sleep(0.25)
-    raise AssertionError(f"{len(views)} views instead of {count}")
-
-
-def settled_picture(client, path):
-    """Take pictures until two in a row are equal."""
-    before = b""
-    for _ in range(40):
-        time.sleep(0.5)
-        now = client.take_screenshot()
-        if now == before:
-            break
-        before = now
-    path.write_bytes(now)
-    return imread(path)[..., :3]
-
-
-def hue_mask(image, colour):
-    """Return where a picture has a colour in any brightness from half of it up."""
-    wanted = np.array(colour)
-    scale = image.max(axis=-1, keepdims=True) / wanted.max()
-    near = np.abs(image - scale * wanted).max(axis=-1) < 0.06
-    return near & (scale[..., 0] > 0.5) & (np.ptp(image, axis=-1) > 0.12)
-
-
-def hue_area(image, colour):
-    return int(hue_mask(image, colour).sum())

@@ -77,3 +77,10 @@ def yaw_quaternions(angle: np.ndarray) -> np.ndarray:
     half = 0.5 * np.asarray(angle)
     zero = np.zeros_like(half)
     return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
+
+
+def helix(radius: float, turns: int = 9, per_turn: int = 16) -> np.ndarray:
+    """Return a coil round x from 0 to 1, (n, 3); its radius is in m."""
+    angle = np.linspace(0.0, 2 * np.pi * turns, turns * per_turn + 1)
+    x = angle / angle[-1]
+    return np.stack([x, radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

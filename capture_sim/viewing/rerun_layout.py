@@ -1,0 +1,122 @@
+"""How a rerun recording opens: its views, cameras, bounds and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from capture_sim.scene import Scene
+from capture_sim.viewing.geometry import wall
+from capture_sim.viewing.rerun_plots import PLOTS
+from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME
+
+_MM = 1e3
+_WHITE = rrb.Background(color=(255, 255, 255), kind=rrb.BackgroundKind.SolidColor)
+
+
+def blueprint(
+    scenes: Sequence[Scene],
+    names: Sequence[str],
+    titles: Sequence[str],
+    *,
+    aligned: bool,
+    live: bool = False,
+) -> rrb.Blueprint:
+    """Return the layout of runs side by side and overlaid.
+
+    Parameters
+    ----------
+    scenes, names, titles
+        Of each run: what is on its bench, its prefix, its headline.
+    aligned
+        Open on the time since the first touch; otherwise on simulated time.
+    live
+        Follow what comes, instead of standing still at the beginning.
+    """
+    rows = []
+    for scene, name, title in zip(scenes, names, titles, strict=True):
+        bench = rrb.Spatial3DView(
+            origin=f"/{name}/world",
+            name=title,
+            background=_WHITE,
+            line_grid=False,
+            eye_controls=_eye(scene),
+        )
+        close_up = rrb.Spatial2DView(
+            origin=f"/{name}",
+            contents=f"/{name}/close_up/**",
+            name=f"{name}: in the cone, mm",
+            background=_WHITE,
+            visual_bounds=_bounds(scene),
+        )
+        rows.append(rrb.Horizontal(bench, close_up, column_shares=[1.5, 1.0]))
+    if len(rows) == 1:
+        rows = [rrb.Vertical(*rows[0].contents, row_shares=[1.0, 1.4])]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*rows),
+            rrb.Tabs(
+                _time_series(),
+                rrb.TextLogView(origin="/events", name="events"),
+                rrb.Grid(
+                    *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
+                    name="parameters",
+                ),
+                active_tab=0,
+            ),
+            column_shares=[1.15, 1.0],
+        ),
+        rrb.TimePanel(
+            timeline=ALIGNED if aligned else SIM_TIME,
+            state="collapsed",
+            playback_speed=1.0 if live else 0.1,
+            play_state="following" if live else "paused",
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+def _time_series() -> rrb.Vertical:
+    """Return the diagrams, one above the other in two columns over the same time."""
+    plots = {
+        plot.entity: rrb.TimeSeriesView(
+            origin=f"/plots/{plot.entity}",
+            name=plot.title,
+            plot_legend=rrb.PlotLegend(
+                corner=rrb.Corner2D.RightTop, visible=plot.entity == "distance"
+            ),
+        )
+        for plot in PLOTS
+    }
+    states = rrb.StateTimelineView(origin="/states", name="phase and verdict")
+    pairs = (
+        (plots["contact_force"], plots["distance"]),
+        (plots["axial_stroke"], plots["torsion"]),
+        (plots["speed"], plots["energy"]),
+        (states, plots["string_tension"]),
+    )
+    return rrb.Vertical(
+        *(rrb.Horizontal(*pair) for pair in pairs), row_shares=[1, 1, 1, 1.2], name="time series"
+    )
+
+
+def _eye(scene: Scene) -> rrb.EyeControls3D:
+    """Look down on the bench, along the approach, from the chaser's left."""
+    middle = 0.5 * (scene.initial.chaser.x + scene.initial.target.x) + 0.03
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=(middle, scene.initial.target.y - 0.325, 0.42),
+        look_target=(middle, scene.initial.target.y - 0.03, -0.04),
+        eye_up=(0.0, 0.0, 1.0),
+    )
+
+
+def _bounds(scene: Scene) -> rrb.VisualBounds2D:
+    """Show the cone and a tip's width around it."""
+    lip = wall(scene.cone, 1)[1] * _MM
+    margin = scene.probe.tip_radius * _MM
+    return rrb.VisualBounds2D(
+        x_range=(lip[0] - 2 * margin, 2 * margin), y_range=(-lip[1] - 3.0, lip[1] + 3.0)
+    )
