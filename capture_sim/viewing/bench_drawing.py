@@ -111,7 +111,7 @@ def _draw_target(axes: Axes, scene: Scene, q: np.ndarray, *, named: bool) -> Non
         _draw_balls(axes, scene.supports.target, pose)
     if named:
         degrees = round(float(np.rad2deg(pose[2])))
-        _label(axes, f"target {degrees:+d}°" if degrees else "target 0°", outline)
+        _label(axes, f"target\n{degrees:+d}°" if degrees else "target\n0°", outline)
 
 
 def _draw_balls(axes: Axes, support: BallSupport, pose: np.ndarray) -> None:

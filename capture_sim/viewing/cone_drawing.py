@@ -45,12 +45,12 @@ def key_moments(run: ViewableRun) -> list[Moment]:
     touch = first_touch(run)
     if touch is not None and len(run.touches):
         strongest = run.touches[int(np.argmax(run.touches["peak_force"]))]
-        peak = f"strongest, {strongest['peak_force']:.0f} N"
+        peak = f"{strongest['peak_force']:.0f} N"
         if strongest["start"] == touch.t:
-            add(touch.t, f"first touch, the {peak}")
+            add(touch.t, f"first touch, {peak}")
         else:
             add(touch.t, "first touch")
-            add(float(strongest["peak_time"]), f"touch, the {peak}")
+            add(float(strongest["peak_time"]), f"strongest, {peak}")
     elif touch is not None:
         add(touch.t, "first touch")
     latched = next((e for e in run.events if e.kind is EventKind.LATCHED), None)
@@ -94,13 +94,15 @@ def draw_cone(axes: Axes, scene: Scene, *, coloured: bool = True) -> None:
             zorder=2,
             label="centre when touching" if side > 0 and not explained else None,
         )
-        middle = face.mean(axis=0) + 1.9 * out
+        # where neither legend nor list of moments is
+        share = 0.6 if side > 0 else 0.33
+        middle = (1.0 - share) * face[0] + share * face[1] + 1.9 * out
         axes.text(
             middle[0],
             middle[1],
             f"{'+' if side > 0 else '-'}y wall",
             color=colour,
-            fontsize=12,
+            fontsize=13,
             fontweight="bold",
             rotation=-side * np.rad2deg(cone.beta),
             rotation_mode="anchor",
@@ -109,7 +111,7 @@ def draw_cone(axes: Axes, scene: Scene, *, coloured: bool = True) -> None:
         )
     zone = circle(np.zeros(2), scene.detector.radius) * _MM
     label = None if explained else "capture zone"
-    axes.plot(*zone.T, color=palette.GREEN, lw=1.8, zorder=4, label=label)
+    axes.plot(*zone.T, color=palette.GREEN, lw=2.3, zorder=4, label=label)
     axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=palette.GREEN, zorder=4)
 
 

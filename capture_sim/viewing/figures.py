@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -32,6 +31,7 @@ from capture_sim.viewing.series import (
     draw_line,
     finish_time_axis,
     label_runs,
+    label_zone,
     trace_colour,
 )
 from capture_sim.viewing.source import ViewableRun, normal_force_with_peaks
@@ -305,18 +305,7 @@ def _draw_torsion(axes: Axes, shown: Sequence[Shown], window: tuple[float, float
 def _draw_distance(axes: Axes, shown: Sequence[Shown], window: tuple[float, float]) -> None:
     for radius in sorted({one.run.scene.detector.radius for one in shown}):
         axes.axhspan(0.0, radius * _MM, color=palette.GREEN, alpha=0.2, lw=0)
-        axes.text(
-            0.985,
-            radius * _MM,
-            f"capture zone, {radius * _MM:g} mm",
-            transform=axes.get_yaxis_transform(),
-            ha="right",
-            va="bottom",
-            fontsize=SMALL,
-            color=palette.DARK_GREEN,
-            path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
-            zorder=6,
-        )
+        label_zone(axes, radius * _MM)
     for one in shown:
         draw_line(axes, one, one.run.samples["tip_distance"] * _MM, window)
     axes.set_ylim(bottom=0.0)

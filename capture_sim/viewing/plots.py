@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from capture_sim.samples import EventKind
 from capture_sim.viewing import palette
 from capture_sim.viewing.bench_drawing import draw_bench
-from capture_sim.viewing.canvas import new_figure, save
+from capture_sim.viewing.canvas import new_figure, save, set_fonts
 from capture_sim.viewing.cone_drawing import (
     LETTERS,
     draw_cone,
@@ -22,6 +22,7 @@ from capture_sim.viewing.cone_drawing import (
     key_moments,
     label_path,
 )
+from capture_sim.viewing.series import label_zone
 from capture_sim.viewing.source import (
     ViewableRun,
     decided_at,
@@ -32,7 +33,7 @@ from capture_sim.viewing.source import (
 )
 
 _MM = 1e3
-_FONT = 12.0
+_FONT = 13.5
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
 
 
@@ -84,24 +85,34 @@ def draw_run(run: ViewableRun) -> Figure:
     _draw_torsion(torsion, run)
     _draw_distance(distance, run)
     _finish_time_axes(run, force, stroke, torsion, distance)
-    _set_fonts(figure, _FONT)
+    set_fonts(figure.axes, _FONT)
     return figure
 
 
 def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
     """Return the figure of several runs side by side, one column each."""
-    figure = new_figure(6.4 * len(runs), 13.8)
-    rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.1, 3.3, 1.3, 1.1])
+    figure = new_figure(6.0 * len(runs), 14.0)
+    rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
     for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
-        _draw_bench(bench, run)
-        bench.set_title(f"{headline(run)}\n", fontsize=16, fontweight="bold")
+        draw_bench(bench, run)
+        bench.set_title(headline(run), fontsize=16, fontweight="bold", pad=12)
+        bench.set_xlabel(f"x in the world  [m]   (dashed: at the {start_word(run.scene)})")
         _draw_trajectory(cone, run)
         _draw_force(force, run)
         _draw_distance(distance, run)
         _finish_time_axes(run, force, distance)
         force.tick_params(labelbottom=False)
-    _set_fonts(figure, _FONT)
+    _give_common_limits(rows[0])
+    set_fonts(figure.axes, _FONT)
     return figure
+
+
+def _give_common_limits(row: Sequence[Axes]) -> None:
+    """Let axes of one row show the same, so that they are of one size."""
+    for get, put in (("get_xlim", "set_xlim"), ("get_ylim", "set_ylim")):
+        ends = np.array([getattr(axes, get)() for axes in row])
+        for axes in row:
+            getattr(axes, put)(ends[:, 0].min(), ends[:, 1].max())
 
 
 def _draw_bench(axes: Axes, run: ViewableRun) -> None:
@@ -116,7 +127,7 @@ def _draw_trajectory(axes: Axes, run: ViewableRun) -> None:
     label_path(axes)
     draw_tip(axes, run.scene, moments)
     frame_cone(axes, run.scene)
-    axes.set_title("The tip in the cone (the chaser comes from the left)", fontsize=_FONT + 1)
+    axes.set_title("The tip in the cone, the chaser comes from the left", fontsize=_FONT + 1)
     axes.legend(loc="upper right", fontsize=_FONT - 1, framealpha=1.0).set_zorder(10)
     axes.text(
         0.985,
@@ -149,10 +160,8 @@ def _draw_force(axes: Axes, run: ViewableRun) -> None:
     axes.set_yscale("log")
     axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
     axes.set_ylabel("normal force\n[N], log scale")
-    axes.legend(loc="upper right", fontsize=_FONT - 2, ncols=2, framealpha=1.0)
-    axes.set_title(
-        f"Contact force: up to {highest:.0f} N (markers: peak of each touch)", fontsize=_FONT + 1
-    )
+    axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
+    axes.set_title(f"Contact force: up to {highest:.0f} N (markers: peaks)", fontsize=_FONT + 1)
 
 
 def _draw_stroke(axes: Axes, run: ViewableRun) -> None:
@@ -177,15 +186,7 @@ def _draw_distance(axes: Axes, run: ViewableRun) -> None:
     _plot_shown(axes, run, distance)
     axes.axhspan(0.0, radius, color=palette.GREEN, alpha=0.25, lw=0)
     axes.set_ylim(bottom=0.0)
-    axes.text(
-        0.01,
-        radius,
-        f"capture zone, {radius:g} mm",
-        transform=axes.get_yaxis_transform(),
-        va="bottom",
-        fontsize=_FONT - 1,
-        color=palette.GREEN,
-    )
+    label_zone(axes, radius)
     axes.set_ylabel("distance\n[mm]")
     axes.set_title(f"Tip to the centre of BE: nearest {distance.min():.1f} mm", fontsize=_FONT + 1)
     for event in run.events:
@@ -239,10 +240,3 @@ def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
         axes.grid(color=palette.LIGHT, lw=0.6)
         axes.set_axisbelow(True)
     all_axes[-1].set_xlabel(f"time since the {start_word(run.scene)}  [s]   (shaded: in contact)")
-
-
-def _set_fonts(figure: Figure, size: float) -> None:
-    for axes in figure.axes:
-        axes.tick_params(labelsize=size - 1)
-        axes.xaxis.label.set_fontsize(size)
-        axes.yaxis.label.set_fontsize(size)

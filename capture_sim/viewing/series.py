@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 
 from capture_sim.viewing import palette
@@ -148,6 +149,22 @@ def label_runs(
             )
     else:
         axes.legend(fontsize=SMALL, framealpha=0.9, loc="best", handlelength=2.2)
+
+
+def label_zone(axes: Axes, radius: float) -> None:
+    """Name the band of the capture zone, mm, on the right just above it."""
+    axes.text(
+        0.985,
+        radius,
+        f"capture zone, {radius:g} mm",
+        transform=axes.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
+        fontsize=SMALL,
+        color=palette.DARK_GREEN,
+        path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
+        zorder=6,
+    )
 
 
 def trace_colour(i: int) -> str:
