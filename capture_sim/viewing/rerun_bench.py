@@ -261,6 +261,9 @@ class BenchLog:
             return
         beats = np.floor(samples["t"] / _STRING_PERIOD + 1e-6)
         few = samples[np.flatnonzero(np.diff(beats, prepend=-1.0))]
+        few = few[np.isfinite(few["mass_height"])]
+        if not few.size:
+            return
         strings = bench_model.string_ends(self._scene, few["q"])
         masses = bench_model.mass_places(self._scene, few["mass_height"])
         hanging = strings[:, 1:] + (bench_model.PULLEY_RADIUS, 0.0, -bench_model.PULLEY_RADIUS)

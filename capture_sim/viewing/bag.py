@@ -1,0 +1,218 @@
+"""A run out of the topics that a real bench has as well: poses, buffer, forces.
+
+Nothing of the simulator's own (BenchState, events, the scene) is needed but the bench's geometry.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from capture_sim.detection import CaptureDetector, CaptureStatus, Observation
+from capture_sim.errors import RecordingError
+from capture_sim.messages import HINGE_JOINT, SLIDE_JOINT, LaunchAction
+from capture_sim.scene import Scene
+from capture_sim.topics import (
+    BUFFER_STATE,
+    CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    LAUNCH_COMMAND,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    Topic,
+)
+from capture_sim.viewing.measured import MeasuredRun, Measurements, measured_run
+
+Columns = Mapping[str, np.ndarray]
+
+
+class Bag(Protocol):
+    """A recording, as :class:`capture_sim.recording.Run`."""
+
+    @property
+    def name(self) -> str:
+        """Of the run."""
+
+    @property
+    def statuses(self) -> Sequence[CaptureStatus]:
+        """The detector's judgements, if it was recorded."""
+
+    def columns(self, topic: str) -> Columns:
+        """Return a topic's fields by path; empty without messages."""
+
+
+def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
+    """Read a run from its measurements, on the stamps of the chaser's poses.
+
+    Parameters
+    ----------
+    bag
+        Holds the poses of chaser and target, and the buffer's state or the joints'.
+    scene
+        The geometry of buffer and cone, and the detector's criteria: where the bag holds no
+        judgements, the detector judges now.
+
+    Raises
+    ------
+    RecordingError
+        A topic is missing.
+    """
+    chaser, target = _needed(bag, CHASER_ODOMETRY), _needed(bag, TARGET_ODOMETRY)
+    stamps, first = np.unique(_stamps(chaser), return_index=True)
+    t = (stamps - _release(bag, stamps)) * 1e-9
+    poses, rates = zip(*(_planar(odometry) for odometry in (chaser, target)), strict=True)
+    buffer, buffer_rate, buffer_stamps = _buffer(bag)
+
+    def at(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return values at the chaser's stamps, linear between their own."""
+        since = (columns_stamps - stamps[0]) * 1e-9
+        wanted = (stamps - stamps[0]) * 1e-9
+        return np.stack([np.interp(wanted, since, column) for column in values.T], axis=-1)
+
+    def held(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return states at the chaser's stamps, each holding until the next."""
+        before = np.searchsorted(columns_stamps, stamps, side="right") - 1
+        return np.asarray(values[np.maximum(before, 0)].astype(int))
+
+    measured = Measurements(
+        t=t,
+        chaser=poses[0][first],
+        chaser_rate=rates[0][first],
+        target=at(_stamps(target), poses[1]),
+        target_rate=at(_stamps(target), rates[1]),
+        buffer=at(buffer_stamps, buffer),
+        buffer_rate=at(buffer_stamps, buffer_rate),
+        **_optional(bag, at, held),
+    )
+    statuses: Sequence[CaptureStatus] = bag.statuses
+    if statuses:
+        # its stamps count from 1 s, the run's from the release
+        late = statuses[0].t - _first_status(bag, stamps)
+        statuses = [_later(status, -late) for status in statuses] if abs(late) > 1e-6 else statuses
+    else:
+        statuses = judge(scene, measured)
+    return measured_run(bag.name, scene, measured, statuses)
+
+
+def judge(scene: Scene, measured: Measurements) -> list[CaptureStatus]:
+    """Let the capture detector judge measurements."""
+    detector = CaptureDetector(scene)
+    statuses = [
+        detector.update(
+            Observation(
+                t,
+                tuple(chaser),
+                tuple(chaser_rate),
+                tuple(target),
+                tuple(target_rate),
+                stroke,
+                stroke_rate,
+                torsion,
+                torsion_rate,
+            )
+        )
+        for t, chaser, chaser_rate, target, target_rate, (stroke, torsion), (
+            stroke_rate,
+            torsion_rate,
+        ) in zip(
+            measured.t.tolist(),
+            measured.chaser.tolist(),
+            measured.chaser_rate.tolist(),
+            measured.target.tolist(),
+            measured.target_rate.tolist(),
+            measured.buffer.tolist(),
+            measured.buffer_rate.tolist(),
+            strict=True,
+        )
+    ]
+    return [*statuses, detector.finish()]
+
+
+def _needed(bag: Bag, topic: Topic) -> Columns:
+    found = bag.columns(topic.name)
+    if not found:
+        raise RecordingError(f"{bag.name}: holds no {topic.absolute_name}, nothing to draw")
+    return found
+
+
+def _stamps(columns: Columns) -> np.ndarray:
+    """Return the stamps of messages with a header, (n,) int64, ns."""
+    seconds = columns["header.stamp.sec"].astype(np.int64)
+    return np.asarray(seconds * 1_000_000_000 + columns["header.stamp.nanosec"].astype(np.int64))
+
+
+def _release(bag: Bag, stamps: np.ndarray) -> int:
+    """Return the stamp of the launcher's release; of the first pose where there is none."""
+    commands = bag.columns(LAUNCH_COMMAND.name)
+    if commands:
+        released = _stamps(commands)[commands["action"] == LaunchAction.RELEASE]
+        if released.size:
+            return int(released[0])
+    return int(stamps[0])
+
+
+def _first_status(bag: Bag, stamps: np.ndarray) -> float:
+    """Return when the detector's first judgement was, s since the release."""
+    return float((_stamps(bag.columns(CAPTURE_STATUS.name))[0] - _release(bag, stamps)) * 1e-9)
+
+
+def _later(status: CaptureStatus, shift: float) -> CaptureStatus:
+    return dataclasses.replace(status, t=status.t + shift)
+
+
+def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses (n, 3) and their rates in the world (n, 3), from nav_msgs/Odometry."""
+    x, y = odometry["pose.pose.position.x"], odometry["pose.pose.position.y"]
+    z, w = odometry["pose.pose.orientation.z"], odometry["pose.pose.orientation.w"]
+    theta = np.unwrap(2.0 * np.arctan2(z, w))
+    c, s = np.cos(theta), np.sin(theta)
+    # the twist is in the vehicle's own frame
+    vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
+    rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
+    return np.stack([x, y, theta], axis=-1), np.stack(rates, axis=-1)
+
+
+def _buffer(bag: Bag) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return stroke and torsion (n, 2), their rates (n, 2), and stamps (n,)."""
+    state = bag.columns(BUFFER_STATE.name)
+    if state:
+        values = np.stack([state["axial_stroke"], state["torsion"]], axis=-1)
+        rates = np.stack([state["axial_rate"], state["torsion_rate"]], axis=-1)
+        return values, rates, _stamps(state)
+    joints = bag.columns(JOINT_STATES.name)
+    if joints:
+        names = list(joints["name"][0])
+        if {HINGE_JOINT, SLIDE_JOINT} <= set(names):
+            order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
+            return joints["position"][:, order], joints["velocity"][:, order], _stamps(joints)
+    raise RecordingError(
+        f"{bag.name}: holds neither {BUFFER_STATE.absolute_name} nor {JOINT_STATES.absolute_name} "
+        f"with {HINGE_JOINT} and {SLIDE_JOINT}: the tip's place is not known"
+    )
+
+
+def _optional(bag: Bag, at: Any, held: Any) -> dict[str, np.ndarray]:
+    """Return what else was measured."""
+    found: dict[str, np.ndarray] = {}
+    wrench = bag.columns(CONTACT_WRENCH.name)
+    if wrench:
+        force = np.stack([wrench["wrench.force.x"], wrench["wrench.force.y"]], axis=-1)
+        found["tip_force"] = at(_stamps(wrench), force)
+    contact = bag.columns(CONTACT_STATE.name)
+    if contact:
+        found["normal_force"] = at(_stamps(contact), contact["normal_force"])
+        found["peak_force"] = at(_stamps(contact), contact["peak_force"][:, None])[:, 0]
+        found["walls"] = held(_stamps(contact), contact["walls"])
+        found["begun"] = held(_stamps(contact), contact["touches"])
+    string = bag.columns(STRING_STATE.name)
+    if string:
+        values = np.stack([string[n] for n in ("tension", "mass_height", "mass_speed")], axis=-1)
+        phase = held(_stamps(string), string["phase"])
+        found["string"] = np.column_stack([phase, at(_stamps(string), values)])
+    return found

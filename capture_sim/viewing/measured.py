@@ -1,0 +1,233 @@
+"""Samples from what can be measured on a bench: poses, buffer, and forces where there are any.
+
+What cannot be measured (energies, mostly) is not a number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.detection import CaptureStatus
+from capture_sim.errors import SceneError
+from capture_sim.messages import StringPhase
+from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
+from capture_sim.scene import PlanarState, Scene
+from capture_sim.viewing.geometry import tip_in_world, wall
+
+#: Of dtype SAMPLE and not known from measurements.
+_WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What was measured at n instants; None where there is no such sensor.
+
+    Attributes
+    ----------
+    t : ndarray (n,)
+        s since the release.
+    chaser, target : ndarray (n, 3)
+        x m, y m, theta rad in the world.
+    chaser_rate, target_rate : ndarray (n, 3)
+        m/s, m/s, rad/s in the world.
+    buffer : ndarray (n, 2)
+        Axial stroke m, torsion rad.
+    buffer_rate : ndarray (n, 2)
+        m/s, rad/s.
+    tip_force : ndarray (n, 2) or None
+        N, on the tip in its own frame.
+    normal_force : ndarray (n, 2) or None
+        N, of the +y and the -y wall.
+    walls : ndarray (n,) or None
+        Bits of the walls in touch, as in ContactState; else told by the gaps.
+    begun : ndarray (n,) or None
+        Touches begun since the instant before.
+    peak_force : ndarray (n,) or None
+        N, largest since the instant before.
+    string : ndarray (n, 4) or None
+        Phase as in StringState, tension N, mass height m, mass speed m/s.
+    """
+
+    t: np.ndarray
+    chaser: np.ndarray
+    chaser_rate: np.ndarray
+    target: np.ndarray
+    target_rate: np.ndarray
+    buffer: np.ndarray
+    buffer_rate: np.ndarray
+    tip_force: np.ndarray | None = None
+    normal_force: np.ndarray | None = None
+    walls: np.ndarray | None = None
+    begun: np.ndarray | None = None
+    peak_force: np.ndarray | None = None
+    string: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """A run known from measurements alone; fits :class:`capture_sim.viewing.ViewableRun`."""
+
+    scene: Scene
+    samples: np.ndarray
+    touches: np.ndarray
+    events: Sequence[Event]
+    statuses: Sequence[CaptureStatus]
+
+
+def samples_of(scene: Scene, measured: Measurements) -> np.ndarray:
+    """Return measurements as samples, (n,) of dtype SAMPLE.
+
+    Parameters
+    ----------
+    scene
+        The geometry of buffer and cone.
+    measured
+        n instants.
+    """
+    n = len(measured.t)
+    samples = np.zeros(n, dtype=SAMPLE)
+    for name in SAMPLE.names or ():
+        if name not in _WHOLE_NUMBERS:
+            samples[name] = np.nan
+    stroke, torsion = measured.buffer.T
+    q, v = samples["q"], samples["v"]
+    q[:, :3], q[:, 5:] = measured.chaser, measured.target
+    v[:, :3], v[:, 5:] = measured.chaser_rate, measured.target_rate
+    q[:, 3], q[:, 4] = measured.chaser[:, 2] + torsion, scene.rest_length + stroke
+    v[:, 3] = measured.chaser_rate[:, 2] + measured.buffer_rate[:, 1]
+    v[:, 4] = measured.buffer_rate[:, 0]
+    samples["t"], samples["axial_stroke"], samples["torsion"] = measured.t, stroke, torsion
+    tip = _tip_in_cone(scene, q)
+    samples["tip_axial"], samples["tip_lateral"] = -tip[:, 0], tip[:, 1]
+    samples["tip_distance"] = np.hypot(*tip.T)
+    gaps = np.stack([_gap(scene, tip, side) for side in (1, -1)], axis=-1)
+    samples["penetration"] = -gaps
+    in_reach = (gaps < scene.detector.contact_gap) @ np.array([1, 2])
+    samples["walls"] = in_reach if measured.walls is None else measured.walls
+    _fill_forces(samples, measured, gaps)
+    if measured.string is not None:
+        for i, name in enumerate(("string_tension", "mass_height", "mass_speed"), start=1):
+            samples[name] = measured.string[:, i]
+    samples["phase"] = _phases(samples, measured)
+    starts = np.diff((samples["walls"] != 0).astype(int), prepend=0) > 0
+    samples["touches"] = np.cumsum(starts)
+    return samples
+
+
+def measured_run(
+    name: str, scene: Scene, measured: Measurements, statuses: Sequence[CaptureStatus]
+) -> MeasuredRun:
+    """Return measurements as a run that can be drawn.
+
+    Parameters
+    ----------
+    name
+        Of the run.
+    scene
+        The geometry of buffer and cone.
+    measured
+        At least one instant.
+    statuses
+        The detector's judgements.
+    """
+    samples = samples_of(scene, measured)
+    touches = _touches(samples, measured)
+    events = [
+        Event(
+            kind=EventKind.TOUCH,
+            t=float(touch["start"]),
+            q=samples["q"][int(np.searchsorted(samples["t"], touch["start"]))],
+            v=samples["v"][max(int(np.searchsorted(samples["t"], touch["start"])) - 1, 0)],
+            wall=int(touch["wall"]),
+            detail="seen in the measurements",
+        )
+        for touch in touches
+    ]
+    return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
+
+
+def _tip_in_cone(scene: Scene, q: np.ndarray) -> np.ndarray:
+    """Return the tip's centre in the cone's frame, (n, 2), m."""
+    offset = tip_in_world(scene, q) - q[:, 5:7]
+    c, s = np.cos(q[:, 7]), np.sin(q[:, 7])
+    along = c * offset[:, 0] + s * offset[:, 1] + scene.cone.L_T
+    return np.stack([along, c * offset[:, 1] - s * offset[:, 0]], axis=-1)
+
+
+def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
+    """Return the gap between the tip and a wall, (n,), m."""
+    inner, lip = wall(scene.cone, side)
+    along = (lip - inner) / scene.cone.L_c
+    reach = np.clip((tip - inner) @ along, 0.0, scene.cone.L_c)
+    return np.asarray(
+        np.linalg.norm(tip - inner - reach[:, None] * along, axis=1) - scene.probe.tip_radius
+    )
+
+
+def _fill_forces(samples: np.ndarray, measured: Measurements, gaps: np.ndarray) -> None:
+    if measured.tip_force is not None:
+        c, s = np.cos(samples["q"][:, 3]), np.sin(samples["q"][:, 3])
+        fx, fy = measured.tip_force.T
+        samples["contact_force"] = np.stack([c * fx - s * fy, s * fx + c * fy], axis=-1)
+    if measured.normal_force is not None:
+        samples["normal_force"] = measured.normal_force
+    elif measured.tip_force is not None:
+        # one sensor for both walls: its force counts for the nearer one
+        force = np.linalg.norm(measured.tip_force, axis=1)
+        nearer = np.argmin(gaps, axis=1)
+        samples["normal_force"] = 0.0
+        samples["normal_force"][np.arange(len(samples)), nearer] = force
+
+
+def _phases(samples: np.ndarray, measured: Measurements) -> np.ndarray:
+    phase = np.where(samples["walls"] != 0, int(Phase.CONTACT), int(Phase.FREE))
+    if measured.string is not None:
+        known = measured.string[:, 0]
+        phase[known == StringPhase.HELD] = int(Phase.HELD)
+        phase[known == StringPhase.TAUT] = int(Phase.TAUT)
+    return phase
+
+
+def _touches(samples: np.ndarray, measured: Measurements) -> np.ndarray:
+    """Return the stretches of samples in touch, (m,) of dtype TOUCH."""
+    near = (samples["walls"] != 0).astype(np.int8)
+    if measured.begun is not None:
+        # touches that were over before the next instant
+        near |= measured.begun > 0
+        near[:-1] |= measured.begun[1:] > 0
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], near, [0]])))
+    t = samples["t"]
+    force = np.nan_to_num(samples["normal_force"].sum(axis=1))
+    if measured.peak_force is not None:
+        force = np.maximum(force, np.nan_to_num(measured.peak_force))
+    touches = np.zeros(len(ends) // 2, dtype=TOUCH)
+    for touch, first, end in zip(touches, ends[::2], ends[1::2], strict=True):
+        last = min(end, len(t) - 1)
+        # a peak is told by the first message after it
+        peak = first + int(np.argmax(force[first : last + 1]))
+        touch["start"], touch["end"] = t[first], t[last]
+        wider = samples["penetration"][first : last + 1].max(axis=0)
+        touch["wall"] = 1 if wider[0] > wider[1] else -1
+        touch["peak_force"], touch["peak_time"] = force[peak], t[peak]
+        touch["impulse"] = np.trapezoid(force[first : last + 1], t[first : last + 1])
+        touch["approach_speed"] = touch["dissipated"] = np.nan
+    return touches
+
+
+def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
+    """Return the scene with the run's name, and its vehicles where they were measured first."""
+    q = samples["q"][0]
+    scene = dataclasses.replace(scene, name=name, title=f"Measured; drawn as {scene.name}")
+    initial = dataclasses.replace(
+        scene.initial,
+        chaser=PlanarState(*(float(x) for x in q[:3])),
+        target=PlanarState(*(float(x) for x in q[5:])),
+    )
+    try:
+        return dataclasses.replace(scene, initial=initial)
+    except SceneError:
+        return scene  # a start that the simulator would refuse

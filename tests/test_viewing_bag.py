@@ -1,0 +1,121 @@
+"""Bags of a real bench: the standard topics only, no scene, stamps of the wall clock."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+import capture_sim
+from capture_sim.errors import RecordingError
+from capture_sim.recording import read_run, write_run
+from capture_sim.samples import EventKind
+from capture_sim.viewing import plots
+from capture_sim.viewing.bag import run_from_bag
+from capture_sim.viewing.source import first_touch, verdict
+
+WALL = 1_790_000_000  # s, of a wall clock
+STANDARD = ("/chaser/odom", "/target/odom", "/joint_states", "/contact/wrench")
+
+
+def of_a_bench(source, path, topics):
+    """Copy some topics into a bare MCAP, late by WALL seconds."""
+    with source.open("rb") as read, path.open("wb") as write:
+        writer = Writer(write)
+        writer.start(profile="ros2", library="another recorder")
+        channels = {}
+        for schema, channel, message in make_reader(read).iter_messages(topics=list(topics)):
+            if channel.topic not in channels:
+                kept = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kept)
+            data = bytearray(message.data)
+            # the stamp follows the four bytes that tell the byte order
+            (seconds,) = struct.unpack_from("<i", data, 4)
+            struct.pack_into("<i", data, 4, seconds + WALL)
+            late = message.log_time + WALL * 1_000_000_000
+            writer.add_message(channels[channel.topic], late, bytes(data), late)
+        writer.finish()
+    return path
+
+
+@pytest.fixture(scope="module")
+def run():
+    return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
+
+
+@pytest.fixture(scope="module")
+def recorded(run, tmp_path_factory):
+    return write_run(run, tmp_path_factory.mktemp("bag") / "tilt_p10.mcap")
+
+
+@pytest.mark.parametrize(
+    "topics",
+    [
+        STANDARD,
+        (*STANDARD, "/bench/buffer", "/bench/contact", "/bench/string", "/launcher/command"),
+    ],
+    ids=["standard", "all of a bench"],
+)
+def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
+    bag = read_run(of_a_bench(recorded, tmp_path / "trial_7.mcap", topics))
+    with pytest.raises(RecordingError):
+        _ = bag.scene
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    every = run.samples[::10]
+    assert seen.scene.name == "trial_7"
+    assert seen.samples["t"] == pytest.approx(every["t"], abs=1e-6)
+    assert seen.samples["q"] == pytest.approx(every["q"], abs=1e-9)
+    assert seen.samples["v"] == pytest.approx(every["v"], abs=1e-9)
+    for name in ("tip_axial", "tip_lateral", "tip_distance", "axial_stroke", "torsion"):
+        assert seen.samples[name] == pytest.approx(every[name], abs=1e-9)
+    whole = every["contact_force"] + every["latch_force"]
+    assert seen.samples["contact_force"] == pytest.approx(whole, abs=1e-6)
+    assert np.isnan(seen.samples["kinetic"]).all()
+    # the gap's threshold, or the last sample before, is all that the first touch can be off by
+    true = next(event.t for event in run.events if event.kind is EventKind.TOUCH)
+    assert first_touch(seen).t == pytest.approx(true, abs=0.011)
+    assert verdict(seen) == "captured"
+    if "/bench/contact" in topics:
+        assert seen.samples["walls"].tolist() == every["walls"].tolist()
+        assert seen.touches["wall"][0] == run.touches["wall"][0] == 1
+        peak = seen.touches["peak_force"].max()
+        assert peak == pytest.approx(run.touches["peak_force"].max())
+        assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
+
+
+def test_gaps_are_those_of_the_simulator(run, recorded, tmp_path):
+    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD))
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    every = run.samples[::10]
+    before = every["t"] < first_touch(run).t
+    gap = seen.samples["penetration"][before]
+    assert gap == pytest.approx(every["penetration"][before], abs=1e-9)
+
+
+def test_target_keeps_its_attitude_though_the_geometry_is_of_another_scene(recorded, tmp_path):
+    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD))
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    assert math.degrees(seen.scene.initial.target.theta) == pytest.approx(10.0)
+
+
+def test_it_is_drawn_by_everything(recorded, tmp_path):
+    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD))
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    assert plots.save_figure(seen, tmp_path / "x.png").stat().st_size > 50_000
+    pytest.importorskip("rerun", reason="needs rerun")
+    from capture_sim.viewing import save_rrd
+
+    assert save_rrd([seen], tmp_path / "x.rrd").stat().st_size > 10_000
+
+
+def test_missing_topic_is_named(recorded, tmp_path):
+    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD[:2]))
+    with pytest.raises(RecordingError, match="neither /bench/buffer nor /joint_states"):
+        run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    bag = read_run(of_a_bench(recorded, tmp_path / "y.mcap", STANDARD[1:]))
+    with pytest.raises(RecordingError, match="/chaser/odom"):
+        run_from_bag(bag, capture_sim.load_scene("tilt_0"))
