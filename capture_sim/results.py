@@ -69,10 +69,16 @@ def summarize(
         "max_axial_stroke": float(np.abs(samples["axial_stroke"]).max(initial=0.0)),
         "max_torsion": float(np.abs(samples["torsion"]).max(initial=0.0)),
         "nearest_distance": float(samples["tip_distance"].min(initial=math.inf)),
-        "energy_residual": float(np.abs(samples["energy_residual"]).max(initial=0.0)),
+        "energy_residual": _largest(samples["energy_residual"]),
         "wall_time": wall_time,
         "real_time_factor": simulated / wall_time if wall_time else None,
     }
+
+
+def _largest(values: np.ndarray) -> float | None:
+    """Return the largest magnitude; None where nothing was measured."""
+    largest = float(np.abs(values).max(initial=0.0))
+    return largest if math.isfinite(largest) else None
 
 
 class _Column(NamedTuple):

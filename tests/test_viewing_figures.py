@@ -89,6 +89,14 @@ def test_resolved_run_is_the_same_motion_with_its_touches_whole(undamped):
     assert 0.8 * hertz < depth[:, 1].max() < 1.05 * hertz
 
 
+def test_latched_tip_is_in_no_wall(tilts):
+    [axes] = figures.intrusion(tilts[0]).axes
+    [[depth], _] = curves(axes, palette.BLACK).values()
+    last = tilts[0].touches["end"].max()
+    assert (depth[depth[:, 0] > last, 1] == 0.0).all()
+    assert depth[:, 1].max() > 0.0
+
+
 def test_resolved_window_holds_the_contact_alone(undamped):
     touch = undamped.touches[1]
     fine = resolved(undamped, (touch["start"] - 1e-3, touch["end"] + 1e-3))

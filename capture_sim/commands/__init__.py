@@ -10,6 +10,7 @@ COMMANDS = (
     "run",
     "bench",
     "view",
+    "report",
     "benchmark",
     "scenes",
     "show",

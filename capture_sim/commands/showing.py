@@ -12,7 +12,7 @@ from capture_sim.errors import RecordingError
 
 if TYPE_CHECKING:
     from capture_sim.recording import Run
-    from capture_sim.simulation import Result
+    from capture_sim.viewing.source import ViewableRun
 
 
 def say(text: str) -> None:
@@ -58,23 +58,56 @@ def report(summaries: list[dict[str, Any]], folder: Path) -> None:
     say(f"table in {folder / 'results.txt'}, numbers in {folder / 'results.json'}")
 
 
-def draw(runs: Sequence[Result | Run], folder: Path) -> None:
-    """Draw each run, all side by side, and all for rerun, where what that takes is installed."""
+#: Drawn of several runs side by side.
+OVERVIEW = "overview.png"
+
+
+def draw(
+    runs: Sequence[ViewableRun],
+    folder: Path,
+    rrd: Path | None = None,
+    *,
+    pictures: bool = True,
+) -> None:
+    """Draw each run, all side by side, and all for rerun, where what that takes is installed.
+
+    Parameters
+    ----------
+    runs
+        To be drawn.
+    folder
+        Where the pictures go.
+    rrd
+        The file for rerun; None for ``runs.rrd`` in the folder.
+    pictures
+        Whether pictures are wanted, not only the file for rerun.
+    """
     if not runs:
         return
     try:
-        from capture_sim.viewing import save_figure, save_overview
-
-        for run in runs:
-            say(f"picture in {save_figure(run, folder / f'{run.scene.name}.png')}")
-        if len(runs) > 1:
-            say(f"side by side in {save_overview(runs, folder / 'overview.png')}")
+        if pictures:
+            _draw_pictures(runs, folder)
     except ImportError as error:
         say(f"no pictures: {error}")
     try:
         from capture_sim.viewing import save_rrd
 
-        say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd')}")
+        say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd' if rrd is None else rrd)}")
     except ImportError as error:
         # an ordinary workstation's ROS bears no rerun: the recording is what counts there
         say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
+
+
+def _draw_pictures(runs: Sequence[ViewableRun], folder: Path) -> None:
+    from capture_sim.viewing import save_figure, save_overview
+    from capture_sim.viewing.source import distinct_names
+
+    names = distinct_names([run.scene.name for run in runs])
+    for run, name in zip(runs, names, strict=True):
+        say(f"picture in {save_figure(run, folder / f'{name}.png')}")
+    overview = folder / OVERVIEW
+    if len(runs) > 1:
+        say(f"side by side in {save_overview(runs, overview)}")
+    elif overview.is_file():
+        overview.unlink()  # it shows other runs than those that lie beside it now
+        say(f"removed {overview}: it showed earlier runs")

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import dataclasses
 from pathlib import Path
 
 from capture_sim.commands.arguments import OK, prepare_folder
-from capture_sim.commands.showing import draw
+from capture_sim.commands.opening import Opened, open_runs
+from capture_sim.commands.showing import draw, say
 from capture_sim.errors import RecordingError
 
 HELP = "draw recorded runs"
-DESCRIPTION = "Draw recorded runs: a picture of each, and all side by side for rerun."
+DESCRIPTION = (
+    "Draw recorded runs: a picture of each, all side by side, and a recording for rerun. "
+    "Experiments given by name are run first."
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,19 +24,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
     )
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE.rrd", help="rerun file (default: OUT/runs.rrd)"
+    )
+    parser.add_argument(
+        "--figures",
+        action="store_true",
+        help="also the paper's figures, the runs overlaid, as SVG and PNG in OUT/figures",
+    )
+    parser.add_argument(
+        "--window",
+        nargs=2,
+        type=float,
+        metavar=("FROM", "TO"),
+        help="only this time, s since the release, as fine as the integrator went",
+    )
+    parser.add_argument(
+        "--scene",
+        metavar="EXPERIMENT",
+        help="whose geometry a bench has whose recording does not say it",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.recording import read_run
-
+    window = None if options.window is None else (options.window[0], options.window[1])
+    if window is not None and not window[0] < window[1]:
+        raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: allowed is FROM < TO")
     prepare_folder(options.out)
-    runs = [read_run(path) for path in options.runs]
-    for run in runs:
-        for problem in run.problems:
-            print(f"capture-sim: {run.name}: {problem}", file=sys.stderr)
-    drawable = [run for run in runs if run.samples.size]
-    if not drawable:
-        raise RecordingError("nothing to draw: no recording holds a sample")
-    draw(drawable, options.out)
+    opened = open_runs(options.runs, options.scene)
+    if window is not None:
+        opened = [_seen_closely(one, window) for one in opened]
+    runs = [one.run for one in opened]
+    draw(runs, options.out, options.save, pictures=window is None)
+    if options.figures:
+        _draw_figures(runs, options.out / "figures", window)
     return OK
+
+
+def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
+    from capture_sim.viewing.resolving import cut, resolved
+
+    cut_or_resolved = cut if one.measured else resolved
+    return dataclasses.replace(one, run=cut_or_resolved(one.run, window))
+
+
+def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) -> None:
+    from capture_sim.viewing.canvas import save_both
+    from capture_sim.viewing.figures import FIGURES
+    from capture_sim.viewing.snapshots import snapshots
+
+    for name, figure in FIGURES.items():
+        save_both(figure(runs), folder / name)
+    if window is None:
+        save_both(snapshots(runs), folder / "snapshots")
+    say(f"figures of the paper in {folder}")

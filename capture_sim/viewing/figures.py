@@ -114,7 +114,7 @@ def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
 def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the ways of the tip's centre side by side, each in its own cone (Figure 13)."""
     shown = as_shown(runs, labels)
-    figure = new_figure(5.4 * len(shown), 6.9)
+    figure = new_figure(5.4 * len(shown), 6.2)
     row = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
     for axes, one in zip(row, shown, strict=True):
         _draw_trajectory(axes, [one._replace(colour=palette.BLACK)])
@@ -267,7 +267,9 @@ def _sheet(
 def _draw_intrusion(axes: Axes, shown: Sequence[Shown], window: tuple[float, float]) -> None:
     for one in shown:
         samples, touches = one.run.samples, one.run.touches
-        depth = np.maximum(samples["penetration"].max(axis=1), 0.0) * _UM
+        # of the walls that are touched: latches hold the tip in their place
+        touched = (samples["walls"][:, None] & np.array([1, 2])) != 0
+        depth = np.where(touched, samples["penetration"], 0.0).max(axis=1) * _UM
         # zero at the located ends, so that no touch looks longer than it was
         t = np.concatenate([samples["t"], touches["start"], touches["end"]])
         depth = np.concatenate([depth, np.zeros(2 * len(touches))])

@@ -6,6 +6,7 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError, SimulationError
 from capture_sim.simulation import Result, simulate
+from capture_sim.viewing.measured import MeasuredRun
 from capture_sim.viewing.source import ViewableRun
 
 #: Samples over the length of each touch, and over a window that is asked for.
@@ -48,6 +49,10 @@ def resolved(
         times.append(np.linspace(start, end, PER_WINDOW))
     wanted = np.unique(np.concatenate(times))
     wanted = wanted[(wanted >= start) & (wanted <= min(end, grid[-1]))]
+    if not wanted.size:
+        raise CaptureSimError(
+            f"{run.scene.name}: no motion from {start:g} to {end:g} s; it lasts to {grid[-1]:g} s"
+        )
     try:
         again = simulate(run.scene, t_eval=wanted)
     except SimulationError as error:
@@ -60,6 +65,24 @@ def resolved(
             "has; it can only be drawn as it was sampled"
         )
     return again
+
+
+def cut(run: ViewableRun, window: tuple[float, float]) -> MeasuredRun:
+    """Return a run that cannot be run again with its samples in a window, s, alone.
+
+    Raises
+    ------
+    CaptureSimError
+        It has none there.
+    """
+    t = run.samples["t"]
+    inside = run.samples[(t >= window[0]) & (t <= window[1])]
+    if not inside.size:
+        raise CaptureSimError(
+            f"{run.scene.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples "
+            f"from {t[0]:g} to {t[-1]:g} s"
+        )
+    return MeasuredRun(run.scene, inside, run.touches, run.events, run.statuses)
 
 
 def _same(touches: np.ndarray, others: np.ndarray) -> bool:

@@ -1,0 +1,113 @@
+"""Runs that a command looks at: recordings, bags of a real bench, experiments run now."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from capture_sim.viewing.source import ViewableRun
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run to be looked at.
+
+    Attributes
+    ----------
+    run
+        To be drawn.
+    source
+        Where it comes from, in words.
+    software
+        ``"name version"`` each, of what made it.
+    wall_time
+        s, that it took; None where that is not known.
+    problems
+        What is wrong with its recording.
+    measured
+        Known from measurements alone: it cannot be run again.
+    """
+
+    run: ViewableRun
+    source: str
+    software: Sequence[str]
+    wall_time: float | None = None
+    problems: Sequence[str] = ()
+    measured: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in a few numbers, as results.json has them."""
+        from capture_sim.results import summarize
+        from capture_sim.viewing.source import verdict
+
+        run = self.run
+        return summarize(
+            run.scene, run.samples, run.touches, run.events, verdict(run), self.wall_time
+        )
+
+
+def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
+    """Open recordings, or run experiments given by name; say what is wrong with a recording.
+
+    Parameters
+    ----------
+    sources
+        MCAP files, or experiments.
+    scene
+        Whose geometry the bench of a recording has that holds no scene; None for none.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read or holds nothing to draw.
+    SceneError
+        There is no such experiment.
+    """
+    opened = [
+        _open_recording(source, scene) if source.endswith(".mcap") else _run_now(source)
+        for source in sources
+    ]
+    for one in opened:
+        for problem in one.problems:
+            print(f"capture-sim: {one.run.scene.name}: {problem}", file=sys.stderr)
+    return opened
+
+
+def _open_recording(path: str, scene: str | None) -> Opened:
+    from capture_sim.recording import read_run
+    from capture_sim.scene_files import load_scene
+    from capture_sim.viewing.bag import run_from_bag
+
+    recorded = read_run(path)
+    software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
+    if recorded.samples.size:
+        return Opened(
+            recorded, f"recorded in {path}", software, recorded.wall_time, recorded.problems
+        )
+    if scene is None:
+        raise RecordingError(
+            f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
+            "experiment of the same geometry by --scene"
+        )
+    run = run_from_bag(recorded, load_scene(scene))
+    return Opened(run, f"measured, in {path}", software, problems=recorded.problems, measured=True)
+
+
+def _run_now(name: str) -> Opened:
+    from capture_sim.commands.showing import compile_first
+    from capture_sim.messages import software_versions
+    from capture_sim.scene_files import load_scene
+    from capture_sim.simulation import simulate
+
+    try:
+        scene = load_scene(name)
+    except SceneError as error:
+        raise SceneError(f"{error}; a recording ends in .mcap") from None
+    compile_first()
+    result = simulate(scene)
+    return Opened(result, "run for this page", software_versions(), result.wall_time)

@@ -1,0 +1,217 @@
+"""The report: one page that needs nothing beside itself, and what it says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.recording import write_run
+from capture_sim.results import rows
+
+NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return [capture_sim.simulate(capture_sim.load_scene(name)) for name in NAMES]
+
+
+@pytest.fixture(scope="module")
+def page(runs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    paths = [str(write_run(run, folder / f"{run.scene.name}.mcap")) for run in runs]
+    assert main(["report", *paths, "--out", str(folder / "report.html")]) == 0
+    return folder / "report.html"
+
+
+class Page(HTMLParser):
+    """Collects what a page refers to, its tables' cells, and whether every tag is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.references, self.cells, self.open, self.headings = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in ("meta", "link", "img", "br"):
+            self.open.append(tag)
+        self.references += [v for k, v in attributes if k in ("src", "href", "srcset", "data")]
+        if tag == "tr":
+            self.cells.append([])
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells[-1].append(data)
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+def test_page_is_whole_and_refers_to_nothing_outside(page):
+    text = page.read_text(encoding="utf-8")
+    parsed = Page(text)
+    assert parsed.open == []
+    assert len(parsed.references) >= 10
+    assert all(reference.startswith("data:") for reference in parsed.references)
+    assert "@import" not in text
+    assert "<script" not in text
+    assert parsed.headings == [
+        "Results",
+        "Figures",
+        "Energy",
+        "How far to trust the numbers",
+        "Events",
+        "Parameters",
+        "Versions",
+    ]
+    assert page.stat().st_size < 5e6
+
+
+def test_page_tells_the_runs_numbers(page, runs):
+    cells = Page(page.read_text(encoding="utf-8")).cells
+    for run in runs:
+        expected = rows([run.summary])[0]
+        [shown] = [row for row in cells if row[:2] == expected[:2]]
+        assert shown == expected
+    theta = next(row for row in cells if row and row[0] == "initial.target.theta")
+    assert [float(cell) for cell in theta[2:5]] == pytest.approx(
+        [run.scene.initial.target.theta for run in runs], abs=1e-6
+    )
+    # what all share stands there once
+    [stiffness] = [row for row in cells if row and row[0] == "buffer.k_A"]
+    assert stiffness[1:3] == ["N/m", "500"]
+    damper = next(row for row in cells if row and row[0] == "dissipated axial")
+    assert [float(cell) for cell in damper[1:]] == pytest.approx(
+        [run.samples["dissipated_axial"][-1] * 1e3 for run in runs], abs=5e-4
+    )
+
+
+def test_ledger_in_the_page_adds_up(page, runs):
+    cells = Page(page.read_text(encoding="utf-8")).cells
+    start = next(i for i, row in enumerate(cells) if row and row[0] == "kinetic at the start")
+    end = next(i for i, row in enumerate(cells) if row and row[0].startswith("largest residual"))
+    ledger = {row[0]: [float(x) for x in row[1:]] for row in cells[start:end]}
+    for i in range(len(runs)):
+        put_in = ledger["kinetic at the start"][i] + ledger["work string"][i]
+        rest = sum(
+            values[i]
+            for name, values in ledger.items()
+            if name == "kinetic" or name.startswith(("elastic", "dissipated"))
+        )
+        assert rest == pytest.approx(put_in, abs=0.01)  # mJ, of rounded numbers
+
+
+def test_errors_stated_are_those_found(page, runs):
+    text = page.read_text(encoding="utf-8")
+    for run in runs:
+        [said] = re.findall(rf"<b>{run.scene.name}</b>: (a run made now.*?)</p>", text)
+        assert "bit for bit" in said
+        assert "same touches in the same order" in said
+        stated = [float(number) for number in re.findall(r"[\d.]+e-\d+", said)]
+        assert stated[-1] == pytest.approx(np.abs(run.samples["energy_residual"]).max(), rel=0.06)
+        assert 0.0 < stated[0] <= stated[1] < 1e-7
+
+
+def test_altered_recording_is_not_said_to_be_reproduced(runs):
+    import dataclasses
+
+    from capture_sim.viewing.report_parts import error_statement
+
+    samples = runs[0].samples.copy()
+    samples["q"][1000, 0] += 1e-6
+    statement = error_statement(dataclasses.replace(runs[0], samples=samples))
+    assert statement.reproduced == pytest.approx(1e-6)
+    assert "bit for bit" not in statement.text
+
+
+def test_names_cannot_break_the_page(tmp_path):
+    scene = capture_sim.load_scene("paper_designed", ["title='<script>alert(1)</script> & co'"])
+    run = capture_sim.simulate(scene, t_end=0.3)
+    path = write_run(run, tmp_path / "odd.mcap")
+    assert main(["report", str(path), "--out", str(tmp_path / "x.html")]) == 0
+    text = (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert Page(text).open == []
+
+
+def test_experiments_given_by_name_are_run(tmp_path, capsys):
+    assert main(["report", "paper_designed", "--out", str(tmp_path / "x.html")]) == 0
+    assert "captured" in (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert main(["report", "no_such", "--out", str(tmp_path / "x.html")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+# in a browser
+
+
+def chromium(page, folder, *options):
+    """Open a page in headless Chromium that can reach nothing; return what it reported."""
+    command = [
+        *("chromium", "--headless", "--disable-gpu", "--no-first-run", "--hide-scrollbars"),
+        f"--user-data-dir={folder / 'profile'}",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--disable-background-networking",
+        "--enable-logging=stderr",
+        *(("--no-sandbox",) if os.geteuid() == 0 else ()),
+        *options,
+        page.as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+
+
+needs_chromium = pytest.mark.skipif(
+    shutil.which("chromium") is None, reason="needs Debian's chromium to open the page"
+)
+
+
+@needs_chromium
+def test_page_opens_without_errors_and_is_seen(page, tmp_path):
+    shot = tmp_path / "page.png"
+    size = ("--window-size=1240,7000", f"--screenshot={shot}")
+    assert chromium(page, tmp_path, *size) == []
+    image = imread(shot)[..., :3]
+    assert image.shape[:2] == (7000, 1240)
+    ink = np.abs(image - 1.0).max(axis=-1) > 0.2
+    # every piece as high as a screen shows something, and nothing runs out at the right
+    pieces = ink[: 6000 // 600 * 600].reshape(-1, 600, 1240)
+    assert (pieces.mean(axis=(1, 2)) > 0.01).all()
+    assert not ink[:, -8:].any()
+    # the runs' colours are in the figures
+    for colour in ((0, 114, 178), (213, 94, 0), (0, 158, 115)):
+        near = np.abs(image - np.array(colour) / 255).max(axis=-1) < 0.05
+        assert near.sum() > 2000
+
+
+@needs_chromium
+def test_page_that_asks_for_something_is_found_out(page, tmp_path):
+    """The check above can fail: the page itself forbids what comes from elsewhere."""
+    text = page.read_text(encoding="utf-8")
+    altered = tmp_path / "altered.html"
+    altered.write_text(text.replace("<h1>", '<img src="http://example.org/x.png"><h1>'))
+    # without something to make, the browser would stay open
+    reported = chromium(altered, tmp_path, f"--screenshot={tmp_path / 'page.png'}")
+    assert any("Content Security Policy" in line for line in reported)
+
+
+@needs_chromium
+def test_page_prints(page, tmp_path):
+    printed = tmp_path / "page.pdf"
+    chromium(page, tmp_path, f"--print-to-pdf={printed}", "--no-pdf-header-footer")
+    data = printed.read_bytes()
+    assert data.startswith(b"%PDF")
+    assert 4 <= len(re.findall(rb"/Type\s*/Page[^s]", data)) <= 12
+    # A4, in points
+    assert re.search(rb"/MediaBox\s*\[0 0 59[45][.\d]* 84[12][.\d]*\]", data)

@@ -1,0 +1,66 @@
+"""``capture-sim view`` as a user calls it."""
+
+from __future__ import annotations
+
+import pytest
+from matplotlib.image import imread
+from test_viewing_bag import STANDARD, of_a_bench
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.recording import write_run
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    scenes = [capture_sim.load_scene(name) for name in ("tilt_0", "tilt_p10")]
+    return [
+        write_run(capture_sim.simulate(scene), folder / f"{scene.name}.mcap") for scene in scenes
+    ]
+
+
+def test_pictures_are_of_the_runs_given_last(recorded, tmp_path, capsys):
+    pytest.importorskip("rerun", reason="needs rerun")
+    path = str(recorded[0])
+    assert main(["view", path, path, "--out", str(tmp_path)]) == 0
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"tilt_0_1.png", "tilt_0_2.png", "overview.png", "runs.rrd"}
+    assert main(["view", path, "--out", str(tmp_path)]) == 0
+    assert not (tmp_path / "overview.png").exists()
+    assert "it showed earlier runs" in capsys.readouterr().out
+
+
+def test_figures_of_the_paper_are_written_as_svg_and_png(recorded, tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun")
+    options = ["--figures", "--save", str(tmp_path / "x" / "window.rrd"), "--out", str(tmp_path)]
+    window = ["--window", "2.7", "2.9"]
+    assert main(["view", *map(str, recorded), *options, *window]) == 0
+    assert (tmp_path / "x" / "window.rrd").stat().st_size > 100_000
+    names = {file.name for file in (tmp_path / "figures").iterdir()}
+    for figure in ("intrusion", "impact_force", "trajectory", "velocities"):
+        assert {f"{figure}.svg", f"{figure}.png"} <= names
+        assert imread(tmp_path / "figures" / f"{figure}.png").std() > 0.02
+
+
+def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, capsys):
+    bag = str(of_a_bench(recorded[1], tmp_path / "trial.mcap", STANDARD))
+    assert main(["view", bag, "--out", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "--scene" in error
+    assert main(["view", bag, "--scene", "tilt_0", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "trial.png").stat().st_size > 50_000
+    assert main(["report", bag, "--scene", "tilt_0", "--out", str(tmp_path / "r.html")]) == 0
+    assert "Not measured: trial" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "window, said",
+    [(("3", "2"), "allowed is FROM < TO"), (("90", "91"), "no motion from 90 to 91 s")],
+)
+def test_window_that_cannot_be_is_refused_in_one_line(recorded, tmp_path, capsys, window, said):
+    assert main(["view", str(recorded[0]), "--window", *window, "--out", str(tmp_path)]) != 0
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
