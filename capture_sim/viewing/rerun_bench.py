@@ -110,6 +110,13 @@ class BenchLog:
             rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0),
         )
 
+    def trail_piece(self, samples: np.ndarray) -> None:
+        """Log the next piece of the tip's way, seen together with those before it."""
+        strips = [tip_in_cone(samples) * _MM]
+        self._stream.columns(
+            f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips
+        )
+
     # shapes
 
     @property
@@ -239,6 +246,10 @@ class BenchLog:
         stream.static(
             f"{self._map}/capture_zone",
             rr.LineStrips2D([zone], radii=0.5, colors=palette.rgb(palette.GREEN)),
+        )
+        stream.static(
+            f"{self._map}/trail",
+            rr.LineStrips2D.from_fields(radii=0.3, colors=_BLACK, draw_order=20.0),
         )
         radius = scene.probe.tip_radius * _MM
         stream.static(f"{self._map}/tip", rr.Points2D.from_fields(radii=radius, draw_order=-5.0))

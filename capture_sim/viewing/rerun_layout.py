@@ -49,6 +49,8 @@ def blueprint(
             name=f"{name}: in the cone, mm",
             background=_WHITE,
             visual_bounds=_bounds(scene),
+            # of the trail's pieces all that have come, not only the newest
+            overrides={f"/{name}/close_up/trail": _all_so_far()} if live else None,
         )
         rows.append(rrb.Horizontal(bench, close_up, column_shares=[1.5, 1.0]))
     if len(rows) == 1:
@@ -57,7 +59,7 @@ def blueprint(
         rrb.Horizontal(
             rrb.Vertical(*rows),
             rrb.Tabs(
-                _time_series(),
+                _time_series(live=live),
                 rrb.TextLogView(origin="/events", name="events"),
                 rrb.Grid(
                     *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
@@ -78,7 +80,15 @@ def blueprint(
     )
 
 
-def _time_series() -> rrb.Vertical:
+def _all_so_far() -> rrb.VisibleTimeRanges:
+    return rrb.VisibleTimeRanges(
+        timeline=SIM_TIME,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+
+
+def _time_series(*, live: bool) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
     plots = {
         plot.entity: rrb.TimeSeriesView(
@@ -91,14 +101,17 @@ def _time_series() -> rrb.Vertical:
         for plot in PLOTS
     }
     states = rrb.StateTimelineView(origin="/states", name="phase and verdict")
-    pairs = (
+    rows: list[tuple[rrb.View, ...]] = [
         (plots["contact_force"], plots["distance"]),
         (plots["axial_stroke"], plots["torsion"]),
-        (plots["speed"], plots["energy"]),
-        (states, plots["string_tension"]),
-    )
+    ]
+    if live:
+        # energies are not measured
+        rows += [(plots["speed"], plots["string_tension"]), (states,)]
+    else:
+        rows += [(plots["speed"], plots["energy"]), (states, plots["string_tension"])]
     return rrb.Vertical(
-        *(rrb.Horizontal(*pair) for pair in pairs), row_shares=[1, 1, 1, 1.2], name="time series"
+        *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, 1.2], name="time series"
     )
 
 

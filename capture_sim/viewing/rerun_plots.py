@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from capture_sim.samples import EventKind, Phase
+from capture_sim.samples import Phase
 from capture_sim.viewing import palette
 from capture_sim.viewing.rerun_stream import RunStream
 from capture_sim.viewing.source import ViewableRun, normal_force_with_peaks
@@ -127,8 +127,11 @@ class PlotLog:
         """Log the force with every touch in it, and a mark at each touch's peak."""
         self._curve("contact_force", *normal_force_with_peaks(run))
         ordered = run.touches[np.argsort(run.touches["peak_time"], kind="stable")]
-        path = self._path("contact_force") + "/touches"
-        self._stream.scalars(path, ordered["peak_time"], ordered["peak_force"])
+        self.mark_touches(ordered["peak_time"], ordered["peak_force"])
+
+    def mark_touches(self, t: np.ndarray, force: np.ndarray) -> None:
+        """Mark touches by the time and the force of their peaks, (n,) s and N."""
+        self._stream.scalars(self._path("contact_force") + "/touches", t, force)
 
     def states(self, lane: str, t: np.ndarray, states: list[str]) -> None:
         """Log from when on which state holds, in the lane ``phase`` or ``verdict``."""
@@ -136,12 +139,17 @@ class PlotLog:
 
     def events(self, run: ViewableRun) -> None:
         """Log the events as text."""
+        texts = [event_text(event.kind.label, event.detail) for event in run.events]
+        self.note(np.array([event.t for event in run.events]), texts)
+
+    def note(self, t: np.ndarray, texts: list[str]) -> None:
+        """Log lines of text, at (n,) s."""
         self._stream.columns(
             f"events/{self._stream.name}",
-            np.array([event.t for event in run.events]),
+            t,
             rr.TextLog,
-            text=[event_text(self._stream.name, event) for event in run.events],
-            level=["INFO"] * len(run.events),
+            text=[f"{self._stream.name}: {text}" for text in texts],
+            level=["INFO"] * len(texts),
         )
 
     def _path(self, plot: str) -> str:
@@ -156,12 +164,9 @@ class PlotLog:
             self._stream.scalars(self._path(plot), t[known], values[known])
 
 
-def event_text(name: str, event: object) -> str:
+def event_text(kind: str, detail: str) -> str:
     """Return an event in one line."""
-    kind = getattr(event, "kind", None)
-    label = kind.label if isinstance(kind, EventKind) else str(kind)
-    detail = getattr(event, "detail", "")
-    return f"{name}: {label}" + (f", {detail}" if detail else "")
+    return f"{kind}, {detail}" if detail else kind
 
 
 def _sum(samples: np.ndarray, prefix: str) -> np.ndarray:

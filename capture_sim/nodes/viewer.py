@@ -1,0 +1,225 @@
+"""The node that shows a run while it goes on; needs rerun, and takes no part in the run.
+
+It reads what a real bench has as well: poses, buffer, contact, string, and the latched events
+and judgements.  The simulator does not wait for it: what comes too fast is not shown.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from capture_sim.detection import CaptureState
+from capture_sim.messages import HINGE_JOINT, SLIDE_JOINT, stamp_seconds
+from capture_sim.nodes.following import RunFollower
+from capture_sim.nodes.receiving import observation_of, stamp_ns_of
+from capture_sim.nodes.running import ParameterError, message_class, run
+from capture_sim.scene import Scene
+from capture_sim.scene_files import load_scene, load_scene_text
+from capture_sim.topics import (
+    BENCH_EVENT,
+    BUFFER_STATE,
+    CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    Topic,
+)
+from capture_sim.viewing.measured import Measurements
+
+VIEWER = "viewer"
+
+#: Sampled, not read whole: of each only as many messages as are shown.
+SAMPLED = (
+    CHASER_ODOMETRY,
+    TARGET_ODOMETRY,
+    BUFFER_STATE,
+    JOINT_STATES,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    STRING_STATE,
+)
+_STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
+
+
+class ViewerNode(RunFollower):
+    """Shows every run that is announced, or one of a bench that announces none.
+
+    What it shows and how stands in :class:`capture_sim.viewing.live.LiveView`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(VIEWER)
+        rate = self.declare(
+            "rate", 50.0, "Hz (simulated), instants shown of each second", low=1.0, high=1000.0
+        )
+        refresh = self.declare(
+            "refresh", 10.0, "Hz (wall), how often the picture moves", low=0.5, high=60.0
+        )
+        port = self.declare(
+            "port", 9876, "TCP port of the recordings, on this machine", low=1024, high=65535
+        )
+        memory = self.declare(
+            "memory", 64, "MB kept for viewers that connect late", low=8, high=65536
+        )
+        geometry = self.declare(
+            "scene", "", "experiment whose geometry a bench has that announces no run"
+        )
+        self._geometry: Scene | None = load_scene(geometry) if geometry else None
+        self._period = 1.0 / rate
+        self._newest: dict[Topic, list[Any]] = {}  # the last two messages shown of each topic
+        self._beat: dict[Topic, int] = {}
+        self._zero: float | None = None  # s, stamp of a bench's first message
+        self._unannounced = False
+        try:
+            from capture_sim.viewing.live import LiveView
+
+            self._view = LiveView(port, memory, refresh)
+        except ImportError as error:
+            raise ParameterError(
+                f"the viewer needs rerun ({error}); run it from an environment that has it"
+            ) from None
+        for topic in SAMPLED:
+            self.listen(topic, partial(self._take, topic), raw=True)
+        self.listen(BENCH_EVENT, self._happened)
+        self.listen(CAPTURE_STATUS, self._judged)
+        self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
+
+    def begin(self, info: Any) -> None:
+        """Begin to show the run that is announced."""
+        self._unannounced = False
+        self._start(info.name, load_scene_text(info.scene))
+
+    def complete(self) -> bool:
+        """Whether the run is over: what is missing then is not waited for."""
+        return True
+
+    def end(self, reason: str) -> list[str]:
+        """End the run's picture; that something was not shown is no failure."""
+        self._show_pending()
+        self._view.end()
+        self.get_logger().info(f"{self.run.name}: shown" + (f", {reason}" if reason else ""))
+        return []
+
+    def destroy_node(self) -> None:
+        """End the server of the recordings too."""
+        self._view.close()
+        super().destroy_node()
+
+    def _start(self, name: str, scene: Scene) -> None:
+        self._newest.clear()
+        self._beat.clear()
+        self._view.begin(name, scene)
+
+    def _take(self, topic: Topic, data: bytes) -> None:
+        seconds, nanoseconds = _STAMP.unpack_from(data, 4)
+        beat = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
+        if beat == self._beat.get(topic):
+            return
+        if self.run is None and not self._begin_unannounced():
+            return
+        self._beat[topic] = beat
+        if topic is CHASER_ODOMETRY:
+            # by now all of the instant before has come
+            self._show_pending()
+        message = deserialize_message(data, message_class(topic.type_name))
+        self._newest[topic] = [*self._newest.get(topic, [])[-1:], message]
+
+    def _begin_unannounced(self) -> bool:
+        """Show a bench that announces no run, if its geometry is known."""
+        if self._unannounced or self._geometry is None:
+            return self._unannounced
+        self._unannounced = True
+        self._zero = None
+        self._start("bench", self._geometry)
+        return True
+
+    def _show_pending(self) -> None:
+        """Show the last instant of the chaser's pose."""
+        if CHASER_ODOMETRY not in self._newest:
+            return
+        stamp = stamp_ns_of(self._newest[CHASER_ODOMETRY][-1])
+        parts = {
+            topic: min(messages, key=lambda message: abs(stamp_ns_of(message) - stamp))
+            for topic, messages in self._newest.items()
+        }
+        measured = self._measurements(parts)
+        if measured is not None:
+            self._view.take(measured)
+
+    def _measurements(self, parts: dict[Topic, Any]) -> Measurements | None:
+        if not {CHASER_ODOMETRY, TARGET_ODOMETRY} <= parts.keys():
+            return None
+        buffer = parts.get(BUFFER_STATE) or _buffer_of(parts.get(JOINT_STATES))
+        if buffer is None:
+            return None
+        seen = observation_of(parts[CHASER_ODOMETRY], parts[TARGET_ODOMETRY], buffer)
+        contact, wrench = parts.get(CONTACT_STATE), parts.get(CONTACT_WRENCH)
+        string = parts.get(STRING_STATE)
+        return Measurements(
+            t=np.array([self._since_start(seen.t)]),
+            chaser=np.array([seen.chaser]),
+            chaser_rate=np.array([seen.chaser_rate]),
+            target=np.array([seen.target]),
+            target_rate=np.array([seen.target_rate]),
+            buffer=np.array([[seen.stroke, seen.torsion]]),
+            buffer_rate=np.array([[seen.stroke_rate, seen.torsion_rate]]),
+            tip_force=wrench and np.array([[wrench.wrench.force.x, wrench.wrench.force.y]]),
+            normal_force=contact and np.array([contact.normal_force]),
+            walls=contact and np.array([contact.walls]),
+            string=string
+            and np.array([[string.phase, string.tension, string.mass_height, string.mass_speed]]),
+        )
+
+    def _since_start(self, t: float) -> float:
+        """Return s since the release; since the first message of a bench that announces none."""
+        if not self._unannounced:
+            return t
+        if self._zero is None:
+            self._zero = t
+        return t - self._zero
+
+    def _happened(self, event: Any) -> None:
+        if self.run is None:
+            return
+        self._view.event(event.t, event.kind, event.detail)
+        if event.peak_force > 0.0:
+            self._view.touch(event.peak_time, event.peak_force)
+
+    def _judged(self, status: Any) -> None:
+        if self.run is not None or self._unannounced:
+            t = self._since_start(stamp_seconds(stamp_ns_of(status)))
+            self._view.verdict(t, CaptureState(status.state).label)
+
+
+class _Buffer:
+    """The buffer's state as the joints tell it."""
+
+    def __init__(self, joints: Any) -> None:
+        slide, hinge = joints.name.index(SLIDE_JOINT), joints.name.index(HINGE_JOINT)
+        self.axial_stroke, self.torsion = joints.position[slide], joints.position[hinge]
+        self.axial_rate, self.torsion_rate = joints.velocity[slide], joints.velocity[hinge]
+
+
+def _buffer_of(joints: Any) -> _Buffer | None:
+    if joints is None or not {SLIDE_JOINT, HINGE_JOINT} <= set(joints.name):
+        return None
+    return _Buffer(joints)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit status."""
+    return run(ViewerNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,157 @@
+"""The half of the live viewer that knows no ROS: measurements in, a moving picture out.
+
+Rate and memory are bounded: what comes is gathered and logged a few times a second, and the
+server keeps no more than it may.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rerun as rr
+
+from capture_sim.samples import Phase
+from capture_sim.scene import Scene
+from capture_sim.viewing import palette
+from capture_sim.viewing.measured import Measurements, samples_of
+from capture_sim.viewing.rerun_bench import BenchLog
+from capture_sim.viewing.rerun_layout import blueprint
+from capture_sim.viewing.rerun_plots import PlotLog, event_text
+from capture_sim.viewing.rerun_server import RecordingServer
+from capture_sim.viewing.rerun_stream import RunStream
+
+#: A run that is joined later than this, s since the release, is not seen whole.
+LATE = 0.1
+
+_BEGINS = {"landed": Phase.COAST, "rail_end": Phase.FREE, "latched": Phase.LATCHED}
+
+
+class LiveView:
+    """Shows runs while they go on, one recording each.
+
+    Parameters
+    ----------
+    port
+        TCP port of the recordings' server, on this machine.
+    memory
+        MB that the server keeps for viewers that connect late.
+    refresh
+        Hz (wall), how often the picture moves.
+    """
+
+    def __init__(self, port: int, memory: int = 64, refresh: float = 10.0) -> None:
+        self._server = RecordingServer(port, memory)
+        self._memory = memory
+        self._period = 1.0 / refresh
+        self._recording: rr.RecordingStream | None = None
+
+    @property
+    def address(self) -> str:
+        """Where a viewer connects: ``rerun ADDRESS``."""
+        return self._server.address
+
+    @property
+    def server_pid(self) -> int:
+        """Of the server's process."""
+        return self._server.pid
+
+    def begin(self, name: str, scene: Scene) -> None:
+        """Begin to show a run.
+
+        Parameters
+        ----------
+        name
+            Of the run.
+        scene
+            The geometry of buffer and cone.
+        """
+        self.end()
+        # an application of its own, so that each run keeps its layout
+        self._recording = rr.RecordingStream(f"capture_sim {name}", recording_id=None)
+        layout = blueprint([scene], [name], [f"{name}, live"], aligned=False, live=True)
+        self._recording.connect_grpc(self.address, default_blueprint=layout)
+        self._scene = scene
+        stream = RunStream(self._recording, name)
+        self._stream = stream
+        self._bench = BenchLog(stream, scene, palette.BLUE)
+        self._plots = PlotLog(stream, palette.BLUE)
+        self._bench.shapes()
+        self._plots.styles()
+        stream.document(f"{name}/scene", f"# {name}, live\n\n```yaml\n{scene.to_yaml()}\n```\n")
+        self._gathered: list[Measurements] = []
+        self._last_logged = time.monotonic()
+        self._phase: Phase | None = None
+        self._unloaded = Phase.FREE
+        self._verdict = ""
+        self._first: float | None = None
+        self._last_row: np.ndarray | None = None
+
+    def take(self, measured: Measurements) -> None:
+        """Take in what was measured at some instants, later than those before."""
+        if self._recording is None:
+            return
+        if self._first is None:
+            self._first = float(measured.t[0])
+            self._tell_what_is_missing(self._first)
+        self._gathered.append(measured)
+        if time.monotonic() - self._last_logged >= self._period:
+            self._log()
+
+    def touch(self, t: float, peak_force: float) -> None:
+        """Mark a touch's peak: its time, s since the release, and force, N."""
+        if self._recording is not None:
+            self._plots.mark_touches(np.array([t]), np.array([peak_force]))
+
+    def event(self, t: float, kind: str, detail: str = "") -> None:
+        """Tell of an event, s since the release; some begin a phase that no sensor tells."""
+        if self._recording is not None:
+            self._plots.note(np.array([t]), [event_text(kind, detail)])
+            if kind in _BEGINS:
+                self._unloaded = _BEGINS[kind]
+
+    def verdict(self, t: float, state: str) -> None:
+        """Take in the detector's judgement, s since the release."""
+        if self._recording is not None and state != self._verdict:
+            self._verdict = state
+            self._plots.states("verdict", np.array([t]), [state])
+
+    def end(self) -> None:
+        """Show the rest of the run that is on; it stays with the server."""
+        if self._recording is not None:
+            self._log()
+            self._recording.flush()
+            self._recording.disconnect()
+            self._recording = None
+
+    def close(self) -> None:
+        """End, with the server."""
+        self.end()
+        self._server.close()
+
+    def _tell_what_is_missing(self, first: float) -> None:
+        kept = f"a viewer that connects later sees the newest {self._memory} MB"
+        if first > LATE:
+            self.event(first, f"joined {first:.2f} s after the release, not shown before", kept)
+        else:
+            self.event(first, "shown from the beginning", kept)
+
+    def _log(self) -> None:
+        self._last_logged = time.monotonic()
+        if not self._gathered:
+            return
+        samples = np.concatenate([samples_of(self._scene, some) for some in self._gathered])
+        self._gathered.clear()
+        touching = samples["walls"] != 0
+        self._bench.motion(samples, touching)
+        joined = samples if self._last_row is None else np.append(self._last_row, samples)
+        self._bench.trail_piece(joined)
+        self._last_row = samples[-1:]
+        self._plots.curves(samples)
+        for t, known in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
+            phase = Phase(known)
+            if phase is Phase.FREE or self._unloaded is Phase.LATCHED:
+                phase = self._unloaded
+            if phase is not self._phase:
+                self._phase = phase
+                self._plots.states("phase", np.array([t]), [phase.name.lower()])
