@@ -6,7 +6,6 @@ import ctypes.util
 import io
 import socket
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -27,6 +26,7 @@ pytest.importorskip("rerun", reason="needs rerun")
 
 from capture_sim.viewing import save_rrd
 from capture_sim.viewing.rerun_plots import PLOTS, phases
+from capture_sim.viewing.rerun_server import program
 
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
 SHOWN = 0.18  # s after the first touch: one tip is latched, one touches, one is free
@@ -223,7 +223,7 @@ def viewer(rrd):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "rerun", str(rrd), "--headless", "--bind", "127.0.0.1"]
+    command = [str(program()), str(rrd), "--headless", "--bind", "127.0.0.1"]
     command += ["--port", str(port), "--window-size", "1600x900"]
     command += ["--hide-welcome-screen", "--renderer", "vulkan"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

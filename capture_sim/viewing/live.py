@@ -96,6 +96,11 @@ class LiveView:
             self._tell_what_is_missing(self._first)
         self._gathered.append(measured)
         if time.monotonic() - self._last_logged >= self._period:
+            self.show()
+
+    def show(self) -> None:
+        """Show at once what has been taken in."""
+        if self._recording is not None:
             self._log()
 
     def touch(self, t: float, peak_force: float) -> None:
@@ -119,7 +124,7 @@ class LiveView:
     def end(self) -> None:
         """Show the rest of the run that is on; it stays with the server."""
         if self._recording is not None:
-            self._log()
+            self.show()
             self._recording.flush()
             self._recording.disconnect()
             self._recording = None
