@@ -19,7 +19,7 @@ import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import Phase
 from capture_sim.viewing.geometry import tip_in_cone
-from capture_sim.viewing.measured import Measurements
+from capture_sim.viewing.measured import Measurements, samples_of
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -50,10 +50,11 @@ def live():
     view.close()
 
 
-def measurements(samples):
+def measurements(scene, samples):
+    """Return samples as a bench without the simulator's knowledge would give them."""
     q, v = samples["q"], samples["v"]
     string = [samples["phase"], samples["string_tension"], samples["mass_height"]]
-    return Measurements(
+    measured = Measurements(
         t=samples["t"],
         chaser=q[:, :3],
         chaser_rate=v[:, :3],
@@ -65,6 +66,7 @@ def measurements(samples):
         walls=samples["walls"],
         string=np.stack([*string, samples["mass_speed"]], axis=-1),
     )
+    return samples_of(scene, measured)
 
 
 def received(address, path, enough):
@@ -90,7 +92,7 @@ def test_who_connects_late_sees_the_run_so_far(live, run, tmp_path):
     every = run.samples[::20]
     live.begin("trial", run.scene)
     for i in range(len(every)):
-        live.take(measurements(every[i : i + 1]))
+        live.take(every[i : i + 1])
     for event in run.events:
         live.event(event.t, event.kind.label, event.detail)
     for touch in run.touches:
@@ -116,14 +118,14 @@ def test_who_connects_late_sees_the_run_so_far(live, run, tmp_path):
 
 def test_phases_that_no_sensor_tells_come_from_the_events(live, run, tmp_path):
     every = run.samples[::10]
-    live.begin("trial", run.scene)
+    live.begin("trial", run.scene, measured=True)
     events = iter(run.events)
     event = next(events)
     for i in range(len(every)):
         while event is not None and event.t <= every["t"][i]:
             live.event(event.t, event.kind.label)
             event = next(events, None)
-        live.take(measurements(every[i : i + 1]))
+        live.take(measurements(run.scene, every[i : i + 1]))
         if i % 50 == 0:
             live.show()
     live.end()
@@ -139,7 +141,7 @@ def test_phases_that_no_sensor_tells_come_from_the_events(live, run, tmp_path):
 
 def test_who_joins_late_is_told_what_is_not_shown(live, run, tmp_path):
     live.begin("trial", run.scene)
-    live.take(measurements(run.samples[1500:1501]))
+    live.take(run.samples[1500:1501])
     live.end()
     found = received(live.address, tmp_path / "x.rrd", 5_000)
     _, notes = column(found, "/events/trial", "text")
@@ -157,14 +159,14 @@ def test_memory_is_bounded_and_the_newest_is_kept(run, tmp_path):
     try:
         live.begin("trial", run.scene)
         first = run.samples[:1000].copy()
-        live.take(measurements(first))
+        live.take(first)
         live.show()
         time.sleep(1.0)
         before = resident(live.server_pid)
         for k in range(1, 101):  # some 40 MB
             later = first.copy()
             later["t"] += k
-            live.take(measurements(later))
+            live.take(later)
             live.show()
         live.end()
         found = received(live.address, tmp_path / "x.rrd", 5_000)
@@ -260,6 +262,8 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
     k = np.round(times * 1e-6).astype(int)
     assert np.all(np.diff(k) >= 20), "at most 50 a second"
     assert len(k) > 0.8 * 50 * run.samples["t"][-1]
+    _, energy = column(found, "/plots/energy/tilt_p10", "scalars")
+    assert energy[:, 0] == pytest.approx(run.samples["kinetic"][k] * 1e3)
     assert tip == pytest.approx(tip_in_cone(run.samples[k]) * 1e3, abs=1e-4)
     _, peaks = column(found, "/plots/contact_force/tilt_p10/touches", "scalars")
     assert sorted(peaks) == sorted(run.touches["peak_force"])

@@ -1,7 +1,8 @@
 """The node that shows a run while it goes on; needs rerun, and takes no part in the run.
 
-It reads what a real bench has as well: poses, buffer, contact, string, and the latched events
-and judgements.  The simulator does not wait for it: what comes too fast is not shown.
+Of the simulator it reads BenchState, in which all of an instant stands; of a real bench, whose
+geometry is given by ``scene``, what such a bench has: poses, buffer, contact, string.  Nobody
+waits for it: what comes too fast is not shown.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from capture_sim.messages import HINGE_JOINT, SLIDE_JOINT, stamp_seconds
 from capture_sim.nodes.following import RunFollower
 from capture_sim.nodes.receiving import observation_of, stamp_ns_of
 from capture_sim.nodes.running import ParameterError, message_class, run
+from capture_sim.samples import SAMPLE
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene, load_scene_text
 from capture_sim.topics import (
     BENCH_EVENT,
+    BENCH_STATE,
     BUFFER_STATE,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
@@ -34,12 +37,12 @@ from capture_sim.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
-from capture_sim.viewing.measured import Measurements
+from capture_sim.viewing.measured import Measurements, samples_of
 
 VIEWER = "viewer"
 
-#: Sampled, not read whole: of each only as many messages as are shown.
-SAMPLED = (
+#: Read of a real bench; of each only as many messages as are shown.
+OF_A_BENCH = (
     CHASER_ODOMETRY,
     TARGET_ODOMETRY,
     BUFFER_STATE,
@@ -56,6 +59,8 @@ class ViewerNode(RunFollower):
 
     What it shows and how stands in :class:`capture_sim.viewing.live.LiveView`.
     """
+
+    _scene: Scene  # of the run that is on
 
     def __init__(self) -> None:
         super().__init__(VIEWER)
@@ -88,8 +93,11 @@ class ViewerNode(RunFollower):
             raise ParameterError(
                 f"the viewer needs rerun ({error}); run it from an environment that has it"
             ) from None
-        for topic in SAMPLED:
-            self.listen(topic, partial(self._take, topic), raw=True)
+        if self._geometry is None:
+            self.listen(BENCH_STATE, self._take_state, raw=True)
+        else:
+            for topic in OF_A_BENCH:
+                self.listen(topic, partial(self._take, topic), raw=True)
         self.listen(BENCH_EVENT, self._happened)
         self.listen(CAPTURE_STATUS, self._judged)
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
@@ -97,7 +105,8 @@ class ViewerNode(RunFollower):
     def begin(self, info: Any) -> None:
         """Begin to show the run that is announced."""
         self._unannounced = False
-        self._start(info.name, load_scene_text(info.scene))
+        self._scene = load_scene_text(info.scene)
+        self._start(info.name)
 
     def complete(self) -> bool:
         """Whether the run is over: what is missing then is not waited for."""
@@ -115,19 +124,32 @@ class ViewerNode(RunFollower):
         self._view.close()
         super().destroy_node()
 
-    def _start(self, name: str, scene: Scene) -> None:
+    def _start(self, name: str) -> None:
         self._newest.clear()
         self._beat.clear()
-        self._view.begin(name, scene)
+        self._view.begin(name, self._scene, measured=self._geometry is not None)
 
-    def _take(self, topic: Topic, data: bytes) -> None:
+    def _is_shown(self, topic: Topic, data: bytes) -> bool:
+        """Tell, from a message's first bytes, whether it is one of those that are shown."""
         seconds, nanoseconds = _STAMP.unpack_from(data, 4)
         beat = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
-        if beat == self._beat.get(topic):
-            return
-        if self.run is None and not self._begin_unannounced():
-            return
+        if beat == self._beat.get(topic) or (self.run is None and not self._begin_unannounced()):
+            return False
         self._beat[topic] = beat
+        return True
+
+    def _take_state(self, data: bytes) -> None:
+        if not self._is_shown(BENCH_STATE, data):
+            return
+        message = deserialize_message(data, message_class(BENCH_STATE.type_name))
+        sample = np.zeros(1, dtype=SAMPLE)
+        for name in SAMPLE.names or ():
+            sample[name] = getattr(message, name)
+        self._view.take(sample)
+
+    def _take(self, topic: Topic, data: bytes) -> None:
+        if not self._is_shown(topic, data):
+            return
         if topic is CHASER_ODOMETRY:
             # by now all of the instant before has come
             self._show_pending()
@@ -140,7 +162,8 @@ class ViewerNode(RunFollower):
             return self._unannounced
         self._unannounced = True
         self._zero = None
-        self._start("bench", self._geometry)
+        self._scene = self._geometry
+        self._start("bench")
         return True
 
     def _show_pending(self) -> None:
@@ -154,7 +177,7 @@ class ViewerNode(RunFollower):
         }
         measured = self._measurements(parts)
         if measured is not None:
-            self._view.take(measured)
+            self._view.take(samples_of(self._scene, measured))
 
     def _measurements(self, parts: dict[Topic, Any]) -> Measurements | None:
         if not {CHASER_ODOMETRY, TARGET_ODOMETRY} <= parts.keys():

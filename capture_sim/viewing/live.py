@@ -1,4 +1,4 @@
-"""The half of the live viewer that knows no ROS: measurements in, a moving picture out.
+"""The half of the live viewer that knows no ROS: samples in, a moving picture out.
 
 Rate and memory are bounded: what comes is gathered and logged a few times a second, and the
 server keeps no more than it may.
@@ -14,7 +14,6 @@ import rerun as rr
 from capture_sim.samples import Phase
 from capture_sim.scene import Scene
 from capture_sim.viewing import palette
-from capture_sim.viewing.measured import Measurements, samples_of
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PlotLog, event_text
@@ -56,7 +55,7 @@ class LiveView:
         """Of the server's process."""
         return self._server.pid
 
-    def begin(self, name: str, scene: Scene) -> None:
+    def begin(self, name: str, scene: Scene, *, measured: bool = False) -> None:
         """Begin to show a run.
 
         Parameters
@@ -65,13 +64,16 @@ class LiveView:
             Of the run.
         scene
             The geometry of buffer and cone.
+        measured
+            Whether its samples are measurements, which know no energies.
         """
         self.end()
         # an application of its own, so that each run keeps its layout
         self._recording = rr.RecordingStream(f"capture_sim {name}", recording_id=None)
-        layout = blueprint([scene], [name], [f"{name}, live"], aligned=False, live=True)
+        layout = blueprint(
+            [scene], [name], [f"{name}, live"], aligned=False, live=True, energies=not measured
+        )
         self._recording.connect_grpc(self.address, default_blueprint=layout)
-        self._scene = scene
         stream = RunStream(self._recording, name)
         self._stream = stream
         self._bench = BenchLog(stream, scene, palette.BLUE)
@@ -79,22 +81,23 @@ class LiveView:
         self._bench.shapes()
         self._plots.styles()
         stream.document(f"{name}/scene", f"# {name}, live\n\n```yaml\n{scene.to_yaml()}\n```\n")
-        self._gathered: list[Measurements] = []
+        self._gathered: list[np.ndarray] = []
         self._last_logged = time.monotonic()
         self._phase: Phase | None = None
         self._unloaded = Phase.FREE
+        self._measured = measured
         self._verdict = ""
         self._first: float | None = None
         self._last_row: np.ndarray | None = None
 
-    def take(self, measured: Measurements) -> None:
-        """Take in what was measured at some instants, later than those before."""
+    def take(self, samples: np.ndarray) -> None:
+        """Take in samples, (n,) of dtype SAMPLE, later than those before."""
         if self._recording is None:
             return
         if self._first is None:
-            self._first = float(measured.t[0])
+            self._first = float(samples["t"][0])
             self._tell_what_is_missing(self._first)
-        self._gathered.append(measured)
+        self._gathered.append(samples)
         if time.monotonic() - self._last_logged >= self._period:
             self.show()
 
@@ -145,7 +148,7 @@ class LiveView:
         self._last_logged = time.monotonic()
         if not self._gathered:
             return
-        samples = np.concatenate([samples_of(self._scene, some) for some in self._gathered])
+        samples = np.concatenate(self._gathered)
         self._gathered.clear()
         touching = samples["walls"] != 0
         self._bench.motion(samples, touching)
@@ -155,7 +158,7 @@ class LiveView:
         self._plots.curves(samples)
         for t, known in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
             phase = Phase(known)
-            if phase is Phase.FREE or self._unloaded is Phase.LATCHED:
+            if self._measured and (phase is Phase.FREE or self._unloaded is Phase.LATCHED):
                 phase = self._unloaded
             if phase is not self._phase:
                 self._phase = phase

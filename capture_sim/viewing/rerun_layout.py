@@ -22,6 +22,7 @@ def blueprint(
     *,
     aligned: bool,
     live: bool = False,
+    energies: bool = True,
 ) -> rrb.Blueprint:
     """Return the layout of runs side by side and overlaid.
 
@@ -33,6 +34,8 @@ def blueprint(
         Open on the time since the first touch; otherwise on simulated time.
     live
         Follow what comes, instead of standing still at the beginning.
+    energies
+        Whether they are known: those of a measured run are not.
     """
     rows = []
     for scene, name, title in zip(scenes, names, titles, strict=True):
@@ -59,7 +62,7 @@ def blueprint(
         rrb.Horizontal(
             rrb.Vertical(*rows),
             rrb.Tabs(
-                _time_series(live=live),
+                _time_series(energies=energies),
                 rrb.TextLogView(origin="/events", name="events"),
                 rrb.Grid(
                     *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
@@ -88,7 +91,7 @@ def _all_so_far() -> rrb.VisibleTimeRanges:
     )
 
 
-def _time_series(*, live: bool) -> rrb.Vertical:
+def _time_series(*, energies: bool) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
     plots = {
         plot.entity: rrb.TimeSeriesView(
@@ -105,11 +108,10 @@ def _time_series(*, live: bool) -> rrb.Vertical:
         (plots["contact_force"], plots["distance"]),
         (plots["axial_stroke"], plots["torsion"]),
     ]
-    if live:
-        # energies are not measured
-        rows += [(plots["speed"], plots["string_tension"]), (states,)]
-    else:
+    if energies:
         rows += [(plots["speed"], plots["energy"]), (states, plots["string_tension"])]
+    else:
+        rows += [(plots["speed"], plots["string_tension"]), (states,)]
     return rrb.Vertical(
         *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, 1.2], name="time series"
     )

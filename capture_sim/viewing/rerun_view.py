@@ -59,6 +59,7 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
         names,
         [headline(run) for run in runs],
         aligned=any(span is not None for span in spans),
+        energies=any(np.isfinite(run.samples["kinetic"]).any() for run in runs),
     )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
