@@ -202,6 +202,18 @@ def test_server_ends_with_the_view():
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 
 
+#: Announcements every 0.2 s: a suite that nobody keeps waiting is over before the default's 3 s.
+DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="viewer" is_default_profile="true">
+    <rtps><builtin><discovery_config>
+      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
+    </discovery_config></builtin></rtps>
+  </participant>
+</profiles>
+"""
+
+
 class Viewer:
     """The viewer node in a process of its own."""
 
@@ -210,10 +222,12 @@ class Viewer:
         self.log = log
         arguments = [f"port:={self.port}", *(f"{k}:={v}" for k, v in parameters.items())]
         options = [word for argument in arguments for word in ("-p", argument)]
-        program = "from capture_sim.nodes.viewer import main; raise SystemExit(main())"
+        profile = log.with_suffix(".xml")
+        profile.write_text(DISCOVERY)
         with log.open("w") as output:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", program, "--ros-args", *options],
+                [sys.executable, "-m", "capture_sim.nodes.viewer", "--ros-args", *options],
+                env=dict(os.environ, FASTRTPS_DEFAULT_PROFILES_FILE=str(profile)),
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
@@ -267,6 +281,8 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
     assert tip == pytest.approx(tip_in_cone(run.samples[k]) * 1e3, abs=1e-4)
     _, peaks = column(found, "/plots/contact_force/tilt_p10/touches", "scalars")
     assert sorted(peaks) == sorted(run.touches["peak_force"])
+    _, verdicts = column(found, "/states/tilt_p10/verdict", "state")
+    assert verdicts.tolist() == ["approach", "contact", "captured"]
     assert node.end() == 0
     assert "Traceback" not in node.log.read_text()
 

@@ -85,6 +85,8 @@ class ViewerNode(RunFollower):
         self._beat: dict[Topic, int] = {}
         self._zero: float | None = None  # s, stamp of a bench's first message
         self._unannounced = False
+        self._judgement: bytes | None = None  # the detector's last
+        self._last_verdict = 0.0
         try:
             from capture_sim.viewing.live import LiveView
 
@@ -99,7 +101,7 @@ class ViewerNode(RunFollower):
             for topic in OF_A_BENCH:
                 self.listen(topic, partial(self._take, topic), raw=True)
         self.listen(BENCH_EVENT, self._happened)
-        self.listen(CAPTURE_STATUS, self._judged)
+        self.listen(CAPTURE_STATUS, self._judged, raw=True)
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
 
     def begin(self, info: Any) -> None:
@@ -113,9 +115,10 @@ class ViewerNode(RunFollower):
         return True
 
     def end(self, reason: str) -> list[str]:
-        """End the run's picture; that something was not shown is no failure."""
+        """Show the rest of the run; that something was not shown is no failure."""
         self._show_pending()
-        self._view.end()
+        self._show_verdict()
+        self._view.show()
         self.get_logger().info(f"{self.run.name}: shown" + (f", {reason}" if reason else ""))
         return []
 
@@ -127,6 +130,7 @@ class ViewerNode(RunFollower):
     def _start(self, name: str) -> None:
         self._newest.clear()
         self._beat.clear()
+        self._judgement, self._last_verdict = None, 0.0
         self._view.begin(name, self._scene, measured=self._geometry is not None)
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
@@ -218,9 +222,21 @@ class ViewerNode(RunFollower):
         if event.peak_force > 0.0:
             self._view.touch(event.peak_time, event.peak_force)
 
-    def _judged(self, status: Any) -> None:
-        if self.run is not None or self._unannounced:
-            t = self._since_start(stamp_seconds(stamp_ns_of(status)))
+    def _judged(self, data: bytes) -> None:
+        self._judgement = data
+        over = self.run is None and not self._unannounced
+        if over or self._is_shown(CAPTURE_STATUS, data):
+            # the detector may judge at the end, after the simulator has ended the run
+            self._show_verdict()
+
+    def _show_verdict(self) -> None:
+        if self._judgement is None:
+            return
+        status = deserialize_message(self._judgement, message_class(CAPTURE_STATUS.type_name))
+        t = self._since_start(stamp_seconds(stamp_ns_of(status)))
+        # one that is older belongs to the next run, which is not announced yet
+        if self.run is not None or self._unannounced or t >= self._last_verdict:
+            self._last_verdict = t
             self._view.verdict(t, CaptureState(status.state).label)
 
 
