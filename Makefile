@@ -16,7 +16,7 @@ help:
 	@echo "make test    set up, check the style and run the tests"
 	@echo "make setup   only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint    only check style and types"
-	@echo "make picture remake the picture in README.md"
+	@echo "make picture remake the pictures in README.md and docs/"
 	@echo "make format  lay out the Python files as lint wants them"
 	@echo "make clean   remove .venv and everything built; keeps runs/"
 
@@ -40,6 +40,7 @@ lint: setup
 picture: setup
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	cp build/picture/overview.png docs/experiments.png
+	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 format: setup
 	$(BIN)/ruff check --fix .

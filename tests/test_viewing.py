@@ -18,6 +18,7 @@ from capture_sim.viewing import palette, plots
 from capture_sim.viewing.bench_drawing import draw_bench
 from capture_sim.viewing.bench_model import cone_mesh
 from capture_sim.viewing.cone_drawing import key_moments
+from capture_sim.viewing.energy_drawing import LAYERS
 from capture_sim.viewing.geometry import tip_bound, tip_in_cone, tip_in_world, wall
 from capture_sim.viewing.source import decided_at, headline, in_contact, time_window, verdict
 
@@ -263,13 +264,35 @@ def test_unwritable_folder_is_refused_in_one_line(runs, tmp_path):
         save_rrd(runs, tmp_path / "file" / "x.rrd")
 
 
-def test_colours_of_runs_differ_also_for_the_colour_blind():
-    # simulated by the matrices of Vienot, Brettel and Mollon (1999), linear light
-    protan = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
-    deutan = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]])
-    colours = np.array([to_rgb(colour) for colour in palette.RUNS[:3]]) ** 2.2
-    for matrix in (np.eye(3), protan, deutan):
-        seen = (colours @ matrix.T).clip(0.0, 1.0) ** (1 / 2.2)
-        for i in range(3):
-            for j in range(i):
-                assert np.abs(seen[i] - seen[j]).max() > 0.15
+# simulated by the matrices of Vienot, Brettel and Mollon (1999), linear light
+NORMAL = np.eye(3)
+PROTAN = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
+DEUTAN = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]])
+BESIDE_EACH_OTHER = {
+    "runs": palette.RUNS[:4],
+    "walls": (palette.PLUS_WALL, palette.MINUS_WALL),
+    **{f"layers {i}": (LAYERS[i][1], LAYERS[i + 1][1]) for i in range(len(LAYERS) - 1)},
+}
+
+
+@pytest.mark.parametrize("matrix", [NORMAL, PROTAN, DEUTAN], ids=["normal", "protan", "deutan"])
+@pytest.mark.parametrize("what", BESIDE_EACH_OTHER)
+def test_colours_differ_also_for_the_colour_blind(what, matrix):
+    colours = np.array([to_rgb(colour) for colour in BESIDE_EACH_OTHER[what]]) ** 2.2
+    seen = (colours @ matrix.T).clip(0.0, 1.0) ** (1 / 2.2)
+    for i in range(len(seen)):
+        for j in range(i):
+            assert np.abs(seen[i] - seen[j]).max() > 0.2, (what, i, j)
+
+
+def test_states_differ_also_for_the_colour_blind():
+    pytest.importorskip("rerun", reason="needs rerun")
+    from capture_sim.viewing.rerun_plots import PHASE_COLOURS, VERDICT_COLOURS
+
+    for colours_of in (PHASE_COLOURS, VERDICT_COLOURS):
+        colours = np.array([to_rgb(colour) for colour in colours_of.values()]) ** 2.2
+        for matrix in (NORMAL, PROTAN, DEUTAN):
+            seen = (colours @ matrix.T).clip(0.0, 1.0) ** (1 / 2.2)
+            gaps = np.abs(seen[:, None] - seen).max(axis=-1) + np.eye(len(seen))
+            # their names stand in the lanes as well
+            assert gaps.min() > 0.14

@@ -25,7 +25,7 @@ LAYERS = (
     ("friction of the tip", palette.PURPLE, ("dissipated_friction",)),
     ("rolling", palette.LIGHT, ("dissipated_rolling",)),
     ("latches", palette.GREEN, ("dissipated_latch",)),
-    ("stops", palette.GREY, ("dissipated_stop",)),
+    ("stops", palette.BLACK, ("dissipated_stop",)),
     ("landing of the mass", palette.YELLOW, ("dissipated_landing",)),
 )
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out

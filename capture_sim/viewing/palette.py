@@ -15,8 +15,8 @@ DARK = "#404040"
 GREY = "#7F7F7F"
 LIGHT = "#D9D9D9"
 
-#: One for each run, in order; they repeat after that.
-RUNS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+#: One for each run, in order, the most different first; they repeat after that.
+RUNS = (BLUE, VERMILION, GREEN, SKY, ORANGE, PURPLE)
 
 PLUS_WALL = BLUE
 MINUS_WALL = VERMILION

@@ -62,7 +62,7 @@ def blueprint(
         rrb.Horizontal(
             rrb.Vertical(*rows),
             rrb.Tabs(
-                _time_series(energies=energies),
+                _time_series(len(names), energies=energies),
                 rrb.TextLogView(origin="/events", name="events"),
                 rrb.Grid(
                     *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
@@ -91,7 +91,7 @@ def _all_so_far() -> rrb.VisibleTimeRanges:
     )
 
 
-def _time_series(*, energies: bool) -> rrb.Vertical:
+def _time_series(count: int, *, energies: bool) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
     plots = {
         plot.entity: rrb.TimeSeriesView(
@@ -108,12 +108,13 @@ def _time_series(*, energies: bool) -> rrb.Vertical:
         (plots["contact_force"], plots["distance"]),
         (plots["axial_stroke"], plots["torsion"]),
     ]
+    lanes = 0.75 + 0.3 * count  # two for each run
     if energies:
         rows += [(plots["speed"], plots["energy"]), (states, plots["string_tension"])]
     else:
         rows += [(plots["speed"], plots["string_tension"]), (states,)]
     return rrb.Vertical(
-        *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, 1.2], name="time series"
+        *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, lanes], name="time series"
     )
 
 

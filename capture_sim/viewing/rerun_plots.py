@@ -37,21 +37,22 @@ PLOTS = (
     ),
 )
 
-_PHASE_COLOURS = {
-    "held": palette.GREY,
+#: Of the lanes.
+PHASE_COLOURS = {
+    "held": palette.LIGHT,
     "taut": palette.ORANGE,
     "coast": palette.YELLOW,
     "free": palette.SKY,
     "contact": palette.VERMILION,
     "latched": palette.GREEN,
 }
-_VERDICT_COLOURS = {
+VERDICT_COLOURS = {
     "approach": palette.SKY,
     "contact": palette.VERMILION,
     "captured": palette.GREEN,
     "rebound": palette.PURPLE,
     "missed": palette.ORANGE,
-    "stuck": palette.GREY,
+    "stuck": palette.LIGHT,
 }
 
 
@@ -95,7 +96,7 @@ class PlotLog:
                 names=f"{self._stream.name} touches",
             ),
         )
-        for lane, colours_of in (("phase", _PHASE_COLOURS), ("verdict", _VERDICT_COLOURS)):
+        for lane, colours_of in (("phase", PHASE_COLOURS), ("verdict", VERDICT_COLOURS)):
             self._stream.static(
                 self._lane(lane),
                 rr.StateConfiguration(
