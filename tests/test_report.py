@@ -135,6 +135,18 @@ def test_altered_recording_is_not_said_to_be_reproduced(runs):
     assert "bit for bit" not in statement.text
 
 
+def test_change_of_the_simulator_is_drawn_as_sampled(runs):
+    import dataclasses
+
+    from capture_sim.viewing.resolving import resolved_or_not
+
+    assert len(resolved_or_not(runs[0]).samples) > len(runs[0].samples)
+    altered = runs[0].touches.copy()
+    altered["start"] += 1e-3
+    other = dataclasses.replace(runs[0], touches=altered)
+    assert resolved_or_not(other) is other
+
+
 def test_names_cannot_break_the_page(tmp_path):
     scene = capture_sim.load_scene("paper_designed", ["title='<script>alert(1)</script> & co'"])
     run = capture_sim.simulate(scene, t_end=0.3)

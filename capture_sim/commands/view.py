@@ -72,8 +72,12 @@ def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
 def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) -> None:
     from capture_sim.viewing.canvas import save_both
     from capture_sim.viewing.figures import FIGURES
+    from capture_sim.viewing.resolving import resolved_or_not
     from capture_sim.viewing.snapshots import snapshots
 
+    if window is None:
+        # else they are already
+        runs = [resolved_or_not(run) for run in runs]
     for name, figure in FIGURES.items():
         save_both(figure(runs), folder / name)
     if window is None:

@@ -94,9 +94,10 @@ def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
     figure = new_figure(6.0 * len(runs), 14.0)
     rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
     for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
-        draw_bench(bench, run)
+        seen = draw_bench(bench, run)
         bench.set_title(headline(run), fontsize=16, fontweight="bold", pad=12)
-        bench.set_xlabel(f"x in the world  [m]   (dashed: at the {start_word(run.scene)})")
+        dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
+        bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         _draw_trajectory(cone, run)
         _draw_force(force, run)
         _draw_distance(distance, run)

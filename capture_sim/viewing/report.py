@@ -25,6 +25,7 @@ from capture_sim.viewing.report_parts import (
     parameter_rows,
     table,
 )
+from capture_sim.viewing.resolving import resolved_or_not
 from capture_sim.viewing.snapshots import snapshots
 from capture_sim.viewing.source import ViewableRun, decided_at, distinct_names, headline, start_word
 
@@ -164,8 +165,9 @@ def _figures(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]
     timed = {**shown, "aligned": several}
     when = "; time counts from each run's first touch" if several else ""
     simulated = all(has_ledger(run) for run in runs)
+    across = "wide" if len(runs) > 2 else "medium"
     found = [
-        (figures.trajectories(runs, **shown), "Way of the tip's centre in the cone", "wide"),
+        (figures.trajectories(runs, **shown), "Way of the tip's centre in the cone", across),
         (figures.impact_force(runs, **timed), f"Contact force with every touch{when}", "narrow"),
         (figures.distance(runs, **timed), f"Distance of the tip to BE{when}", "narrow"),
         (figures.axial_performance(runs, **timed), f"Axial buffer{when}", "narrow"),
@@ -174,7 +176,11 @@ def _figures(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]
     if simulated:  # neither is measured on a bench
         found += [
             (figures.load_stroke(runs, **shown), "Force over stroke of the axial buffer", "narrow"),
-            (figures.intrusion(runs, **timed), f"Depth of the tip in the wall{when}", "narrow"),
+            (
+                figures.intrusion([resolved_or_not(run) for run in runs], **timed),
+                f"Depth of the tip in the wall{when}",
+                "narrow",
+            ),
         ]
     found.append((figures.velocities(runs, **timed), f"Velocities{when}", "medium"))
     for name, run in zip(names, runs, strict=True):
@@ -188,7 +194,9 @@ def _energy(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]:
     if known:
         labels, runs = [name for name, _ in known], [run for _, run in known]
         caption = "Where the energy is and goes: the layers' sum against what was put in"
-        parts.append(_picture(energy(runs, labels=labels), caption, "wide"))
+        parts.append(
+            _picture(energy(runs, labels=labels), caption, "wide" if len(runs) > 2 else "medium")
+        )
         parts.append(
             table(("at the end of the run [mJ]", *labels), energy_rows(runs), kind="numbers")
         )

@@ -57,7 +57,7 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
     layout = blueprint(
         [run.scene for run in runs],
         names,
-        [headline(run) for run in runs],
+        [headline(run).replace("\n", " ") for run in runs],
         aligned=any(span is not None for span in spans),
         energies=any(np.isfinite(run.samples["kinetic"]).any() for run in runs),
     )

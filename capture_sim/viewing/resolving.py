@@ -67,6 +67,16 @@ def resolved(
     return again
 
 
+def resolved_or_not(run: ViewableRun) -> ViewableRun:
+    """Return the run resolved, or as it is where it cannot be run again as it was."""
+    if not np.isfinite(run.samples["kinetic"]).any():
+        return run  # measured
+    try:
+        return resolved(run)
+    except CaptureSimError:
+        return run
+
+
 def cut(run: ViewableRun, window: tuple[float, float]) -> MeasuredRun:
     """Return a run that cannot be run again with its samples in a window, s, alone.
 
