@@ -147,6 +147,15 @@ def test_change_of_the_simulator_is_drawn_as_sampled(runs):
     assert resolved_or_not(other) is other
 
 
+def test_run_without_a_touch_is_reported_too(tmp_path):
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=0.5)
+    path = write_run(run, tmp_path / "short.mcap")
+    assert main(["report", str(path), "--out", str(tmp_path / "x.html")]) == 0
+    text = (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert "no touch" in text
+    assert Page(text).open == []
+
+
 def test_names_cannot_break_the_page(tmp_path):
     scene = capture_sim.load_scene("paper_designed", ["title='<script>alert(1)</script> & co'"])
     run = capture_sim.simulate(scene, t_end=0.3)

@@ -55,6 +55,15 @@ def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, 
     assert "Not measured: trial" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("window", [("0.2", "0.4"), ("5.5", "5.6")])
+def test_window_without_the_contact_is_drawn_too(recorded, tmp_path, window):
+    pytest.importorskip("rerun", reason="needs rerun")
+    path = str(recorded[0])
+    assert main(["view", path, "--window", *window, "--figures", "--out", str(tmp_path)]) == 0
+    assert imread(tmp_path / "figures" / "distance.png").std() > 0.02
+    assert (tmp_path / "runs.rrd").stat().st_size > 100_000
+
+
 @pytest.mark.parametrize(
     "window, said",
     [(("3", "2"), "allowed is FROM < TO"), (("90", "91"), "no motion from 90 to 91 s")],

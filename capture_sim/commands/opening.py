@@ -110,4 +110,4 @@ def _run_now(name: str) -> Opened:
         raise SceneError(f"{error}; a recording ends in .mcap") from None
     compile_first()
     result = simulate(scene)
-    return Opened(result, "run for this page", software_versions(), result.wall_time)
+    return Opened(result, "run now", software_versions(), result.wall_time)

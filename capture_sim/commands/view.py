@@ -20,7 +20,7 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("runs", nargs="+", metavar="RUN.mcap")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="recorded .mcap files, or names")
     parser.add_argument(
         "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
     )
@@ -71,7 +71,7 @@ def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
 
 def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) -> None:
     from capture_sim.viewing.canvas import save_both
-    from capture_sim.viewing.figures import FIGURES
+    from capture_sim.viewing.figures import FIGURES, OVER_TIME
     from capture_sim.viewing.resolving import resolved_or_not
     from capture_sim.viewing.snapshots import snapshots
 
@@ -79,7 +79,8 @@ def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) 
         # else they are already
         runs = [resolved_or_not(run) for run in runs]
     for name, figure in FIGURES.items():
-        save_both(figure(runs), folder / name)
+        aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
+        save_both(figure(runs, **aligned), folder / name)
     if window is None:
         save_both(snapshots(runs), folder / "snapshots")
     say(f"figures of the paper in {folder}")

@@ -351,8 +351,8 @@ def _rest_line(axes: Axes) -> None:
     axes.axhline(0.0, color=palette.GREY, lw=0.8)
 
 
-#: Name of the file and function of each figure over time or in the cone.
-FIGURES: dict[str, Callable[[Runs], Figure]] = {
+#: Name of the file and function of each figure.
+FIGURES: dict[str, Callable[..., Figure]] = {
     "impact_force": impact_force,
     "intrusion": intrusion,
     "axial_performance": axial_performance,
@@ -362,3 +362,5 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "velocities": velocities,
     "load_stroke": load_stroke,
 }
+#: Those over time, which can be ``aligned``.
+OVER_TIME = frozenset(FIGURES) - {"trajectory", "load_stroke"}

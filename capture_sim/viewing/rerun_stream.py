@@ -33,13 +33,14 @@ class Span(NamedTuple):
 
 
 def aligned_span(run: ViewableRun) -> Span | None:
-    """Return the span of a run's contact; None for a run without."""
-    touch = first_touch(run)
-    if touch is None:
+    """Return the span of a run's contact; None for a run without samples of one."""
+    touch, t = first_touch(run), run.samples["t"]
+    if touch is None or t[-1] < touch.t - LEAD:
         return None
     last = float(run.touches["end"].max(initial=touch.t))
     decided = decided_at(run)
-    return Span(touch.t, max(last, touch.t if decided is None else decided) + _TRAIL)
+    end = max(last, touch.t if decided is None else decided) + _TRAIL
+    return Span(touch.t, end) if t[0] <= end else None
 
 
 class RunStream:

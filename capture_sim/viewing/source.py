@@ -86,7 +86,9 @@ def time_window(run: ViewableRun) -> tuple[float, float]:
     if decided is not None:
         action.append(decided)
     margin = 0.12 * max(max(action) - touch.t, 0.1)
-    return max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+    start, end = max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+    # samples of a window that holds nothing of it
+    return (start, end) if start < end else (float(t[0]), float(t[-1]))
 
 
 def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
