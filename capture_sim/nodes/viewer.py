@@ -14,6 +14,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message
 
 from capture_sim.detection import CaptureState
@@ -102,6 +104,9 @@ class ViewerNode(RunFollower):
                 self.listen(topic, partial(self._take, topic), raw=True)
         self.listen(BENCH_EVENT, self._happened)
         self.listen(CAPTURE_STATUS, self._judged, raw=True)
+        # what came last is also shown when nothing follows: the run may stand still
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(max(0.2, 1.0 / refresh), self._view.show, clock=steady)
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
 
     def begin(self, info: Any) -> None:
