@@ -471,7 +471,7 @@ def test_garbage_in_padding_is_not_recorded(path, sent, tmp_path):
 def test_a_dropped_message_is_reported(topic, sent, tmp_path):
     places = [i for i, (of, _) in enumerate(sent) if of is topic]
     for drop in {places[0], places[len(places) // 2], places[-1]}:
-        recorder = record(tmp_path, sent[:drop] + sent[drop + 1 :])
+        recorder = record(tmp_path / str(drop), sent[:drop] + sent[drop + 1 :])
         assert not recorder.done
         report = recorder.close()
         assert not report.complete

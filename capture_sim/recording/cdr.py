@@ -120,7 +120,7 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """Where the fields of a message are, given its texts' and sequences' lengths."""
 
     records: np.dtype
@@ -129,6 +129,17 @@ class _Layout:
     fixed: np.ndarray  # offsets of bytes that another message must share to fit
     gaps: list[tuple[int, int]]  # from, to: padding between fields
     size: int  # bytes, without padding at the end
+
+
+def message_layout(store: Typestore, type_name: str, data: bytes) -> Layout:
+    """Return where the fields of a serialised message are.
+
+    Raises
+    ------
+    RecordingError
+        The bytes are no such message.
+    """
+    return _Walk(store, type_name, data).layout()
 
 
 class PaddingCleaner:
@@ -195,7 +206,7 @@ class _Walk:
                 f"its definition makes {self._position + _HEADER}"
             )
 
-    def layout(self) -> _Layout:
+    def layout(self) -> Layout:
         """Return what was found."""
         records = np.dtype(
             {
@@ -207,7 +218,7 @@ class _Walk:
         )
         fixed = np.array(self._fixed, dtype=np.int64)
         size = self._position + _HEADER
-        return _Layout(records, self._texts, self._text_lists, fixed, self._gaps, size)
+        return Layout(records, self._texts, self._text_lists, fixed, self._gaps, size)
 
     def _message(self, prefix: str, type_name: str) -> None:
         for name, description in self._store.fielddefs[type_name][1]:
@@ -283,7 +294,7 @@ def _aligned(position: int, size: int) -> int:
 
 
 def _store_records(
-    found: dict[str, np.ndarray], layout: _Layout, raw: np.ndarray, rows: np.ndarray, total: int
+    found: dict[str, np.ndarray], layout: Layout, raw: np.ndarray, rows: np.ndarray, total: int
 ) -> None:
     records = np.ascontiguousarray(raw).view(layout.records)[:, 0]
     for name in layout.records.names or ():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -15,10 +15,12 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages import RunDescription
 from capture_sim.recording.cdr import PaddingCleaner, sequence_of
 from capture_sim.recording.definitions import typestore
+from capture_sim.recording.files import RecordingFiles, Split
 from capture_sim.recording.tally import Tally, TopicTally
-from capture_sim.recording.writer import RunWriter
 from capture_sim.topics import BENCH_STATE, RECORDED, RUN_INFO, STREAM_COUNTS, Topic
 
+#: What the metadata record says of a live recording's origin.
+LIVE = "live"
 #: Bytes that may wait for the disk; take() waits when there are more.
 QUEUE_BYTES = 64 * 1024 * 1024
 #: Seconds after which a begun chunk is handed to the operating system.
@@ -36,11 +38,12 @@ class RecordingReport:
     Attributes
     ----------
     path
-        The file; None when no run was announced, so that nothing was written.
+        The file, or the folder of files; None when no run was announced, so that nothing
+        was written.
     complete
         Every publisher told its counts and every message came.
     topics
-        Messages seen, expected and missing, by topic name.
+        Messages seen, written, expected and missing, by topic name.
     problems
         One line for everything that is wrong; empty when complete.
     """
@@ -54,9 +57,10 @@ class RecordingReport:
 class LiveRecorder:
     """Records one run from serialised messages as they come.
 
-    A RunInfo names the run and opens ``<directory>/<name>.mcap``; what came before it is
-    kept and written after it.  Messages are written by a thread of the recorder's own.
-    The publishers' StreamCounts are written last, since they carry no time.
+    A RunInfo names the run and opens ``<directory>/<name>.mcap`` (``<name>_2.mcap`` when that
+    exists); what came before it is kept and written after it.  Messages are written by a
+    thread of the recorder's own.  The publishers' StreamCounts are written last, since they
+    carry no time.
 
     :meth:`take` may be called from any one thread.  Use it as a context manager or call
     :meth:`close`.
@@ -69,6 +73,15 @@ class LiveRecorder:
         Further entries for the file's metadata record.
     queue_bytes
         Bound of the memory for waiting messages; as much again may be being written.
+    topics
+        Those that are recorded; others are ignored.  RunInfo and StreamCounts always are.
+    split
+        When a new file is begun, in a folder ``<directory>/<name>``; None never.
+
+    Attributes
+    ----------
+    paused : bool
+        While set, messages are counted and not written; RunInfo and StreamCounts are.
     """
 
     def __init__(
@@ -76,11 +89,18 @@ class LiveRecorder:
         directory: Path | str,
         metadata: Mapping[str, str] | None = None,
         queue_bytes: int = QUEUE_BYTES,
+        *,
+        topics: Sequence[Topic] = RECORDED,
+        split: Split | None = None,
     ) -> None:
         self._directory = Path(directory)
-        self._metadata = dict(metadata or {})
-        self._tally = Tally()
+        self._metadata = {"origin": LIVE, **(metadata or {})}
+        always = (RUN_INFO, STREAM_COUNTS)
+        self._topics = tuple(topic for topic in RECORDED if topic in topics or topic in always)
+        self._split = split
+        self._tally = Tally(topics=self._topics)
         self._run: RunDescription | None = None
+        self._path: Path | None = None
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
         self._early_counts: list[bytes] = []  # came before the run was announced
         self._remarks: dict[str, None] = {}  # each once, in order
@@ -88,6 +108,7 @@ class LiveRecorder:
         self._last_message = 0.0
         self._queue = _WriteQueue(queue_bytes)
         self._report: RecordingReport | None = None
+        self.paused = False
 
     @property
     def run(self) -> RunDescription | None:
@@ -96,8 +117,8 @@ class LiveRecorder:
 
     @property
     def path(self) -> Path | None:
-        """The file; None until the run is announced."""
-        return None if self._run is None else self._directory / f"{self._run.name}.mcap"
+        """The file, or the folder of files; None until the run is announced."""
+        return self._path
 
     @property
     def done(self) -> bool:
@@ -121,9 +142,11 @@ class LiveRecorder:
             self._take_info(data)
         elif topic is STREAM_COUNTS:
             self._take_counts(data)
-        else:
-            self._tally.add(topic, sequence_of(topic, data))
-            self._queue.put(topic, data)
+        elif topic in self._topics:
+            paused = self.paused
+            self._tally.add(topic, sequence_of(topic, data), written=not paused)
+            if not paused:
+                self._queue.put(topic, data)
 
     def close(self) -> RecordingReport:
         """Write what waits, close the file and say what is missing; again: same report.
@@ -161,7 +184,12 @@ class LiveRecorder:
                 rate=info.rate,
                 publishers=tuple(info.publishers),
             )
-            self._queue.open(self._directory / f"{run.name}.mcap", run, self._metadata, data)
+            self._path = self._queue.open(
+                lambda: RecordingFiles(
+                    self._directory, run, self._metadata, self._topics, self._split
+                ),
+                data,
+            )
             self._tally.add(RUN_INFO, None)
             self._run = run
             self._tally.publishers = run.publishers
@@ -216,10 +244,8 @@ class _WriteQueue:
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
 
-    def open(
-        self, path: Path, run: RunDescription, metadata: Mapping[str, str], info: bytes
-    ) -> None:
-        """Open the file and start writing: the RunInfo, then what waits.
+    def open(self, make: Callable[[], RecordingFiles], info: bytes) -> Path:
+        """Open the file and start writing: the RunInfo, then what waits; return its path.
 
         Raises
         ------
@@ -227,15 +253,16 @@ class _WriteQueue:
             The file cannot be written.
         """
         try:
-            writer = RunWriter(path, run, metadata)
+            files = make()
         except RecordingError as error:
             self._error = error
             raise
         self._waiting.insert(0, (RUN_INFO, info))
         self._thread = threading.Thread(
-            target=self._work, args=(writer,), name="recording", daemon=True
+            target=self._work, args=(files,), name="recording", daemon=True
         )
         self._thread.start()
+        return files.path
 
     def put(self, topic: Topic, data: bytes) -> None:
         """Append a message; waits while the queue is full.
@@ -280,19 +307,20 @@ class _WriteQueue:
         if self._error is not None:
             raise self._error
 
-    def _work(self, writer: RunWriter) -> None:
+    def _work(self, files: RecordingFiles) -> None:
         try:
-            with writer:
-                self._write_until_closed(writer)
+            self._write_until_closed(files)
+            files.close()
         except Exception as error:  # whatever it is, the callers of put() must learn of it
+            files.give_up()
             with self._lock:
                 if isinstance(error, RecordingError):
                     self._error = error
                 else:
-                    self._error = RecordingError(f"{writer.path}: {type(error).__name__}: {error}")
+                    self._error = RecordingError(f"{files.path}: {type(error).__name__}: {error}")
                 self._lock.notify_all()
 
-    def _write_until_closed(self, writer: RunWriter) -> None:
+    def _write_until_closed(self, files: RecordingFiles) -> None:
         flushed = time.monotonic()
         store = typestore()
         clean = {topic: PaddingCleaner(store, topic.type_name) for topic in RECORDED}
@@ -304,10 +332,10 @@ class _WriteQueue:
                 closing = self._closing
                 self._lock.notify_all()
             for topic, data in batch:
-                writer.write_raw(topic, clean[topic](data))
+                files.write_raw(topic, clean[topic](data))
             if closing is not None:
-                writer.closing.update(closing)
+                files.closing.update(closing)
                 return
             if time.monotonic() - flushed > FLUSH_PERIOD:
-                writer.flush()
+                files.flush()
                 flushed = time.monotonic()

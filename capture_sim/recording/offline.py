@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +19,9 @@ from capture_sim.messages import (
     speed_along,
     string_phase,
 )
+from capture_sim.recording.column_stream import ColumnStream
 from capture_sim.recording.definitions import offline_messages
-from capture_sim.recording.writer import RunWriter
+from capture_sim.recording.writer import RunWriter, free_path
 from capture_sim.telemetry import (
     BenchTelemetry,
     DetectorTelemetry,
@@ -34,21 +36,29 @@ if TYPE_CHECKING:
 
 #: The nodes whose streams a run is made of.
 PUBLISHERS = (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR)
+#: What the metadata record of such a file says of its origin.
+SIMULATED = "simulated"
 
 
-def write_run(result: Result, path: Path | str, run_id: str | None = None) -> Path:
+def write_run(
+    result: Result, path: Path | str, run_id: str | None = None, *, replace: bool = True
+) -> Path:
     """Write a simulated run as one MCAP file.
 
-    It holds the streams that simulator, launcher and capture detector send.
+    It holds the streams that simulator, launcher and capture detector send, byte for byte
+    those of :func:`run_stream`, but serialised by columns.
 
     Parameters
     ----------
     result
         Sampled on the grid of ``scene.run.state_rate``.
     path
-        File to write; one that exists is replaced.
+        File to write.  An earlier simulated run there is replaced; beside any other
+        recording, which could not be made again, the file gets a number behind its name.
     run_id
         None makes a new one.
+    replace
+        Whether even a simulated run may be replaced.
 
     Returns
     -------
@@ -60,12 +70,32 @@ def write_run(result: Result, path: Path | str, run_id: str | None = None) -> Pa
     RecordingError
         The file cannot be written, or the samples are not those of the grid.
     """
+    _check_grid(result)
+    path = Path(path)
+    if path.is_file() and not (replace and is_simulated(path)):
+        path = free_path(path)
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
-    with RunWriter(path, run) as writer:
-        for topic, message in run_stream(result, run):
+    stream = ColumnStream(result, run)
+    with RunWriter(path, run, {"origin": SIMULATED}, replace=replace) as writer:
+        for topic, message in stream.head():
+            writer.write(topic, message)
+        for blocks, order in stream.blocks():
+            writer.write_rows(blocks, order)
+        for topic, message in stream.tail():
             writer.write(topic, message)
         writer.closing["wall_time"] = repr(result.wall_time)
     return writer.path
+
+
+def is_simulated(path: Path) -> bool:
+    """Whether a file says of itself that it holds a run simulated without nodes."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(65536)
+    except OSError:
+        return False
+    entry = [struct.pack("<I", len(text)) + text.encode() for text in ("origin", SIMULATED)]
+    return b"".join(entry) in head
 
 
 def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
@@ -76,12 +106,8 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     RecordingError
         The samples are not those of the grid.
     """
+    _check_grid(result)
     scene, samples = result.scene, result.samples
-    if not np.array_equal(samples["t"], np.arange(len(samples)) / scene.run.state_rate):
-        raise RecordingError(
-            f"{scene.name}: only a run sampled at run.state_rate = {scene.run.state_rate:g} Hz "
-            "can be recorded"
-        )
     messages = offline_messages()
     bench = BenchTelemetry(messages, scene, run)
     follower = LauncherTelemetry(messages, run.run_id)
@@ -112,3 +138,12 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     for status in statuses:  # the verdict at the end
         yield detector.status(status.t, status)
     yield detector.end(complete=complete, reason=reason)
+
+
+def _check_grid(result: Result) -> None:
+    scene, samples = result.scene, result.samples
+    if not np.array_equal(samples["t"], np.arange(len(samples)) / scene.run.state_rate):
+        raise RecordingError(
+            f"{scene.name}: only a run sampled at run.state_rate = {scene.run.state_rate:g} Hz "
+            "can be recorded"
+        )

@@ -40,8 +40,9 @@ _ENDING = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
 def read_run(path: Path | str) -> Run:
-    """Read a recorded run; checksums are checked.
+    """Read a recorded run, a file or the folder of a split one; checksums are checked.
 
+    It may be a bag of a real bench with the same topics: what is not in it is empty.
     A file whose recorder was killed is read as far as its records are complete, and
     marked by ``complete`` and ``damage``.
 
@@ -87,7 +88,8 @@ class Run:
         """What sequences and counts tell of lost messages and of an early end, in lines."""
         publishers = self.metadata.get("publishers", "").split("\n")
         # when the recording was cut, their counts are missing too
-        tally = Tally([] if self.damage else list(filter(None, publishers)))
+        recorded = [topic for name in self._contents.messages if (topic := topic_named(name))]
+        tally = Tally([] if self.damage else list(filter(None, publishers)), recorded)
         for name, messages in self._contents.messages.items():
             topic = topic_named(name)
             if topic is not None:

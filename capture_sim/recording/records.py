@@ -14,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TypeVar
 
+import yaml
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -23,6 +24,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from capture_sim.errors import RecordingError
+from capture_sim.recording.bag_metadata import FILE_NAME
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -75,18 +77,55 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """Read a file as far as its records are complete.
+    """Read a file, or a bag's folder of files, as far as the records are complete.
 
     Returns
     -------
     Contents
-        ``damage`` is set when the file ends before its end mark.
+        ``damage`` is set when a file ends before its end mark.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, is no MCAP file, or a record inside it
+        A file cannot be read, is no MCAP file, or a record inside it
         is damaged (as opposed to missing at the end).
+    """
+    contents = Contents()
+    for part in bag_files(path):
+        _Reader(part, file_bytes(part), contents).read()
+    return contents
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Return the files of a bag in order; for a file that file alone.
+
+    Raises
+    ------
+    RecordingError
+        The folder holds none.
+    """
+    if not path.is_dir():
+        return [path]
+    try:
+        told = yaml.safe_load((path / FILE_NAME).read_text(encoding="utf-8"))
+        names = told["rosbag2_bagfile_information"]["relative_file_paths"]
+        files = [path / str(name) for name in names]
+    except OSError:  # the recorder was killed: the files tell their order by their numbers
+        files = sorted(path.glob("*.mcap"), key=_number)
+    except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+        raise RecordingError(f"{path / FILE_NAME}: is no metadata of a bag") from None
+    if not files:
+        raise RecordingError(f"{path}: holds no .mcap file")
+    return files
+
+
+def file_bytes(path: Path) -> bytes:
+    """Return what is in an MCAP file.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or is no MCAP file.
     """
     try:
         data = path.read_bytes()
@@ -94,18 +133,24 @@ def read_contents(path: Path) -> Contents:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
     if data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
         raise RecordingError(f"{path}: not an MCAP file")
-    return _Reader(path, data).read()
+    return data
+
+
+def _number(path: Path) -> tuple[int, str]:
+    digits = path.stem.rsplit("_", 1)[-1]
+    return (int(digits) if digits.isdecimal() else -1, path.name)
 
 
 class _Reader:
-    def __init__(self, path: Path, data: bytes) -> None:
+    def __init__(self, path: Path, data: bytes, contents: Contents) -> None:
         self._path = path
         self._data = data
-        self._contents = Contents()
+        self._contents = contents
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, str] = {}
+        self._known = self._total()
 
-    def read(self) -> Contents:
+    def read(self) -> None:
         finished = ended = False
         for opcode, start, end in self._records():
             if opcode == Opcode.DATA_END:
@@ -118,11 +163,16 @@ class _Reader:
             else:
                 self._take(opcode, start, end)
         if not ended:
-            self._contents.damage = (
+            damage = (
                 f"the file ends without its end mark; {self._complete_until} of "
                 f"{len(self._data)} bytes are complete records"
             )
-        return self._contents
+            if self._contents.damage:
+                damage = f"{self._contents.damage}; then {damage}"
+            self._contents.damage = damage
+
+    def _total(self) -> int:
+        return sum(len(of_topic) for of_topic in self._contents.messages.values())
 
     def _records(self) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, start and end of the body of every complete record."""
@@ -214,7 +264,7 @@ class _Reader:
 
     def _check_count(self, start: int, end: int) -> None:
         counted = self._parsed(Statistics.read, start, end).message_count
-        read = sum(len(of_topic) for of_topic in self._contents.messages.values())
+        read = self._total() - self._known
         if counted != read:
             raise self._damaged(start, f"{read} messages read, {counted} were written")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from capture_sim.topics import Topic, topic_named
@@ -16,6 +16,8 @@ class TopicTally:
     ----------
     seen
         Messages that came.
+    written
+        Messages handed to the file; fewer than seen while a recorder is paused.
     expected
         Messages that were sent, as their publisher said at the end; None as
         long as it has not.
@@ -30,6 +32,7 @@ class TopicTally:
     """
 
     seen: int = 0
+    written: int = 0
     expected: int | None = None
     next_seq: int = 0
     gaps: list[tuple[int, int]] = field(default_factory=list)
@@ -48,19 +51,30 @@ class Tally:
     ----------
     publishers : tuple of str
         Nodes that have to tell at the end how many messages they sent.
+
+    Parameters
+    ----------
+    publishers
+        See above.
+    topics
+        Those that are looked for; None for all.
     """
 
-    def __init__(self, publishers: Sequence[str] = ()) -> None:
+    def __init__(
+        self, publishers: Sequence[str] = (), topics: Collection[Topic] | None = None
+    ) -> None:
         self.publishers = tuple(publishers)
+        self._wanted = topics
         self._topics: dict[Topic, TopicTally] = {}
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
-    def add(self, topic: Topic, seq: int | None) -> None:
+    def add(self, topic: Topic, seq: int | None, *, written: bool = True) -> None:
         """Count a message and its sequence number, None where the type has none."""
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = TopicTally()
         entry.seen += 1
+        entry.written += written
         if seq is None:
             return
         if seq == entry.next_seq:
@@ -82,7 +96,7 @@ class Tally:
         self._ended[publisher] = None if complete else reason
         for name, count in counts.items():
             topic = topic_named(name)
-            if topic is not None:
+            if topic is not None and (self._wanted is None or topic in self._wanted):
                 entry = self._topics.setdefault(topic, TopicTally())
                 entry.expected = (entry.expected or 0) + count
 
@@ -120,6 +134,10 @@ class Tally:
             if entry.expected is not None and entry.seen > entry.expected:
                 lines.append(
                     f"{topic.name}: {entry.seen} messages came, {entry.expected} were sent"
+                )
+            if entry.written < entry.seen:
+                lines.append(
+                    f"{topic.name}: {entry.seen - entry.written} messages not written, paused"
                 )
             if entry.out_of_order:
                 lines.append(f"{topic.name}: {entry.out_of_order} messages repeated or disordered")

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, NamedTuple, Self
 
-import yaml
-from mcap.writer import CompressionType, IndexType, Writer
+import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages import EPOCH_NS, Message, RunDescription
+from capture_sim.recording.bag_metadata import (
+    FileEntry,
+    TopicEntry,
+    bag_metadata,
+    dump,
+    qos_profile,
+)
 from capture_sim.recording.cdr import stamp_of
+from capture_sim.recording.container import MESSAGE_HEAD, Container
 from capture_sim.recording.definitions import schema_text, type_hash, typestore
 from capture_sim.topics import RECORDED, Topic
 
@@ -26,7 +33,23 @@ END_METADATA = "capture_sim_end"
 #: Uncompressed size of a chunk, bytes: what a kill can lose at most.
 CHUNK_SIZE = 128 * 1024
 
-_NANOSECONDS = 1_000_000_000
+
+class Rows(NamedTuple):
+    """Messages of one topic, all of one length.
+
+    Attributes
+    ----------
+    topic
+        What they are sent on.
+    times : ndarray (n,) int64
+        Log and publish times, ns.
+    data : ndarray (n, size) uint8
+        The serialised messages.
+    """
+
+    topic: Topic
+    times: np.ndarray
+    data: np.ndarray
 
 
 class RunWriter:
@@ -39,11 +62,15 @@ class RunWriter:
     Parameters
     ----------
     path
-        File to write; one that exists is replaced.
+        File to write.
     run
         What is recorded.
     metadata
         Further entries for the metadata record.
+    topics
+        What may be written.
+    replace
+        Whether a file that exists may be replaced.
 
     Raises
     ------
@@ -52,11 +79,17 @@ class RunWriter:
     """
 
     def __init__(
-        self, path: Path | str, run: RunDescription, metadata: Mapping[str, str] | None = None
+        self,
+        path: Path | str,
+        run: RunDescription,
+        metadata: Mapping[str, str] | None = None,
+        *,
+        topics: Sequence[Topic] = RECORDED,
+        replace: bool = False,
     ) -> None:
         self.path = Path(path)
         self.run = run
-        self._counts: dict[Topic, int] = {}
+        self._counts: dict[Topic, int] = dict.fromkeys(topics, 0)
         self._channels: dict[Topic, int] = {}
         self._first_time: int | None = None
         self._last_time = EPOCH_NS
@@ -66,15 +99,8 @@ class RunWriter:
         self._file: IO[bytes] | None = None
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("wb")
-            self._writer = Writer(
-                self._file,
-                chunk_size=CHUNK_SIZE,
-                compression=CompressionType.ZSTD,
-                index_types=IndexType.ALL,
-                enable_crcs=True,
-                enable_data_crcs=True,
-            )
+            self._file = self.path.open("wb" if replace else "xb")
+            self._container = Container(self._file, CHUNK_SIZE)
             self._begin(dict(metadata or {}))
         except OSError as error:
             self._give_up()
@@ -98,20 +124,49 @@ class RunWriter:
         RecordingError
             The file cannot be written, or is closed.
         """
-        if self._file is None:
-            raise RecordingError(f"{self.path}: already closed")
+        self._check_open()
         stamp = stamp_of(topic, data)
         time = self._last_time if stamp is None else stamp
         count = self._counts[topic]
         try:
-            # mcap only copies the bytes; a memoryview does
-            self._writer.add_message(self._channels[topic], time, data, time, count)
+            self._container.add(self._channels[topic], count, time, time, bytes(data))
         except OSError as error:
             self._give_up()
             raise self._failed(error) from None
         self._counts[topic] = count + 1
-        self._last_time = max(self._last_time, time)
-        self._first_time = time if self._first_time is None else min(self._first_time, time)
+        self._note_times(time, time)
+
+    def write_rows(self, blocks: Sequence[Rows], order: np.ndarray) -> None:
+        """Write many serialised messages at once.
+
+        Parameters
+        ----------
+        blocks
+            A topic's blocks follow each other in time.
+        order
+            (n,) which of all their messages, counted through, comes next in the file.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written, or is closed.
+        """
+        self._check_open()
+        records: list[bytes] = []
+        for rows in blocks:
+            records += self._records(rows)
+        if not records:
+            return
+        sizes = [len(rows.times) for rows in blocks]
+        channels = np.repeat([self._channels[rows.topic] for rows in blocks], sizes)[order]
+        times = np.concatenate([rows.times for rows in blocks])
+        try:
+            in_order = [records[i] for i in order.tolist()]
+            self._container.add_records(in_order, channels, times[order])
+        except OSError as error:
+            self._give_up()
+            raise self._failed(error) from None
+        self._note_times(int(times.min()), int(times.max()))
 
     def flush(self) -> None:
         """End the chunk in progress and hand all to the operating system.
@@ -124,7 +179,7 @@ class RunWriter:
         if self._file is None:
             return
         try:
-            self._writer.flush()
+            self._container.flush()
         except OSError as error:
             self._give_up()
             raise self._failed(error) from None
@@ -140,11 +195,12 @@ class RunWriter:
         if self._file is None:
             return
         try:
-            self._writer.flush()
+            self._container.end_chunk()
             if self.closing:
-                self._writer.add_metadata(END_METADATA, self.closing)
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": self._rosbag2()})
-            self._writer.finish()
+                self._container.add_metadata(END_METADATA, self.closing)
+            text = bag_metadata(self.topic_entries(), [self.file_entry], self._custom)
+            self._container.add_metadata("rosbag2", {"serialized_metadata": text})
+            self._container.finish()
             self._file.close()
             self._file = None
         except OSError as error:
@@ -155,6 +211,40 @@ class RunWriter:
     def counts(self) -> dict[str, int]:
         """Messages written so far, by topic name."""
         return {topic.name: count for topic, count in self._counts.items()}
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far, the chunk in progress not counted."""
+        return self._container.size
+
+    @property
+    def span(self) -> float:
+        """Simulated time from the first to the last message so far, s."""
+        first = self._last_time if self._first_time is None else self._first_time
+        return (self._last_time - first) / 1e9
+
+    @property
+    def file_entry(self) -> FileEntry:
+        """What a bag's metadata tells of the file."""
+        start = EPOCH_NS if self._first_time is None else self._first_time
+        return FileEntry(self.path.name, start, self._last_time, sum(self._counts.values()))
+
+    def topic_entries(self) -> list[TopicEntry]:
+        """Return what a bag's metadata tells of its topics."""
+        return [
+            TopicEntry(
+                topic.absolute_name,
+                topic.type_name,
+                [qos_profile(topic)],
+                type_hash(topic.type_name),
+                count,
+            )
+            for topic, count in self._counts.items()
+        ]
+
+    @property
+    def _custom(self) -> dict[str, str]:
+        return {"run_id": self.run.run_id}
 
     def __enter__(self) -> Self:
         return self
@@ -172,81 +262,52 @@ class RunWriter:
                 self.close()
 
     def _begin(self, metadata: dict[str, str]) -> None:
-        run = self.run
-        self._writer.start(profile="ros2", library="capture_sim")
-        self._writer.add_attachment(
-            create_time=0,
-            log_time=EPOCH_NS,
-            name=SCENE_ATTACHMENT,
-            media_type="application/yaml",
-            data=run.scene.encode(),
+        self._container.add_attachment(
+            SCENE_ATTACHMENT, "application/yaml", self.run.scene.encode(), EPOCH_NS
         )
-        self._writer.add_metadata(
-            RUN_METADATA,
-            {
-                "run_id": run.run_id,
-                "name": run.name,
-                "scene_sha256": run.scene_sha256,
-                "software": "\n".join(run.software),
-                "state_rate": repr(run.state_rate),
-                "rate": repr(run.rate),
-                "publishers": "\n".join(run.publishers),
-                **metadata,
-            },
-        )
-        # all channels at once: the first chunk then explains all that follow
+        self._container.add_metadata(RUN_METADATA, {**describing(self.run), **metadata})
         schemas = {
-            name: self._writer.register_schema(name, "ros2msg", schema_text(name).encode())
-            for name in dict.fromkeys(topic.type_name for topic in RECORDED)
+            name: self._container.add_schema(name, "ros2msg", schema_text(name).encode())
+            for name in dict.fromkeys(topic.type_name for topic in self._counts)
         }
-        for topic in RECORDED:
-            self._channels[topic] = self._writer.register_channel(
+        for topic in self._counts:
+            self._channels[topic] = self._container.add_channel(
                 topic.absolute_name,
                 "cdr",
                 schemas[topic.type_name],
                 {
-                    "offered_qos_profiles": _dump([_qos(topic)]),
+                    "offered_qos_profiles": dump([qos_profile(topic)]),
                     "topic_type_hash": type_hash(topic.type_name),
                 },
             )
-            self._counts[topic] = 0
+        self._container.define()
         if self._file is not None:
             self._file.flush()
 
-    def _rosbag2(self) -> str:
-        start = EPOCH_NS if self._first_time is None else self._first_time
-        count = sum(self._counts.values())
-        span = {
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "duration": {"nanoseconds": self._last_time - start},
-            "message_count": count,
-        }
-        return _dump(
-            {
-                "version": 9,
-                "storage_identifier": "mcap",
-                **span,
-                "topics_with_message_count": [
-                    {
-                        "topic_metadata": {
-                            "name": topic.absolute_name,
-                            "type": topic.type_name,
-                            "serialization_format": "cdr",
-                            "offered_qos_profiles": [_qos(topic)],
-                            "type_description_hash": type_hash(topic.type_name),
-                        },
-                        "message_count": written,
-                    }
-                    for topic, written in self._counts.items()
-                ],
-                "compression_format": "",
-                "compression_mode": "",
-                "relative_file_paths": [self.path.name],
-                "files": [{"path": self.path.name, **span}],
-                "custom_data": {"run_id": self.run.run_id},
-                "ros_distro": "jazzy",
-            }
-        )
+    def _records(self, rows: Rows) -> list[bytes]:
+        """Return the message records of a block, as bytes each."""
+        n, size = rows.data.shape
+        first = self._counts[rows.topic]
+        self._counts[rows.topic] = first + n
+        heads = np.empty(n, dtype=MESSAGE_HEAD)
+        heads["opcode"] = 5
+        heads["length"] = MESSAGE_HEAD.itemsize - 9 + size
+        heads["channel"] = self._channels[rows.topic]
+        heads["sequence"] = np.arange(first, first + n)
+        heads["log_time"] = heads["publish_time"] = rows.times
+        whole = np.empty((n, MESSAGE_HEAD.itemsize + size), dtype=np.uint8)
+        whole[:, : MESSAGE_HEAD.itemsize] = heads.view(np.uint8).reshape(n, -1)
+        whole[:, MESSAGE_HEAD.itemsize :] = rows.data
+        text, step = whole.tobytes(), whole.shape[1]
+        return [text[at : at + step] for at in range(0, len(text), step)]
+
+    def _note_times(self, first: int, last: int) -> None:
+        self._last_time = max(self._last_time, last)
+        self._first_time = first if self._first_time is None else min(self._first_time, first)
+
+    def _check_open(self) -> None:
+        if self._file is None:
+            raise RecordingError(f"{self.path}: already closed")
 
     def _give_up(self) -> None:
         """Close the file as it is; buffered bytes that the disk refuses are lost."""
@@ -259,31 +320,24 @@ class RunWriter:
         return RecordingError(f"{self.path}: cannot write: {error.strerror or error}")
 
 
-def _qos(topic: Topic) -> dict[str, object]:
-    unlimited = {"sec": 9223372036, "nsec": 854775807}  # as rosbag2 writes it
-    lease = unlimited
-    if topic.lease is not None:
-        sec, nsec = divmod(round(topic.lease * _NANOSECONDS), _NANOSECONDS)
-        lease = {"sec": sec, "nsec": nsec}
+def describing(run: RunDescription) -> dict[str, str]:
+    """Return the entries of a file's metadata record that describe its run."""
     return {
-        "history": "keep_last",
-        "depth": topic.depth,
-        "reliability": "reliable",
-        "durability": "transient_local" if topic.latched else "volatile",
-        "deadline": unlimited,
-        "lifespan": unlimited,
-        "liveliness": "automatic",
-        "liveliness_lease_duration": lease,
-        "avoid_ros_namespace_conventions": False,
+        "run_id": run.run_id,
+        "name": run.name,
+        "scene_sha256": run.scene_sha256,
+        "software": "\n".join(run.software),
+        "state_rate": repr(run.state_rate),
+        "rate": repr(run.rate),
+        "publishers": "\n".join(run.publishers),
     }
 
 
-class _Plain(yaml.SafeDumper):
-    """Without anchors: rosbag2's YAML reader does not want them."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
-
-
-def _dump(data: object) -> str:
-    return yaml.dump(data, Dumper=_Plain, sort_keys=False)
+def free_path(path: Path, taken: Iterable[Path] = ()) -> Path:
+    """Return the path, or with ``_2``, ``_3`` ... behind its stem the first that is free."""
+    others = set(taken)
+    candidate, number = path, 1
+    while candidate.exists() or candidate in others:
+        number += 1
+        candidate = path.with_name(f"{path.stem}_{number}{path.suffix}")
+    return candidate
