@@ -11,6 +11,7 @@ COMMANDS = (
     "bench",
     "view",
     "report",
+    "recover",
     "benchmark",
     "scenes",
     "show",

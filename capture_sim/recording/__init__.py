@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from capture_sim.recording.files import Split
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.reader import Run, read_run
+from capture_sim.recording.recover import Recovery, recover
 from capture_sim.recording.tally import Tally
 from capture_sim.recording.writer import RunWriter
 
-__all__ = ["LiveRecorder", "Run", "RunWriter", "Tally", "read_run", "write_run"]
+__all__ = [
+    "LiveRecorder",
+    "Recovery",
+    "Run",
+    "RunWriter",
+    "Split",
+    "Tally",
+    "read_run",
+    "recover",
+    "write_run",
+]

@@ -18,6 +18,7 @@ from capture_sim.messages import stamp_seconds
 from capture_sim.recording.cdr import columns, sequence_of
 from capture_sim.recording.definitions import schema_text, typestore
 from capture_sim.recording.records import Contents, read_contents
+from capture_sim.recording.recover import RECOVERY_METADATA
 from capture_sim.recording.tally import Tally
 from capture_sim.recording.writer import END_METADATA, RUN_METADATA, SCENE_ATTACHMENT
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind
@@ -81,7 +82,8 @@ class Run:
     def problems(self) -> tuple[str, ...]:
         """One line for everything that is wrong with the recording; empty when complete."""
         damage = (self.damage,) if self.damage else ()
-        return (*damage, *self.missing)
+        lost = self._contents.metadata.get(RECOVERY_METADATA, {}).get("lost", "").splitlines()
+        return (*damage, *(f"not recovered: {line}" for line in lost), *self.missing)
 
     @cached_property
     def missing(self) -> tuple[str, ...]:

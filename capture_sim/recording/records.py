@@ -31,13 +31,14 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CRC = struct.Struct("<I")
 
 #: What parsing of a damaged record may raise.
-_DAMAGE = (
+DAMAGE = (
     EndOfFile,
     McapError,
     struct.error,
     UnicodeDecodeError,
     ValueError,
     MemoryError,
+    OverflowError,
     zstandard.ZstdError,
     RuntimeError,
 )
@@ -209,7 +210,7 @@ class _Reader:
     def _parsed(self, read: Callable[[ReadDataStream], _T], start: int, end: int) -> _T:
         try:
             return read(ReadDataStream(BytesIO(self._data[start:end])))
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damaged(start, str(error) or type(error).__name__) from None
 
     def _chunk(self, start: int, end: int) -> None:
@@ -217,11 +218,11 @@ class _Reader:
         try:
             stream, length = get_chunk_data_stream(chunk, validate_crc=True)
             records = stream.read(length)
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damaged(start, str(error) or type(error).__name__) from None
         try:
             self._messages(records, 0, len(records))
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damaged(start, str(error) or type(error).__name__) from None
 
     def _messages(self, data: bytes, position: int, end: int) -> None:
