@@ -11,6 +11,7 @@ COMMANDS = (
     "bench",
     "view",
     "report",
+    "replay",
     "recover",
     "benchmark",
     "scenes",

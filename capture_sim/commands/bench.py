@@ -34,9 +34,11 @@ def run(options: argparse.Namespace) -> int:
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()
+    before = set(options.out.glob("*.mcap"))
     status = run_suite(scenes, options.out, pace=options.rtf)
-    paths = [options.out / f"{scene.name}.mcap" for scene in scenes]
-    runs = [read_run(path) for path in paths if path.is_file()]
+    # an earlier recording is never overwritten: what is new may have a number behind its name
+    fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
+    runs = [read_run(path) for path in fresh]
     report([summary_of(run) for run in runs if run.samples.size], options.out)
     draw([run for run in runs if run.samples.size], options.out)
     return int(status)

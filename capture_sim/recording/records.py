@@ -54,6 +54,8 @@ class Contents:
     ----------
     types
         Message type by topic.
+    qos
+        Quality of service by topic, YAML as rosbag2 writes it; empty when not recorded.
     schemas
         Definition text by message type.
     messages
@@ -69,6 +71,7 @@ class Contents:
     """
 
     types: dict[str, str] = field(default_factory=dict)
+    qos: dict[str, str] = field(default_factory=dict)
     schemas: dict[str, str] = field(default_factory=dict)
     messages: dict[str, list[bytes]] = field(default_factory=dict)
     log_times: dict[str, list[int]] = field(default_factory=dict)
@@ -255,6 +258,7 @@ class _Reader:
         self._topics[channel.id] = channel.topic
         schema = self._schemas.get(channel.schema_id)
         self._contents.types.setdefault(channel.topic, "" if schema is None else schema.name)
+        self._contents.qos[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
         self._contents.messages.setdefault(channel.topic, [])
         self._contents.log_times.setdefault(channel.topic, [])
 

@@ -1,0 +1,70 @@
+"""``capture-sim replay``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from capture_sim.commands.arguments import not_negative, prepare_folder
+from capture_sim.errors import RecordingError
+
+HELP = "play a recording with ROS 2"
+DESCRIPTION = (
+    "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
+    "on the caller's ROS_DOMAIN_ID. While it plays, the services /player/pause, /player/resume "
+    "and /player/play_next (std_srvs/Trigger) control it."
+)
+#: Nodes that can follow a played run.
+FOLLOWERS = ("capture_detector", "recorder")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
+    parser.add_argument(
+        "--rate",
+        type=not_negative,
+        default=1.0,
+        help="recorded seconds per second; 0 as fast as it goes (default: 1)",
+    )
+    parser.add_argument("--loop", action="store_true", help="play again and again")
+    parser.add_argument(
+        "--start", type=not_negative, default=0.0, metavar="S", help="begin S seconds later"
+    )
+    parser.add_argument("--paused", action="store_true", help="start paused")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="play these alone")
+    parser.add_argument(
+        "--with",
+        nargs="+",
+        default=[],
+        dest="followers",
+        choices=FOLLOWERS,
+        help="start these nodes beside it; what they publish is not played",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("replayed"), help="folder of --with recorder"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    if not Path(options.recording).exists():
+        raise RecordingError(f"{options.recording}: no such file or folder")
+    from capture_sim.nodes.replay import replay
+
+    parameters: dict[str, Any] = {
+        "bag": str(options.recording),
+        "rate": options.rate,
+        "loop": options.loop,
+        "start": options.start,
+        "paused": options.paused,
+    }
+    # an empty list has no type in ROS
+    if options.topics:
+        parameters["topics"] = options.topics
+    if options.followers:
+        parameters["consumers"] = options.followers
+    if "recorder" in options.followers:
+        prepare_folder(options.out)
+    return replay(parameters, options.out)

@@ -1,0 +1,316 @@
+"""The node that plays a recording again: same bytes, same timing, same quality of service."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.nodes.flow_control import POLL, Followers
+from capture_sim.nodes.following import FOLLOWED
+from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.playing import Transport
+from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
+from capture_sim.topics import (
+    BENCH_STATE,
+    CLOCK,
+    RUN_INFO,
+    STREAM_ACK,
+    STREAM_COUNTS,
+    topic_named,
+    topics_of,
+)
+
+PLAYER = "player"
+#: Readers that a writer has found may need this long to find it too, s (wall).
+SETTLING = 0.3
+#: A run's followers get this long to close their files, s (wall).
+CLOSING_TIME = 60.0
+
+
+class PlayerNode(BenchNode):
+    """Publishes the serialised messages of a recording.
+
+    Types that are not installed are left out with a warning.  Nodes of the bench that are
+    named as consumers follow the played run as they follow the simulator's: they are awaited
+    at the start and never outrun, and what they publish themselves is not played.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(PLAYER)
+        path = self.declare("bag", "", "recording: an .mcap file, or a bag's folder")
+        if not path:
+            raise ParameterError("parameter bag = '': allowed is an .mcap file or a bag's folder")
+        rate = self.declare(
+            "rate", 1.0, "recorded seconds per second; 0 as fast as it goes", low=0.0, high=1000.0
+        )
+        self._loop = self.declare("loop", False, "play again and again")
+        self._offset = self.declare(
+            "start", 0.0, "s after the recording's start, to begin at", low=0.0, high=1e9
+        )
+        wanted = self.declare("topics", list, "those that are played; all unless given")
+        paused = self.declare("paused", False, "start paused")
+        consumers = self.declare(
+            "consumers", list, "nodes of the bench that take part: awaited and never outrun"
+        )
+        self._window = self.declare(
+            "window", 800, "samples that may be ahead of the slowest consumer", low=200, high=900
+        )
+        self._patience = self.declare(
+            "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
+        )
+        self._delay = self.declare(
+            "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
+        )
+        self._clock_rate = self.declare(
+            "clock_rate",
+            100.0,
+            "Hz, of /clock where the recording has none; 0 none",
+            low=0.0,
+            high=1e4,
+        )
+        self._playback = Playback(path)
+        length = (self._playback.end - self._playback.start) / 1e9
+        if self._offset > length:
+            raise ParameterError(
+                f"parameter start = {self._offset:g} s: allowed is 0 to {length:g}, "
+                "the recording's length"
+            )
+        self._consumers = list(consumers)
+        self._played = self._chosen(wanted)
+        self._transport = Transport(rate, paused=paused)
+        self._followers = Followers(self._consumers, 10.0)
+        self._outlets: dict[str, Any] = {}
+        for name in self._played:
+            self._open(self._playback.topics[name])
+        self._ticker = None
+        if CLOCK.name not in self._outlets and self._clock_rate > 0.0:
+            self._ticker = self.create_publisher(Clock, CLOCK.name, 10)
+        self.listen(STREAM_ACK, self._heard)
+        for name, action in (
+            ("pause", self._transport.pause),
+            ("resume", self._transport.resume),
+            ("play_next", self._transport.step),
+        ):
+            self.create_service(Trigger, f"~/{name}", self._serving(action))
+
+    # set-up
+
+    def _chosen(self, wanted: Sequence[str]) -> list[str]:
+        """Return the names of the topics that are played."""
+        there = self._playback.topics
+        names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(there)
+        unknown = [name for name in names if name not in there]
+        if unknown:
+            raise ParameterError(
+                f"parameter topics = {list(wanted)!r}: {', '.join(unknown)} not in the recording; "
+                f"allowed are {', '.join(sorted(there))}"
+            )
+        own = {
+            topic.absolute_name
+            for consumer in self._consumers
+            for topic in topics_of(consumer)
+            if topic is not STREAM_COUNTS
+        }
+        return [name for name in names if name not in own]
+
+    def _open(self, topic: PlayedTopic) -> None:
+        try:
+            kind = message_class(topic.type_name)
+        except (ImportError, AttributeError, ValueError):
+            self.get_logger().warning(
+                f"{topic.name}: type {topic.type_name} is not installed; it is not played"
+            )
+            return
+        self._outlets[topic.name] = self.create_publisher(kind, topic.name, qos_from(topic.qos))
+
+    def _serving(self, action: Any) -> Any:
+        def serve(_: Any, response: Any) -> Any:
+            response.message = action()
+            response.success = not response.message
+            return response
+
+        return serve
+
+    def _heard(self, ack: Any) -> None:
+        self._followers.heard(ack.consumer, ack.run_id, ack.received)
+
+    # in the main thread
+
+    def work(self) -> int:
+        """Play; return the exit status."""
+        status = OK
+        turn = 0
+        while True:
+            if not self._play(f"/{turn + 1}" if turn else ""):
+                status = FAILED
+            turn += 1
+            if not self._loop:
+                return status
+
+    def _play(self, suffix: str) -> bool:
+        """Play once; return whether all went well."""
+        log: Any = self.get_logger()
+        rename = Renamed(suffix, self._consumers)
+        if self._consumers:
+            self._await(self._all_free, self._patience)
+        elif not suffix:
+            time.sleep(self._delay)
+        self._transport.start()
+        began = time.monotonic()
+        run_id = ""
+        count = states = 0
+        ticks = _Ticks(self._clock_rate)
+        stamp = self._playback.start
+        try:
+            for stamp, name, data in self._playback.messages(self._offset, self._outlets):
+                self._transport.wait_until(stamp)
+                if self._ticker is not None:
+                    self._tick(ticks, stamp)
+                sent = rename(name, data)
+                if sent is None:
+                    continue
+                self._outlets[name].publish(sent)
+                count += 1
+                topic = topic_named(name)
+                if topic is BENCH_STATE:
+                    states += 1
+                    if self._consumers and states % 50 == 0:
+                        self._leave_room(states, run_id)
+                elif topic is RUN_INFO and self._consumers:
+                    run_id = run_id_of(sent)
+                    self._await(lambda run_id=run_id: self._all_ready(run_id), self._patience)
+                    time.sleep(SETTLING)
+                    self._transport.start()
+                    began = time.monotonic()
+            spent = max(time.monotonic() - began, 1e-9)
+            if self._consumers:
+                self._await(self._all_free, CLOSING_TIME)
+            else:
+                self._wait_for_acknowledgement()
+        except CaptureSimError as error:
+            log.error(str(error))
+            return False
+        played = (stamp - self._playback.start) / 1e9 - self._offset
+        log.info(
+            f"{count} messages, {played:.2f} s played in {spent:.2f} s "
+            f"({played / spent:.2f} x real time)"
+        )
+        return not self._followers.lost
+
+    def _tick(self, ticks: _Ticks, stamp: int) -> None:
+        due = ticks.at(stamp)
+        if due is not None and self._ticker is not None:
+            clock = Clock()
+            clock.clock.sec, clock.clock.nanosec = divmod(due, 1_000_000_000)
+            self._ticker.publish(clock)
+
+    def _leave_room(self, states: int, run_id: str) -> None:
+        for name in self._followers.wait_for(states - self._window, run_id):
+            self.get_logger().error(
+                f"{name}: {self._followers.lost[name]}; the recording goes on without it"
+            )
+
+    def _all_free(self) -> str:
+        if unheard := self._followers.unheard():
+            return f"waiting for {', '.join(unheard)} to start"
+        if busy := self._followers.not_in(""):
+            return f"waiting for {', '.join(busy)} to end the last run"
+        return ""
+
+    def _all_ready(self, run_id: str) -> str:
+        if outside := self._followers.not_in(run_id):
+            return f"waiting for {', '.join(outside)} to take up the run"
+        for name, publisher in self._outlets.items():
+            readers = sum(topic_named(name) in FOLLOWED.get(c, ()) for c in self._consumers)
+            if publisher.get_subscription_count() < readers:
+                return f"waiting for {name} to be connected"
+        return ""
+
+    def _await(self, lacking: Any, limit: float) -> None:
+        """Wait until ``lacking`` returns nothing.
+
+        Raises
+        ------
+        CaptureSimError
+            After ``limit``, s.
+        """
+        deadline = time.monotonic() + limit
+        with self._followers.changed:
+            while text := lacking():
+                self._followers.changed.wait(POLL)
+                if time.monotonic() > deadline:
+                    raise CaptureSimError(f"{text}: given up after {limit:g} s")
+
+    def _wait_for_acknowledgement(self) -> None:
+        for publisher in self._outlets.values():
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
+
+
+class _Ticks:
+    """When a clock that is not in the recording is told."""
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(1e9 / rate) if rate > 0.0 else 0
+        self._last = -1
+
+    def at(self, stamp: int) -> int | None:
+        """Return the clock's time to be told before a message of this stamp (ns), if any."""
+        if not self._period or stamp // self._period == self._last:
+            return None
+        self._last = stamp // self._period
+        return self._last * self._period
+
+
+#: rosbag2 wrote numbers once, and names since version 7 of its metadata.
+_RELIABLE = ("reliable", 1)
+_BEST_EFFORT = ("best_effort", 2)
+_TRANSIENT_LOCAL = ("transient_local", 1)
+_KEEP_ALL = ("keep_all", 2)
+_NO_LEASE = 9_000_000_000  # s; what is longer is no bound
+
+
+def qos_from(recorded: dict[str, Any]) -> QoSProfile:
+    """Return the quality of service that rosbag2's profile tells.
+
+    Without one: reliable, volatile, the last 1000 messages.
+    """
+    if not recorded:
+        return QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+    keep_all = recorded.get("history") in _KEEP_ALL
+    best_effort = recorded.get("reliability") in _BEST_EFFORT
+    latched = recorded.get("durability") in _TRANSIENT_LOCAL
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
+        depth=int(recorded.get("depth") or 10),
+        reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+    lease = recorded.get("liveliness_lease_duration")
+    if isinstance(lease, dict) and 0 < lease.get("sec", 0) < _NO_LEASE:
+        profile.liveliness = LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(
+            seconds=lease["sec"], nanoseconds=lease.get("nsec", 0)
+        )
+    return profile
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit status."""
+    return run(PlayerNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

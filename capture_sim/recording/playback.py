@@ -1,0 +1,173 @@
+"""A recording as it is to be played: its topics, and its messages in the order of their times."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rosbags.serde import SerdeError
+
+from capture_sim.errors import RecordingError
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.records import Contents, bag_files, read_contents
+from capture_sim.topics import RUN_INFO, STREAM_COUNTS, topic_named
+
+
+@dataclass(frozen=True)
+class PlayedTopic:
+    """A topic of a recording.
+
+    Attributes
+    ----------
+    name, type_name
+        As recorded, ``package/msg/Name``.
+    qos
+        The first recorded profile, as rosbag2 writes it; empty when none was recorded.
+    """
+
+    name: str
+    type_name: str
+    qos: dict[str, Any]
+
+
+class Playback:
+    """What a player plays.  Of a split recording one file at a time is in memory.
+
+    Parameters
+    ----------
+    path
+        A file, or a bag's folder.
+
+    Attributes
+    ----------
+    topics : dict
+        By name.
+    start, end
+        First and last log time, ns.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, is damaged, or holds no message.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._files = bag_files(self.path)
+        self.topics: dict[str, PlayedTopic] = {}
+        self._last: tuple[int, Contents] = (-1, Contents())
+        spans = []
+        for i in range(len(self._files)):
+            contents = self._read(i)
+            for name, type_name in contents.types.items():
+                qos = _profile(contents.qos.get(name, ""))
+                self.topics.setdefault(name, PlayedTopic(name, type_name, qos))
+            spans += [(min(times), max(times)) for times in contents.log_times.values() if times]
+        if not spans:
+            raise RecordingError(f"{self.path}: nothing to play: it holds no message")
+        self.start = min(first for first, _ in spans)
+        self.end = max(last for _, last in spans)
+
+    def messages(
+        self, offset: float = 0.0, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[int, str, bytes]]:
+        """Yield log time (ns), topic and bytes of the messages, in the order of their times.
+
+        Messages of one time come in the order of their topics in the file.  What is latched
+        and lies before the offset comes first, at the offset's time: without the announcement
+        of the run nobody could follow it.
+
+        Parameters
+        ----------
+        offset
+            s after the start.
+        topics
+            Names of those that are played; None for all.
+        """
+        begin = self.start + round(offset * 1e9)
+        for i in range(len(self._files)):
+            contents = self._read(i)
+            names = [name for name in contents.messages if topics is None or name in topics]
+            sizes = [len(contents.messages[name]) for name in names]
+            times = np.concatenate(
+                [np.array(contents.log_times[name], dtype=np.int64) for name in names]
+                or [np.zeros(0, dtype=np.int64)]
+            )
+            ranks = np.repeat([_rank(name, k) for k, name in enumerate(names)], sizes)
+            owners = np.repeat(np.arange(len(names)), sizes)
+            places = np.concatenate([np.arange(size) for size in sizes] or [times])
+            latched = np.array([self._is_latched(name) for name in names], dtype=bool)
+            wanted = (times >= begin) | (latched[owners] if len(names) else False)
+            times = np.maximum(times, begin)
+            for j in np.lexsort((ranks, times)):
+                if wanted[j]:
+                    name = names[owners[j]]
+                    yield int(times[j]), name, contents.messages[name][places[j]]
+
+    def _is_latched(self, name: str) -> bool:
+        return self.topics[name].qos.get("durability") in ("transient_local", 1)
+
+    def _read(self, i: int) -> Contents:
+        if self._last[0] != i:
+            self._last = (i, read_contents(self._files[i]))
+        return self._last[1]
+
+
+class Renamed:
+    """Gives the run of a recording another id, so that it can be played again in one domain.
+
+    Parameters
+    ----------
+    suffix
+        Put behind the id.
+    without
+        Publishers whose StreamCounts are left out: they take part themselves.
+    """
+
+    def __init__(self, suffix: str, without: Collection[str] = ()) -> None:
+        self._suffix = suffix
+        self._without = without
+
+    def __call__(self, name: str, data: bytes) -> bytes | None:
+        """Return the message as it is to be sent; None when it is left out."""
+        topic = topic_named(name)
+        if topic is None or topic not in (RUN_INFO, STREAM_COUNTS):
+            return data
+        if not self._suffix and topic is RUN_INFO:
+            return data
+        try:
+            message: Any = typestore().deserialize_cdr(data, topic.type_name)
+        except SerdeError as error:
+            raise RecordingError(f"{name}: {error}") from None
+        if topic is STREAM_COUNTS and message.publisher in self._without:
+            return None
+        message.run_id += self._suffix
+        return bytes(typestore().serialize_cdr(message, topic.type_name))
+
+
+def run_id_of(data: bytes) -> str:
+    """Return the run's id in a serialised RunInfo."""
+    try:
+        message: Any = typestore().deserialize_cdr(data, RUN_INFO.type_name)
+    except SerdeError as error:
+        raise RecordingError(f"{RUN_INFO.name}: {error}") from None
+    return str(message.run_id)
+
+
+def _rank(name: str, place: int) -> int:
+    # the counts end the run: they carry no time of their own, and come last of their time
+    return 10_000 if topic_named(name) is STREAM_COUNTS else place
+
+
+def _profile(text: str) -> dict[str, Any]:
+    found: Any = None
+    with suppress(yaml.YAMLError):
+        found = yaml.safe_load(text)
+    if isinstance(found, list) and found and isinstance(found[0], dict):
+        return dict(found[0])
+    return {}
