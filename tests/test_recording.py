@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from mcap.records import Chunk, DataEnd, Message
+from mcap.records import Channel, Chunk, DataEnd, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -75,8 +75,59 @@ def sent(result, run):
     ]
 
 
+def messages_in(path):
+    """Return topic and bytes of all messages of a file, in its order, read by the library."""
+    topics, found = {}, []
+    with path.open("rb") as file:
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                found.append((topics[record.channel_id], record.data))
+    return found
+
+
 def bits(array):
     return np.ascontiguousarray(array).tobytes()
+
+
+# by columns and one by one
+
+
+def test_messages_written_by_columns_are_those_of_the_nodes(path, sent):
+    assert messages_in(path) == [(topic.absolute_name, data) for topic, data in sent]
+
+
+@pytest.mark.parametrize(
+    "name, overrides",
+    [
+        ("paper_designed", ["run.t_end=1.5"]),
+        ("tilt_p10", ["run.state_rate=900", "run.rate=100"]),
+        ("tilt_0", ["run.rate=1000", "run.t_end=3.1"]),
+        ("tilt_0", ["latch=null", "run.t_end=11.0", "run.rate=7.8125", "run.state_rate=1000"]),
+    ],
+)
+def test_by_columns_whatever_the_rates(name, overrides, tmp_path):
+    result = capture_sim.simulate(capture_sim.load_scene(name, overrides))
+    path = write_run(result, tmp_path / "x.mcap", run_id="x")
+    description = RunDescription.of(result.scene, "x", PUBLISHERS)
+    store = typestore()
+    one_by_one = [
+        (topic.absolute_name, bytes(store.serialize_cdr(message, topic.type_name)))
+        for topic, message in run_stream(result, description)
+    ]
+    assert messages_in(path) == one_by_one
+    assert read_run(path).complete
+
+
+def test_a_live_recording_is_not_overwritten(result, sent, tmp_path):
+    live = record(tmp_path, sent).close().path
+    before = live.read_bytes()
+    assert record(tmp_path, sent).close().path == tmp_path / f"{NAME}_2.mcap"
+    assert write_run(result, live) == tmp_path / f"{NAME}_3.mcap"
+    assert live.read_bytes() == before
+    # but a simulated run, which can be made again, is replaced
+    assert write_run(result, tmp_path / f"{NAME}_3.mcap") == tmp_path / f"{NAME}_3.mcap"
 
 
 # our own reader

@@ -57,6 +57,17 @@ if TYPE_CHECKING:
     from capture_sim.launching import LauncherStatus
     from capture_sim.simulation import Result
 
+_BY_COLUMNS = {
+    BENCH_STATE,
+    CLOCK,
+    BUFFER_STATE,
+    CONTACT_STATE,
+    STRING_STATE,
+    CHASER_ODOMETRY,
+    TARGET_ODOMETRY,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+}
 #: Samples whose messages are serialised at a time.
 BLOCK = 8192
 
@@ -78,7 +89,17 @@ class ColumnStream:
         self._event_places = np.maximum.accumulate(places) if len(places) else places
         since = columns_of.since_last_message(result.samples, result.events, self._every)
         self._since = since
-        self._launched: list[LauncherStatus] = []
+        # a judgement follows the first periodic sample that is not earlier; the verdict all
+        self._judged = result.statuses[:-1]
+        told = result.samples["t"][:: self._every]
+        places = np.searchsorted(told, [status.t for status in self._judged], side="left")
+        self._judged_places = np.maximum.accumulate(places) if len(places) else places
+
+    @property
+    def covers_all(self) -> bool:
+        """Whether nothing of the run has to be serialised otherwise, as sensors' readings."""
+        regular = {t for t in topics_of(SIMULATOR) if t.rate in (Rate.STATE, Rate.PERIODIC)}
+        return regular <= _BY_COLUMNS and getattr(self._result.scene, "sensors", None) is None
 
     def head(self) -> Iterator[Sent]:
         """Yield what comes before the first sample."""
@@ -120,7 +141,8 @@ class ColumnStream:
         # two commands and two states at the release
         sent = {LAUNCH_COMMAND.name: 2, LAUNCHER_STATE.name: told + 2}
         yield counts(LAUNCHER, sent)
-        for seq, status in enumerate(result.statuses[told:], told):
+        placed = int((self._judged_places < told).sum())
+        for seq, status in enumerate(result.statuses[placed:], placed):
             yield CAPTURE_STATUS, make.capture_status(seq, status.t, status)
         sent = {CAPTURE_STATUS.name: len(result.statuses)}
         yield counts(CAPTURE_DETECTOR, sent)
@@ -128,7 +150,9 @@ class ColumnStream:
     def _block(self, first: int, samples: np.ndarray) -> tuple[list[Rows], np.ndarray]:
         told = samples[:: self._every]
         begin = first // self._every
-        statuses = self._result.statuses[begin : begin + len(told)]
+        judged = np.flatnonzero(
+            (self._judged_places >= begin) & (self._judged_places < begin + len(told))
+        )
         every_sample = np.arange(first, first + len(samples))
         every_set = every_sample[:: self._every]
         blocks: list[Rows] = []
@@ -150,7 +174,9 @@ class ColumnStream:
         for rank, rows in enumerate(self._periodic(told, begin), 2):
             add([rows], every_set, rank)
         add(self._launcher_states(told, begin), every_set, 98)
-        add(self._capture_states(told, begin, statuses), every_set, 99)
+        if judged.size:
+            places = self._judged_places[judged] * self._every
+            add(self._capture_states(judged), places, 99)
         places = np.concatenate([key[0] for key in keys])
         ranks = np.concatenate([key[1] for key in keys])
         return blocks, np.lexsort((ranks, places))
@@ -250,14 +276,14 @@ class ColumnStream:
             columns = columns_of.launcher_states(some)
             yield self._filled(LAUNCHER_STATE, example, t, seq, columns)
 
-    def _capture_states(
-        self, told: np.ndarray, begin: int, statuses: Sequence[CaptureStatus]
-    ) -> Iterator[Rows]:
+    def _capture_states(self, judged: np.ndarray) -> Iterator[Rows]:
+        first = int(judged[0])
+        statuses = self._judged[first : first + len(judged)]
         for start, some in _alike(statuses):
             example = self._messages.capture_status(0, 0.0, some[0])
-            t = told["t"][start : start + len(some)]
+            t = np.array([status.t for status in some])
             columns = columns_of.capture_statuses(some)
-            yield self._filled(CAPTURE_STATUS, example, t, begin + start, columns)
+            yield self._filled(CAPTURE_STATUS, example, t, first + start, columns)
 
 
 _Status = TypeVar("_Status", "CaptureStatus", "LauncherStatus")

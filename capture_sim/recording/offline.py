@@ -77,6 +77,11 @@ def write_run(
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
     stream = ColumnStream(result, run)
     with RunWriter(path, run, {"origin": SIMULATED}, replace=replace) as writer:
+        if not stream.covers_all:
+            for topic, message in run_stream(result, run):
+                writer.write(topic, message)
+            writer.closing["wall_time"] = repr(result.wall_time)
+            return writer.path
         for topic, message in stream.head():
             writer.write(topic, message)
         for blocks, order in stream.blocks():

@@ -129,6 +129,11 @@ class Run:
         return None if text is None else float(text)
 
     @property
+    def has_scene(self) -> bool:
+        """Whether the file holds the scene that made the run."""
+        return SCENE_ATTACHMENT in self._contents.attachments
+
+    @property
     def scene_text(self) -> str:
         """The resolved scene, YAML.
 

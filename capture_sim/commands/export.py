@@ -1,0 +1,55 @@
+"""``capture-sim export``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from capture_sim.commands.arguments import OK, prepare_folder
+from capture_sim.commands.showing import say
+from capture_sim.errors import RecordingError
+
+HELP = "write a recording as CSV, NumPy or Parquet"
+DESCRIPTION = (
+    "Write a recording as tables: a column for every number, SI units as in msg/, a CSV or "
+    "Parquet file for every topic in a folder, or all in one .npz."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("--to", required=True, choices=("csv", "npz", "parquet"))
+    parser.add_argument(
+        "--out", type=Path, help="folder of the files (default: RUN, beside the recording)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.commands.recorded import open_run
+    from capture_sim.recording.export import flat_columns, save_csv, save_npz, table_name
+
+    recorded = open_run(options.recording)
+    folder = options.out or Path(options.recording).with_suffix("")
+    if options.to == "npz":
+        folder = options.out or Path(options.recording).parent
+    prepare_folder(folder)
+    if options.to == "npz":
+        say(f"written: {save_npz(recorded, folder / f'{Path(options.recording).stem}.npz')}")
+        return OK
+    if options.to == "csv":
+        paths = save_csv(recorded, folder)
+    else:
+        try:
+            from capture_sim.viewing.tables import save_parquet
+        except ImportError as error:
+            raise RecordingError(f"--to parquet: needs pyarrow: {error}") from None
+        paths = [
+            save_parquet(flat_columns(recorded, topic), folder / f"{table_name(topic)}.parquet")
+            for topic, count in recorded.topics.items()
+            if count
+        ]
+    for path in paths:
+        say(f"written: {path}")
+    return OK

@@ -1,0 +1,99 @@
+"""``capture-sim identify``."""
+
+from __future__ import annotations
+
+import argparse
+
+from capture_sim.commands.arguments import FAILED, OK, add_overrides, not_negative
+from capture_sim.commands.showing import compile_first, say
+
+HELP = "fit parameters of the bench to a recorded run"
+DESCRIPTION = (
+    "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
+    "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
+    "are fitted, and the first touches where they were recorded. Prints values with standard "
+    "errors. Exit status 1 when the model does not explain what was measured."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("parameters", nargs="+", metavar="PARAMETER")
+    parser.add_argument(
+        "--scene", help="scene of a bag that holds none: a name or a YAML file", default=None
+    )
+    parser.add_argument(
+        "--until", type=not_negative, metavar="S", help="leave out what was measured later"
+    )
+    parser.add_argument(
+        "--touches",
+        type=int,
+        default=4,
+        metavar="N",
+        help="touches that are fitted by time and peak force; 0 none (default: 4)",
+    )
+    parser.add_argument(
+        "--touch-noise",
+        nargs=2,
+        type=not_negative,
+        default=(2e-4, 2.0),
+        metavar=("S", "N"),
+        help="standard deviations of a touch's time and peak force (default: 2e-4 2)",
+    )
+    parser.add_argument(
+        "--starts", type=int, default=10, metavar="N", help="searches at most (default: 10)"
+    )
+    add_overrides(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.commands.recorded import open_run, scene_of
+    from capture_sim.identification import ALIASES, identify, is_explained, value_of
+    from capture_sim.recording.measured import first_touches, launch_of, measurements
+
+    recorded = open_run(options.recording)
+    scene = scene_of(recorded, options.scene, options.overrides)
+    compile_first()
+    touches = None
+    if options.touches > 0:
+        touches = first_touches(recorded, options.touches, *options.touch_noise)
+    fit = identify(
+        scene,
+        measurements(recorded),
+        options.parameters,
+        plan=launch_of(recorded, scene),
+        touches=touches,
+        until=float("inf") if options.until is None else options.until,
+        starts=options.starts,
+    )
+    used = 0 if touches is None else touches.start.size
+    say(f"{'parameter':16} {'value':>14} {'+-':>12} {'%':>8} {'began at':>14}")
+    for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
+        share = f"{error / abs(value):.2%}" if value else "-"
+        bound = "   at the bound of its range" if name in fit.at_bound else ""
+        say(
+            f"{name:16} {value:14.6g} {error:12.2g} {share:>8} {value_of(scene, name):14.6g}{bound}"
+        )
+    for i, first in enumerate(fit.names):
+        for j, second in enumerate(fit.names[:i]):
+            if abs(fit.correlation[i, j]) > 0.9:
+                say(f"{second} and {first} are hard to tell apart: {fit.correlation[i, j]:+.2f}")
+    say(
+        f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
+        f"{used} touches, {fit.evaluations} simulations"
+    )
+    changes = [
+        f"--set {path}={value:.9g}"
+        for name, value in zip(fit.names, fit.values, strict=True)
+        for path in ALIASES.get(name, (name,))
+    ]
+    say(" ".join(changes))
+    if not is_explained(fit):
+        say(
+            "the model does not explain what was measured: the errors are widened by "
+            f"{fit.chi2**0.5:.3g}, and may still be too small"
+        )
+        return FAILED
+    return OK

@@ -1,0 +1,37 @@
+"""What the commands that examine a recording share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from capture_sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from capture_sim.recording import Run
+    from capture_sim.scene import Scene
+
+
+def open_run(path: str) -> Run:
+    """Read a recording, and say what is wrong with it."""
+    from capture_sim.recording import read_run
+
+    run = read_run(path)
+    for problem in run.problems:
+        print(f"capture-sim: {path}: {problem}", file=sys.stderr)
+    return run
+
+
+def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
+    """Return the recorded scene, or for a bag without one the given one, with changes."""
+    from capture_sim.errors import RecordingError
+    from capture_sim.scene_files import load_scene, load_scene_text
+
+    if given is not None:
+        return load_scene(given, overrides)
+    try:
+        text = run.scene_text
+    except RecordingError as error:
+        raise SceneError(f"{error}: name one by --scene") from None
+    return load_scene_text(text, overrides)

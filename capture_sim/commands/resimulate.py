@@ -1,0 +1,58 @@
+"""``capture-sim resimulate``."""
+
+from __future__ import annotations
+
+import argparse
+
+from capture_sim.commands.arguments import FAILED, OK, not_negative
+from capture_sim.commands.showing import compile_first, say
+from capture_sim.errors import RecordingError
+
+HELP = "simulate a recorded run again and compare state by state"
+DESCRIPTION = (
+    "Simulate a recorded run again from the scene inside it and compare it state by state. "
+    "Exit status 1 when a coordinate differs by more than the tolerance."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument(
+        "--tolerance",
+        type=not_negative,
+        default=0.0,
+        help="difference of coordinates that is allowed, m and rad (default: 0, not a bit)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.commands.recorded import open_run, scene_of
+    from capture_sim.messages import software_versions
+    from capture_sim.resimulation import agreement
+    from capture_sim.simulation import simulate
+
+    recorded = open_run(options.recording)
+    scene = scene_of(recorded, None, ())
+    if not recorded.samples.size:
+        raise RecordingError(f"{options.recording}: holds no bench/state to compare with")
+    compile_first()
+    again = simulate(scene)
+    found = agreement(recorded.samples, again.samples, recorded.events, again.events)
+    say(f"{found.compared} samples compared, {found.only} in one run alone")
+    if found.identical:
+        say("identical, bit for bit, events included")
+    for difference in found.differences:
+        say(
+            f"  {difference.name:20} differs by up to {difference.largest:.3g}, "
+            f"first at {difference.first:.4f} s"
+        )
+    if not found.same_events:
+        say("  the events differ")
+    before = recorded.metadata.get("software", "").split("\n")
+    for line in sorted(set(before) ^ set(software_versions())):
+        if line:
+            say(f"  {'then' if line in before else 'now'}: {line}")
+    worst = max((d.largest for d in found.differences if d.name == "q"), default=0.0)
+    return OK if worst <= options.tolerance and found.compared else FAILED

@@ -1,0 +1,399 @@
+"""Fitting parameters of the bench to measurements, with standard errors.
+
+Weighted least squares on the simulator itself: the residuals are what was measured less what
+is simulated, each divided by its noise; scipy's trust-region method (Branch, Coleman and Li,
+1999) keeps the parameters within their ranges.  The covariance is that of the linearised
+problem, (J^T J)^-1, widened where the residuals are larger than the noise explains.
+
+Poses, stroke and torsion depend on the parameters smoothly, through all chatter of the tip.
+A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
+it.  Instead of it the first touches serve, by the time of their start and their peak force,
+in a second stage when the fit is near enough for the touches to correspond.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from capture_sim.bench import Bench, compile_kernels
+from capture_sim.errors import SceneError, SimulationError
+from capture_sim.launching import LaunchPlan
+from capture_sim.measurements import Measurements, Series, measured_in
+from capture_sim.scene import Scene
+
+#: Short names, and where the value stands in a scene.
+ALIASES: Mapping[str, tuple[str, ...]] = {
+    "c_rr": ("supports.chaser.c_rr", "supports.target.c_rr"),
+    "e": ("contact.restitution",),
+    "mu": ("friction.mu",),
+    "c_A": ("buffer.c_A",),
+}
+#: Least noise that is believed: rounding and what no sensor betters; m, rad, m, rad.
+NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
+    "chaser": (1e-6, 1e-6, 1e-6),
+    "target": (1e-6, 1e-6, 1e-6),
+    "stroke": (1e-7,),
+    "torsion": (1e-7,),
+}
+#: Step of the numerical derivatives, of a parameter's scale.
+_STEP = 3e-3
+#: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
+_FAR = 1e3
+
+
+@dataclass(frozen=True)
+class Touches:
+    """The first touches of a run, in order.
+
+    Attributes
+    ----------
+    start : ndarray (n,)
+        s.
+    peak : ndarray (n,)
+        N.
+    start_noise, peak_noise
+        Standard deviations, s and N.
+    """
+
+    start: np.ndarray
+    peak: np.ndarray
+    start_noise: float
+    peak_noise: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit gave.
+
+    Attributes
+    ----------
+    names
+        Of the parameters.
+    values, errors : ndarray (k,)
+        Fitted, and their standard errors; units of the scene's fields.
+    correlation : ndarray (k, k)
+        Of the errors.
+    chi2
+        Sum of the squared residuals over the degrees of freedom: 1 when the model explains
+        all but the noise.
+    freedom
+        Degrees of freedom: residuals less parameters.
+    at_bound
+        Parameters that ended at a bound of their range: their errors mean nothing.
+    evaluations
+        Simulations that it took.
+    scene
+        With the fitted values.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    errors: np.ndarray
+    correlation: np.ndarray
+    chi2: float
+    freedom: int
+    at_bound: tuple[str, ...]
+    evaluations: int
+    scene: Scene = field(repr=False)
+
+
+def identify(
+    scene: Scene,
+    measured: Measurements,
+    names: Sequence[str],
+    *,
+    plan: LaunchPlan | None = None,
+    touches: Touches | None = None,
+    noise: Mapping[str, Sequence[float]] | None = None,
+    until: float = math.inf,
+    starts: int = 10,
+    seed: int = 0,
+) -> Fit:
+    """Fit parameters of a scene to what was measured in one run.
+
+    Parameters
+    ----------
+    scene
+        With the values where the search begins.
+    measured
+        Times in s since the release.  The force is not used, see above.
+    names
+        ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, or fields as ``buffer.k_A``.
+    plan
+        The launch as it was done; None lets the scene's be planned.  It stays as it is
+        whatever the parameters.
+    touches
+        The first touches; None does without.
+    noise
+        Standard deviations by series, see :data:`NOISE_FLOOR`; what is missing is estimated
+        from the series' own scatter.
+    until
+        s; what was measured later is not used.
+    starts
+        Searches at most.  The first begins at the scene's values; where it ends with more
+        left than noise explains, others begin within a factor of two of them.
+    seed
+        Of the other places.
+
+    Raises
+    ------
+    SceneError
+        A name is unknown or given twice, or nothing was measured.
+    SimulationError
+        The scene cannot be simulated where the search begins.
+    """
+    compile_kernels()
+    problem = _Problem(scene, measured, names, plan, noise or {}, until)
+    problem.simulate(problem.begin)  # raises what is wrong with the scene
+    rng = np.random.default_rng(seed)
+    best: Any = None
+    for k in range(max(starts, 1)):
+        begin = problem.begin * 2.0 ** rng.uniform(-1.0, 1.0, problem.begin.size) if k else None
+        found = problem.solve(problem.begin if begin is None else begin, None)
+        if touches is not None:
+            found = problem.solve(found.x, touches)
+        if best is None or found.cost < best.cost:
+            best = found
+            fit = problem.result(best, touches)
+        if is_explained(fit):
+            break
+    return fit
+
+
+def is_explained(fit: Fit) -> bool:
+    """Whether what is left of the measurements is no larger than noise makes it."""
+    # chi2 of so many freedoms scatters by sqrt(2 / freedom); noise is known to some 10 %
+    return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)
+
+
+def value_of(scene: Scene, name: str) -> float:
+    """Return the value of a parameter in a scene.
+
+    Raises
+    ------
+    SceneError
+        It is no number there.
+    """
+    return float(_get(scene, paths_of(scene, name)[0]))
+
+
+class _Problem:
+    """Residuals as a function of the scaled parameters."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        measured: Measurements,
+        names: Sequence[str],
+        plan: LaunchPlan | None,
+        noise: Mapping[str, Sequence[float]],
+        until: float,
+    ) -> None:
+        self._names = tuple(names)
+        self._paths = [paths_of(scene, name) for name in names]
+        if not names or len(set(names)) != len(names):
+            raise SceneError(f"parameters {', '.join(names)!r}: allowed are names, each once")
+        self._scene = scene
+        self._plan = Bench(scene).plan if plan is None else plan
+        self.evaluations = 0
+        self._series: list[tuple[str, Series, np.ndarray]] = []
+        for name, series in measured.items():
+            kept = (series.t <= min(until, scene.run.t_end)) & (series.t >= 0.0)
+            if name in NOISE_FLOOR and kept.any():
+                cut = Series(series.t[kept], series.values[kept])
+                sigma = np.asarray(noise.get(name) or scatter(cut), dtype=float)
+                self._series.append((name, cut, np.maximum(sigma, NOISE_FLOOR[name])))
+        if not self._series:
+            raise SceneError(
+                "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
+            )
+        self._times = np.unique(np.concatenate([series.t for _, series, _ in self._series]))
+        values = [_get(scene, paths[0]) for paths in self._paths]
+        # a value of zero has no scale of its own
+        self._scale = np.array(
+            [abs(v) if v else _usual(n) for v, n in zip(values, names, strict=True)]
+        )
+        self.begin = np.array(values) / self._scale
+        ranges = [_range(scene, paths[0]) for paths in self._paths]
+        self._low = np.array([low for low, _ in ranges]) / self._scale
+        self._high = np.array([high for _, high in ranges]) / self._scale
+
+    def clipped(self, x: np.ndarray) -> np.ndarray:
+        """Return parameters strictly within their ranges, as the search wants them."""
+        margin = 1e-6
+        return np.clip(x, self._low + margin, self._high - margin)
+
+    def scene_at(self, x: np.ndarray) -> Scene:
+        """Return the scene with these scaled parameters."""
+        scene = self._scene
+        for value, paths in zip(x * self._scale, self._paths, strict=True):
+            for path in paths:
+                scene = _set(scene, path, float(value))
+        if scene.string is not None:  # what hangs there does not follow the parameters
+            scene = dataclasses.replace(
+                scene,
+                string=dataclasses.replace(
+                    scene.string,
+                    impact_speed=None,
+                    hanging_mass=self._plan.hanging_mass,
+                    drop_height=self._plan.drop_height,
+                ),
+            )
+        return scene
+
+    def simulate(self, x: np.ndarray) -> tuple[Measurements, np.ndarray]:
+        """Return what would be measured, and the touches."""
+        self.evaluations += 1
+        bench = Bench(self.scene_at(x))
+        samples = bench.advance(self._times)
+        return measured_in(samples), bench.touches
+
+    def residuals(self, x: np.ndarray, touches: Touches | None) -> np.ndarray:
+        """Return measured less simulated, in units of noise."""
+        try:
+            simulated, touched = self.simulate(x)
+        except SimulationError:
+            size = sum(series.values.size for _, series, _ in self._series)
+            return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAR)
+        parts = []
+        for name, series, sigma in self._series:
+            own: Series = getattr(simulated, name)
+            if own.t.size < self._times.size:  # the run ended before: it stays where it is
+                last = np.searchsorted(own.t, series.t, side="right") - 1
+                values = own.values[np.maximum(last, 0)]
+            else:
+                values = own.values[np.searchsorted(own.t, series.t)]
+            parts.append(((series.values - values) / sigma).ravel())
+        if touches is not None:
+            touched = touched[np.argsort(touched["start"], kind="stable")]
+            n = min(touches.start.size, touched.size)
+            far = np.full(touches.start.size - n, _FAR)
+            start = (touches.start[:n] - touched["start"][:n]) / touches.start_noise
+            peak = (touches.peak[:n] - touched["peak_force"][:n]) / touches.peak_noise
+            parts += [start, far, peak, far]
+        return np.concatenate(parts)
+
+    def jacobian(self, x: np.ndarray, touches: Touches | None) -> np.ndarray:
+        """Return the derivatives of the residuals, by central differences."""
+        columns = []
+        for k in range(x.size):
+            ahead, back = x.copy(), x.copy()
+            ahead[k] = min(x[k] + _STEP, self._high[k])
+            back[k] = max(x[k] - _STEP, self._low[k])
+            change = self.residuals(ahead, touches) - self.residuals(back, touches)
+            columns.append(change / (ahead[k] - back[k]))
+        return np.stack(columns, axis=1)
+
+    def solve(self, begin: np.ndarray, touches: Touches | None) -> Any:
+        """Return scipy's result of a search from there."""
+        return least_squares(
+            lambda x: self.residuals(x, touches),
+            self.clipped(begin),
+            jac=lambda x: self.jacobian(x, touches),
+            bounds=(self._low, self._high),
+            xtol=1e-8,
+            ftol=1e-8,
+            max_nfev=60,
+        )
+
+    def result(self, found: Any, touches: Touches | None) -> Fit:
+        """Return the fit of a search that has ended."""
+        J = self.jacobian(found.x, touches)
+        freedom = max(found.fun.size - found.x.size, 1)
+        chi2 = float(2.0 * found.cost / freedom)
+        # singular when the data do not tell a parameter at all: its error is then infinite
+        _, singular, right = np.linalg.svd(J, full_matrices=False)
+        tiny = singular <= 1e-10 * singular.max(initial=1e-300)
+        with np.errstate(divide="ignore"):
+            inverse = np.where(tiny, np.inf, singular**-2.0)
+        loads = right.T**2
+        variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
+        finite = np.where(tiny, 0.0, inverse)
+        covariance = (right.T * finite) @ right
+        spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        near = np.minimum(found.x - self._low, self._high - found.x) < 1e-4
+        return Fit(
+            names=self._names,
+            values=found.x * self._scale,
+            errors=np.sqrt(variance * max(1.0, chi2)) * self._scale,
+            correlation=covariance / np.outer(spread, spread),
+            chi2=chi2,
+            freedom=freedom,
+            at_bound=tuple(n for n, at in zip(self._names, near, strict=True) if at),
+            evaluations=self.evaluations,
+            scene=self.scene_at(found.x),
+        )
+
+
+def scatter(series: Series) -> np.ndarray:
+    """Estimate the noise of a smooth series from its third differences.
+
+    The third difference of white noise has 20 times its variance, that of a smooth motion
+    is small; the median keeps bends at touches from counting.
+
+    Parameters
+    ----------
+    series
+        n evenly spaced values or rows of m.
+
+    Returns
+    -------
+    ndarray (m,)
+        Standard deviations; m = 1 for plain values.
+    """
+    values = series.values.reshape(len(series.t), -1)
+    if len(values) < 5:
+        return np.zeros(values.shape[1])
+    rough = np.abs(np.diff(values, n=3, axis=0))
+    return np.asarray(np.median(rough, axis=0) / 0.6745 / math.sqrt(20.0))
+
+
+def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
+    """Return where a parameter stands in a scene.
+
+    Raises
+    ------
+    SceneError
+        It is no number there.
+    """
+    paths = ALIASES.get(name, (name,))
+    for path in paths:
+        value = _get(scene, path)
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            known = ", ".join(ALIASES)
+            raise SceneError(
+                f"parameter {name}: allowed are {known}, or a number of the scene as buffer.k_A"
+            )
+    return paths
+
+
+def _get(scene: Scene, path: str) -> Any:
+    value: Any = scene
+    for part in path.split("."):
+        value = getattr(value, part, None)
+    return value
+
+
+def _set(part: Any, path: str, value: float) -> Any:
+    name, _, rest = path.partition(".")
+    new = _set(getattr(part, name), rest, value) if rest else value
+    return dataclasses.replace(part, **{name: new})
+
+
+def _range(scene: Scene, path: str) -> tuple[float, float]:
+    *parents, name = path.split(".")
+    owner = _get(scene, ".".join(parents)) if parents else scene
+    (declared,) = (f for f in dataclasses.fields(owner) if f.name == name)
+    allowed = declared.metadata.get("allowed")
+    return (-math.inf, math.inf) if allowed is None else (allowed.low, allowed.high)
+
+
+def _usual(name: str) -> float:
+    return {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}.get(name, 1.0)

@@ -1,0 +1,77 @@
+"""What can be measured on a bench, as time series of their own rates.
+
+From a recording of a real bench, of the nodes, or from a simulation: comparison and
+identification need nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+_CHASER, _TARGET = slice(0, 3), slice(5, 8)
+
+
+class Series(NamedTuple):
+    """One measured thing.
+
+    Attributes
+    ----------
+    t : ndarray (n,)
+        s, ascending.
+    values : ndarray (n,) or (n, m)
+        SI units.
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+_NOTHING = Series(np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Time series of a run; one that was not measured is empty.
+
+    Attributes
+    ----------
+    chaser, target
+        Poses in the world (n, 3): x m, y m, theta rad.
+    stroke
+        h - rest length, m.
+    torsion
+        theta_P - theta_S, rad.
+    force
+        Magnitude of the force on the tip, N.
+    """
+
+    chaser: Series = _NOTHING
+    target: Series = _NOTHING
+    stroke: Series = _NOTHING
+    torsion: Series = _NOTHING
+    force: Series = _NOTHING
+
+    def items(self) -> list[tuple[str, Series]]:
+        """Return name and series of all that was measured."""
+        named = [(f.name, getattr(self, f.name)) for f in fields(self)]
+        return [(name, series) for name, series in named if series.t.size]
+
+    def shifted(self, by: float) -> Measurements:
+        """Return the same with all times later by so much, s."""
+        return Measurements(**{n: Series(s.t + by, s.values) for n, s in self.items()})
+
+
+def measured_in(samples: np.ndarray) -> Measurements:
+    """Return what perfect sensors would measure in samples, (n,) of dtype SAMPLE."""
+    t, q = samples["t"], samples["q"]
+    force = samples["contact_force"] + samples["latch_force"]
+    return Measurements(
+        chaser=Series(t, q[:, _CHASER]),
+        target=Series(t, q[:, _TARGET]),
+        stroke=Series(t, samples["axial_stroke"]),
+        torsion=Series(t, samples["torsion"]),
+        force=Series(t, np.hypot(force[:, 0], force[:, 1])),
+    )
