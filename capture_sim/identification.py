@@ -259,7 +259,7 @@ class _Problem:
         """Return measured less simulated, in units of noise."""
         try:
             simulated, touched = self.simulate(x)
-        except SimulationError:
+        except (SimulationError, SceneError):  # that far off the bench does not work
             size = sum(series.values.size for _, series, _ in self._series)
             return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAR)
         parts = []
@@ -311,10 +311,10 @@ class _Problem:
         # singular when the data do not tell a parameter at all: its error is then infinite
         _, singular, right = np.linalg.svd(J, full_matrices=False)
         tiny = singular <= 1e-10 * singular.max(initial=1e-300)
-        with np.errstate(divide="ignore"):
-            inverse = np.where(tiny, np.inf, singular**-2.0)
         loads = right.T**2
-        variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(tiny, np.inf, singular**-2.0)
+            variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
         finite = np.where(tiny, 0.0, inverse)
         covariance = (right.T * finite) @ right
         spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

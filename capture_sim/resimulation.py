@@ -77,7 +77,8 @@ def agreement(
         if differs.any():
             gap = np.abs(mine.astype(float) - theirs.astype(float))
             found.append(Difference(name, float(gap.max()), float(times[differs.argmax()])))
-    until = float(times[-1]) if times.size else -1.0
+    # one that was cut off is compared as far as it goes
+    until = np.inf if len(a) == len(b) else min(a["t"][-1:].sum(), b["t"][-1:].sum())
     told_a, told_b = (
         [(event.kind, event.t, event.wall) for event in events if event.t <= until]
         for events in (events_a, events_b)

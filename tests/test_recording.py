@@ -8,8 +8,10 @@ import json
 import os
 import re
 import resource
+import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,7 @@ from rosbags.rosbag2 import Reader
 import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.messages import RunDescription
-from capture_sim.recording import LiveRecorder, RunWriter, Tally, read_run, write_run
+from capture_sim.recording import LiveRecorder, RunWriter, Split, Tally, read_run, write_run
 from capture_sim.recording import live as live_module
 from capture_sim.recording.cdr import columns, sequence_of, stamp_of
 from capture_sim.recording.definitions import (
@@ -649,6 +651,122 @@ def test_bytes_that_are_no_message_are_refused(sent, tmp_path):
         recorder.take(BENCH_STATE, b"\0\1\0\0")
     with pytest.raises(RecordingError):
         recorder.take(STREAM_COUNTS, b"\0\1\0\0\xff")
+
+
+# a recorder that is paused, split, told which topics
+
+
+def test_paused_recorder_counts_what_it_does_not_write(sent, tmp_path):
+    recorder = LiveRecorder(tmp_path)
+    for i, (topic, data) in enumerate(sent):
+        recorder.paused = 4000 <= i < 6000
+        recorder.take(topic, data)
+    assert recorder.done  # all that was sent has been seen
+    report = recorder.close()
+    assert not report.complete
+    seen = Counter(topic.name for topic, _ in sent)
+    skipped = Counter(topic.name for topic, _ in sent[4000:6000])
+    run = read_run(report.path)
+    for name, entry in report.topics.items():
+        if name != "bench/stream_counts":
+            assert (entry.seen, entry.written) == (seen[name], seen[name] - skipped[name])
+            assert len(run.raw(name)) == entry.written
+    assert f"bench/state: {skipped['bench/state']} messages not written, paused" in report.problems
+    # the file itself tells where
+    assert any(line.startswith("bench/state: ") and "(seq " in line for line in run.problems)
+
+
+def test_recorder_told_which_topics(sent, tmp_path):
+    recorder = record(tmp_path, sent, topics=[BENCH_STATE, CAPTURE_STATUS])
+    assert recorder.done
+    report = recorder.close()
+    assert report.complete
+    run = read_run(report.path)
+    assert run.complete
+    kept = {"/bench/state", "/capture/status", "/bench/run_info", "/bench/stream_counts"}
+    assert set(run.topics) == kept
+    assert run.topics["/bench/state"] == sum(topic is BENCH_STATE for topic, _ in sent)
+
+
+@pytest.mark.parametrize("split", [Split(time=1.5), Split(size=400_000)])
+def test_split_recording_is_one_run_and_a_bag(split, path, sent, tmp_path):
+    report = record(tmp_path, sent, split=split).close()
+    assert report.complete
+    assert report.path == tmp_path / NAME
+    files = sorted(report.path.glob("*.mcap"), key=lambda file: file.stat().st_mtime)
+    assert len(files) == 5
+    whole, run = read_run(path), read_run(report.path)
+    assert run.complete
+    for name in whole.topics:
+        assert run.raw(name) == whole.raw(name)
+    for file in files:  # each explains itself
+        assert read_run(file).scene == whole.scene
+        if split.size:
+            assert file.stat().st_size < 1.3 * split.size
+    with Reader(report.path) as reader:
+        assert reader.message_count == len(sent)
+        assert reader.start_time == 10**9
+    again = record(tmp_path, sent, split=split).close()
+    assert again.path == tmp_path / f"{NAME}_2"
+
+
+def test_split_recording_without_metadata_is_read_in_order(path, sent, tmp_path):
+    folder = record(tmp_path, sent, split=Split(time=0.4)).close().path
+    assert len(list(folder.glob("*.mcap"))) > 10  # so that names do not sort as numbers
+    (folder / "metadata.yaml").unlink()
+    assert bits(read_run(folder).samples) == bits(read_run(path).samples)
+
+
+# disks that are full
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of a megabyte."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("mounting a small file system needs root")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_full_disk_keeps_what_was_written(small_disk, result, sent):
+    with pytest.raises(RecordingError, match="cannot write: No space left on device"):
+        write_run(result, small_disk / "offline.mcap")
+    run = read_run(small_disk / "offline.mcap")
+    n = len(run.samples)
+    assert 0 < n < len(result.samples)
+    assert bits(run.samples) == bits(result.samples[:n])
+    (small_disk / "offline.mcap").unlink()
+    with pytest.raises(RecordingError, match="cannot write: No space left on device"):
+        record(small_disk, sent).close()
+    run = read_run(small_disk / f"{NAME}.mcap")
+    assert bits(run.samples) == bits(result.samples[: len(run.samples)])
+    assert len(run.samples) > 0
+
+
+# every type, by readers that know nothing of us
+
+
+def test_every_message_type_comes_back_byte_by_byte(path, sent):
+    by_topic = {}
+    for topic, data in sent:
+        by_topic.setdefault(topic.absolute_name, []).append(data)
+    with AnyReader([path]) as reader:  # types from the definitions in the file
+        found = {name: [] for name in by_topic}
+        for connection, _, data in reader.messages():
+            found[connection.topic].append(bytes(data))
+            message = reader.deserialize(data, connection.msgtype)
+            again = reader.typestore.serialize_cdr(message, connection.msgtype)
+            assert bytes(again) == bytes(data)
+    assert found == by_topic
+    assert set(by_topic) == {topic.absolute_name for topic in RECORDED}
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        decoded = Counter(channel.topic for _, channel, *_ in reader.iter_decoded_messages())
+    assert decoded == {name: len(messages) for name, messages in by_topic.items()}
 
 
 # small parts

@@ -1,0 +1,103 @@
+"""Runs with known parameters as a bench would measure them: noisy poses, strokes and touches."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.bench import Bench
+from capture_sim.identification import Touches
+from capture_sim.launching import LaunchPlan, plan_launch
+from capture_sim.measurements import Measurements, Series, measured_in
+from capture_sim.scene import Scene
+from capture_sim.scene_files import load_scene
+
+#: What is fitted.
+NAMES = ("c_rr", "e", "mu", "c_A")
+#: The true values are drawn evenly between these.
+LOW, HIGH = (0.0007, 0.2, 0.2, 8.0), (0.0013, 0.85, 0.45, 18.0)
+#: Standard deviations: motion capture (m, m, rad), stroke (m), torsion (rad), start of a
+#: touch (s) and its peak force (N).
+POSE_NOISE = (2e-4, 2e-4, 1e-3)
+STROKE_NOISE, TORSION_NOISE = 5e-5, 2e-4
+START_NOISE, PEAK_NOISE = 2e-4, 2.0
+#: Rate of the measurements, Hz, and how many touches are used.
+RATE, TOUCHES = 100.0, 4
+
+
+@dataclass(frozen=True)
+class NoisyRun:
+    """A run as measured.
+
+    Attributes
+    ----------
+    scene
+        Where a search may begin: its parameters are not the true ones.
+    plan
+        The launch, planned for the scene.
+    true : ndarray (4,)
+        Of :data:`NAMES`.
+    measured, touches
+        With noise.
+    """
+
+    scene: Scene
+    plan: LaunchPlan
+    true: np.ndarray
+    measured: Measurements
+    touches: Touches
+
+
+def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> NoisyRun:
+    """Run an experiment with parameters drawn at random, or given, and measure it."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(LOW, HIGH)
+    values = drawn if true is None else np.array(true)
+    scene = load_scene(name)
+    plan = plan_launch(scene)
+    bench = Bench(_with(scene, plan, *values.tolist()))
+    samples = bench.advance(np.arange(0.0, scene.run.t_end, 1.0 / RATE))
+    exact = measured_in(samples)
+
+    def noisy(series: Series, sigma: float | tuple[float, ...]) -> Series:
+        return Series(series.t, series.values + rng.normal(size=series.values.shape) * sigma)
+
+    measured = Measurements(
+        chaser=noisy(exact.chaser, POSE_NOISE),
+        target=noisy(exact.target, POSE_NOISE),
+        stroke=noisy(exact.stroke, STROKE_NOISE),
+        torsion=noisy(exact.torsion, TORSION_NOISE),
+    )
+    met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:TOUCHES]
+    touches = Touches(
+        met["start"] + rng.normal(size=met.size) * START_NOISE,
+        met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
+        START_NOISE,
+        PEAK_NOISE,
+    )
+    return NoisyRun(scene, plan, values, measured, touches)
+
+
+def _with(scene: Scene, plan: LaunchPlan, c_rr: float, e: float, mu: float, c_A: float) -> Scene:
+    replace = dataclasses.replace
+    assert scene.supports is not None
+    assert scene.string is not None
+    return replace(
+        scene,
+        supports=replace(
+            scene.supports,
+            chaser=replace(scene.supports.chaser, c_rr=c_rr),
+            target=replace(scene.supports.target, c_rr=c_rr),
+        ),
+        contact=replace(scene.contact, restitution=e),
+        friction=replace(scene.friction, mu=mu),
+        buffer=replace(scene.buffer, c_A=c_A),
+        string=replace(
+            scene.string,
+            impact_speed=None,
+            hanging_mass=plan.hanging_mass,
+            drop_height=plan.drop_height,
+        ),
+    )

@@ -1,0 +1,101 @@
+"""Trials with damaged recordings: what must be saved of a file that was cut or changed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from capture_sim.errors import RecordingError
+from capture_sim.recording.reader import read_run
+from capture_sim.recording.recover import recover
+
+#: Start and end of a chunk's record, and topic and bytes of its messages.
+KnownChunk = tuple[int, int, list[tuple[str, bytes]]]
+
+
+def expected(path: Path) -> list[KnownChunk]:
+    """Return what is in each chunk of a whole file, read by the library's own readers."""
+    topics: dict[int, str] = {}
+    contents = []
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        file.seek(0)
+        for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+            if not isinstance(record, Chunk):
+                continue
+            messages = []
+            for inner in breakup_chunk(record):
+                if isinstance(inner, Channel):
+                    topics[inner.id] = inner.topic
+                elif isinstance(inner, Message):
+                    messages.append((topics[inner.channel_id], inner.data))
+            contents.append(messages)
+    places = [(i.chunk_start_offset, i.chunk_length) for i in summary.chunk_indexes]
+    return [
+        (start, start + length, messages)
+        for (start, length), messages in zip(places, contents, strict=True)
+    ]
+
+
+def cuts(path: Path, count: int, seed: int) -> Iterator[tuple[bytes, int]]:
+    """Yield a file's bytes cut at random places, and the places."""
+    data = path.read_bytes()
+    for at in np.random.default_rng(seed).integers(8, len(data), size=count).tolist():
+        yield data[:at], at
+
+
+def flips(path: Path, count: int, seed: int) -> Iterator[tuple[bytes, int]]:
+    """Yield a file's bytes with one random bit changed, and its place."""
+    data = path.read_bytes()
+    rng = np.random.default_rng([seed, 1])
+    for at in rng.integers(8, len(data), size=count).tolist():
+        changed = bytearray(data)
+        changed[at] ^= 1 << int(rng.integers(8))
+        yield bytes(changed), at
+
+
+def saved_rightly(
+    broken: Path,
+    chunks: Sequence[KnownChunk],
+    *,
+    cut: int | None = None,
+    flipped: int | None = None,
+) -> str:
+    """Recover a damaged file; return what came of it, or nothing when it was not right.
+
+    Right is: every whole chunk is saved, with the very bytes of its messages, and nothing
+    else; what is lost is told, and again by the new file; a file without a whole chunk is
+    refused.  ``"saved"`` or ``"refused"`` is returned.
+    """
+    whole = [
+        messages
+        for start, end, messages in chunks
+        if (cut is None or end <= cut) and (flipped is None or not start <= flipped < end)
+    ]
+    wanted = Counter(message for messages in whole for message in messages)
+    out = broken.with_name(f"{broken.stem}_saved.mcap")
+    out.unlink(missing_ok=True)
+    try:
+        saved = recover(broken, out)
+    except RecordingError:
+        return "" if whole else "refused"
+    run = read_run(out)
+    found = Counter((topic, data) for topic in run.topics for data in run.raw(topic))
+    # a chunk whose damaged byte its checksum does not cover, as its index's, is whole too
+    extra = found - wanted
+    allowed = Counter(
+        message
+        for start, end, messages in chunks
+        if flipped is not None and start <= flipped < end
+        for message in messages
+    )
+    right = not wanted - found and not extra - allowed
+    told = bool(saved.losses) and not run.complete
+    return "saved" if right and told else ""

@@ -1,0 +1,252 @@
+"""Recorded runs examined: judged and simulated anew, compared, exported, fitted."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.comparison import gaps
+from capture_sim.errors import RecordingError
+from capture_sim.measurements import Measurements, Series, measured_in
+from capture_sim.messages import EPOCH_NS
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.export import flat_columns, save_npz
+from capture_sim.recording.measured import (
+    characteristics,
+    first_contact,
+    judge,
+    measurements,
+    observations,
+)
+from capture_sim.resimulation import agreement
+
+
+@pytest.fixture(scope="module")
+def result():
+    return capture_sim.simulate(capture_sim.load_scene("tilt_0"))
+
+
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    return write_run(result, tmp_path_factory.mktemp("runs") / "tilt_0.mcap")
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    scene = capture_sim.load_scene("tilt_0", ["friction.mu=0.25", "buffer.c_A=11"])
+    folder = tmp_path_factory.mktemp("others")
+    return write_run(capture_sim.simulate(scene), folder / "other.mcap")
+
+
+@pytest.fixture(scope="module")
+def bench_bag(path, tmp_path_factory):
+    """A bag as a real bench makes one: standard topics and BufferState, no scene, no state."""
+    run = read_run(path)
+    folder = tmp_path_factory.mktemp("bench") / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name, type_name in (
+            ("/chaser/odom", "nav_msgs/msg/Odometry"),
+            ("/target/odom", "nav_msgs/msg/Odometry"),
+            ("/bench/buffer", "capture_sim/msg/BufferState"),
+            ("/contact/wrench", "geometry_msgs/msg/WrenchStamped"),
+        ):
+            connection = writer.add_connection(name, type_name, typestore=typestore())
+            for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
+                writer.write(connection, time, data)
+    return folder
+
+
+# judged anew
+
+
+def test_detector_judges_a_bag_as_it_judged_the_run(path):
+    run = read_run(path)
+    again = judge(observations(run), run.scene)
+    assert [(s.t, s.state, s.final, s.reason) for s in again] == [
+        (s.t, s.state, s.final, s.reason) for s in run.statuses
+    ]
+    for mine, theirs in zip(again, run.statuses, strict=True):
+        # the heading went through a quaternion
+        assert mine.distance == pytest.approx(theirs.distance, abs=1e-12)
+
+
+def test_detector_with_other_limits(path, capsys):
+    assert main(["detect", str(path)]) == 0
+    assert "the same" in capsys.readouterr().out
+    # the tip rests 1.7 mm from BE, so it never comes within 1 mm
+    assert main(["detect", str(path), "--set", "detector.radius=0.001"]) == 0
+    said = capsys.readouterr().out
+    assert "verdict: stuck" in said
+    assert "DIFFERENT" in said
+
+
+def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
+    assert main(["detect", str(bench_bag)]) == 2
+    assert "name one by --scene" in capsys.readouterr().err
+    assert main(["detect", str(bench_bag), "--scene", "tilt_0"]) == 0
+    assert "verdict: captured" in capsys.readouterr().out
+    assert read_run(bench_bag).samples.size == 0
+    assert first_contact(read_run(bench_bag)) == pytest.approx(
+        first_contact(read_run(path)), abs=0.05
+    )
+
+
+def test_topic_that_the_detector_needs_is_named(path, tmp_path):
+    run = read_run(path)
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/chaser/odom", "nav_msgs/msg/Odometry", typestore=typestore()
+        )
+        writer.write(connection, EPOCH_NS, run.raw("chaser/odom")[0])
+    with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
+        observations(read_run(folder))
+
+
+# simulated anew
+
+
+def test_resimulation_is_identical_and_a_difference_is_found(result, path, capsys):
+    assert main(["resimulate", str(path)]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+    changed = result.samples.copy()
+    changed["q"][4321, 5] = np.nextafter(changed["q"][4321, 5], 1.0)
+    found = agreement(result.samples, changed, result.events, result.events[:-1])
+    (difference,) = found.differences
+    assert (difference.name, difference.first) == ("q", 4.321)
+    assert 0.0 < difference.largest < 1e-15
+    assert not found.same_events
+    assert not found.identical
+
+
+def test_another_scene_agrees_until_the_tip_touches(path):
+    run = read_run(path)
+    scene = capture_sim.load_scene("tilt_0", ["friction.mu=0.331"])
+    result = capture_sim.simulate(scene)
+    found = agreement(run.samples, result.samples, run.events, result.events)
+    assert {d.name for d in found.differences} >= {"q", "v", "friction_force"}
+    assert min(d.first for d in found.differences) >= first_contact(run)
+
+
+# compared
+
+
+def test_comparison_with_itself_and_with_another_run(path, other):
+    one, two = read_run(path), read_run(other)
+    at, at_other = first_contact(one), first_contact(two)
+    same = gaps(measurements(one), measurements(one), at, at, 1.0)
+    assert {gap.name for gap in same} == {
+        *("chaser.x", "chaser.y", "chaser.theta", "target.x", "target.y", "target.theta"),
+        *("stroke", "torsion", "force"),
+    }
+    assert all(gap.largest == 0.0 for gap in same)
+    different = {g.name: g for g in gaps(measurements(one), measurements(two), at, at_other, 1.0)}
+    assert different["stroke"].rms > 1e-4
+    a, b = characteristics(one), characteristics(two)
+    assert a["largest force, N"] == one.touches["peak_force"].max()
+    assert b["largest stroke inwards, mm"] > a["largest stroke inwards, mm"]
+
+
+def test_gaps_of_known_series():
+    t = np.linspace(0.0, 3.0, 301)
+    a = Measurements(stroke=Series(t, np.sin(t)))
+    b = Measurements(stroke=Series(t + 0.25, np.sin(t) + 0.1))  # later, and 0.1 larger
+    (gap,) = gaps(a, b, 1.0, 1.25, 1.5)
+    assert gap.rms == pytest.approx(0.1)
+    assert gap.largest == pytest.approx(-0.1)
+
+
+def test_measurements_of_a_bag_are_those_of_the_samples(result, path):
+    every = round(result.scene.run.state_rate / result.scene.run.rate)
+    exact = measured_in(result.samples[::every])
+    for name, series in measurements(read_run(path)).items():
+        assert series.t == pytest.approx(getattr(exact, name).t, abs=1e-9)
+        assert series.values == pytest.approx(getattr(exact, name).values, abs=1e-12)
+
+
+def test_compare_command(path, other, bench_bag, tmp_path, capsys):
+    assert main(["compare", str(path), str(other), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "peak force of first contact, N" in said
+    assert "stroke         rms" in said
+    (picture,) = tmp_path.glob("*.png")
+    assert picture.stat().st_size > 20_000
+    assert main(["compare", str(bench_bag), str(path), "--out", str(tmp_path)]) == 0
+    far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
+    untouched = write_run(far, tmp_path / "far.mcap")
+    capsys.readouterr()
+    assert main(["compare", str(path), str(untouched), "--out", str(tmp_path)]) == 1
+    assert "no contact in it" in capsys.readouterr().err
+
+
+# exported
+
+
+def test_csv_gives_the_same_bits(path, tmp_path, capsys):
+    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count("written: ") == 15
+    run = read_run(path)
+    with (tmp_path / "bench_state.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    columns = flat_columns(run, "bench/state")
+    assert list(rows[0]) == list(columns)
+    for name in ("t", "q.0", "v.7", "energy_residual"):
+        assert [float(row[name]) for row in rows] == columns[name].tolist()
+    assert [int(row["log_time_ns"]) for row in rows] == run.log_times("bench/state").tolist()
+    with (tmp_path / "bench_event.csv").open() as file:
+        kinds = [row["kind"] for row in csv.DictReader(file)]
+    assert kinds == [event.kind.label for event in run.events]
+
+
+def test_npz_holds_everything_without_pickle(path, tmp_path):
+    run = read_run(path)
+    with np.load(save_npz(run, tmp_path / "x.npz"), allow_pickle=False) as data:
+        for topic in run.topics:
+            for name, column in run.columns(topic).items():
+                kept = data[f"{topic.strip('/')}/{name}"]
+                if column.dtype != object:
+                    assert kept.tobytes() == np.ascontiguousarray(column).tobytes()
+        assert str(data["scene"]) == run.scene_text
+        assert data["bench/event/kind"].tolist() == [e.kind.label for e in run.events]
+
+
+def test_parquet_gives_the_same_bits(path, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    assert main(["export", str(path), "--to", "parquet", "--out", str(tmp_path)]) == 0
+    run = read_run(path)
+    for topic in run.topics:
+        table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
+        for name, column in flat_columns(run, topic).items():
+            if column.dtype != object:
+                assert table[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
+
+
+def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for command in (["export", str(path), "--to", "csv"], ["compare", str(path), str(path)]):
+        assert main([*command, "--out", str(tmp_path / "file" / "x")]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+# fitted
+
+
+def test_identify_command_finds_what_the_run_was_made_with(path, capsys):
+    command = ["identify", str(path), "mu", "c_A"]
+    changed = ["--set", "friction.mu=0.25", "--set", "buffer.c_A=16"]
+    assert main([*command, *changed]) == 0
+    said = capsys.readouterr().out
+    fitted = {word.split("=")[0]: word.split("=")[1] for word in said.split() if "=" in word}
+    assert float(fitted["friction.mu"]) == pytest.approx(0.33, rel=1e-4)
+    assert float(fitted["buffer.c_A"]) == pytest.approx(13.0, rel=1e-4)
+    # a scene that is wrong elsewhere does not explain the run
+    assert main([*command, "--set", "buffer.k_A=400", "--starts", "1"]) == 1
+    assert "does not explain" in capsys.readouterr().out
+    assert main(["identify", str(path), "colour"]) == 2
+    assert "parameter colour: allowed are c_rr, e, mu, c_A" in capsys.readouterr().err

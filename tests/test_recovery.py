@@ -1,0 +1,200 @@
+"""Damaged recordings: every whole chunk is saved, nothing wrong is, and what is lost is told."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import Reader
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.errors import RecordingError
+from capture_sim.recording import LiveRecorder, Split, read_run, recover, write_run
+from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
+
+
+@pytest.fixture(scope="module")
+def result():
+    return capture_sim.simulate(capture_sim.load_scene("tilt_m10"))
+
+
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    return write_run(result, tmp_path_factory.mktemp("runs") / "tilt_m10.mcap", run_id="a run")
+
+
+@pytest.fixture(scope="module")
+def chunks(path):
+    """Place and messages of every chunk, as the library reads them."""
+    return expected(path)
+
+
+def damaged(tmp_path, data):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data)
+    return broken
+
+
+def test_whole_file_is_saved_whole(path, tmp_path):
+    saved = recover(path, tmp_path / "out.mcap")
+    assert saved.losses == ()
+    one, two = read_run(path), read_run(saved.path)
+    assert two.complete
+    assert two.topics == one.topics == saved.messages
+    for topic in one.topics:
+        assert two.raw(topic) == one.raw(topic)
+        assert two.log_times(topic).tolist() == one.log_times(topic).tolist()
+    assert two.scene == one.scene
+    assert two.metadata == one.metadata
+    assert two.wall_time == one.wall_time
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cut_files(path, chunks, tmp_path, seed):
+    for data, at in cuts(path, 5, seed):
+        assert saved_rightly(damaged(tmp_path, data), chunks, cut=at)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_flipped_bytes(path, chunks, tmp_path, seed):
+    for data, at in flips(path, 5, seed):
+        assert saved_rightly(damaged(tmp_path, data), chunks, flipped=at)
+
+
+def test_lost_first_chunk_does_not_take_the_names_with_it(path, chunks, tmp_path):
+    (start, end, _), *others = chunks
+    data = bytearray(path.read_bytes())
+    data[(start + end) // 2] ^= 16
+    for broken in (bytes(data), bytes(data[: others[5][0] + 10])):  # with and without summary
+        saved = recover(damaged(tmp_path, broken))
+        count = sum(len(messages) for _, end, messages in others if end <= len(broken))
+        assert sum(saved.messages.values()) == count
+        run = read_run(saved.path)
+        assert run.scene == capture_sim.load_scene("tilt_m10")
+        assert not run.complete
+
+
+def test_holes_and_rubbish(path, chunks, tmp_path):
+    # several chunks gone, others behind rubbish: the rest is found by its checksums
+    data = path.read_bytes()
+    rng = np.random.default_rng(1)
+    rubbish = rng.integers(256, size=5000, dtype=np.uint8).tobytes()
+    (a, b), (c, d) = (chunks[i][:2] for i in (3, 9))
+    broken = data[:a] + rubbish + data[b:c] + rubbish[:77] + data[d : chunks[-1][0] + 40]
+    saved = recover(damaged(tmp_path, broken))
+    kept = [messages for i, (_, _, messages) in enumerate(chunks[:-1]) if i not in (3, 9)]
+    assert sum(saved.messages.values()) == sum(map(len, kept))
+    assert len(saved.losses) >= 3
+
+
+def test_recovered_file_is_read_by_others_and_says_what_it_lacks(path, tmp_path):
+    data = path.read_bytes()
+    saved = recover(damaged(tmp_path, data[: len(data) * 2 // 3]))
+    with Reader(saved.path) as reader:
+        assert reader.message_count == sum(saved.messages.values())
+    with saved.path.open("rb") as file:
+        count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+    assert count == sum(saved.messages.values())
+    run = read_run(saved.path)
+    assert any(line.startswith("not recovered: ") for line in run.problems)
+    # the run's description is confirmed by its announcement, which has a checksum
+    assert run.metadata["run_id"] == "a run"
+    assert run.scene == capture_sim.load_scene("tilt_m10")
+
+
+def test_metadata_without_checksum_is_marked(path, tmp_path):
+    data = path.read_bytes()
+    at = data.index(b"wall_time") + 20  # within the number
+    changed = bytearray(data)
+    changed[at] ^= 1
+    saved = recover(damaged(tmp_path, changed))
+    assert any("capture_sim_end: no checksum" in line for line in saved.losses)
+    assert read_run(saved.path).wall_time is None
+
+
+def test_others_files_are_saved_too(path, tmp_path):
+    # another writer: LZ4, its own chunk size, definitions only where first needed
+    foreign = tmp_path / "foreign.mcap"
+    source = read_run(path)
+    with foreign.open("wb") as file:
+        writer = Writer(file, chunk_size=30_000, compression=CompressionType.LZ4)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/hello", "cdr", schema)
+        for i, data in enumerate(source.raw("bench/state")[:500]):
+            writer.add_message(channel, 10 + i, data, 10 + i, i)
+        writer.finish()
+    data = foreign.read_bytes()
+    saved = recover(damaged(tmp_path, data[: len(data) // 2]))
+    n = saved.messages["/hello"]
+    assert 0 < n < 500
+    assert read_run(saved.path).raw("/hello") == source.raw("bench/state")[:n]
+
+
+def test_split_recording_is_saved_into_one_file(path, tmp_path):
+    run = read_run(path)
+    recorder = LiveRecorder(tmp_path, split=Split(time=1.0))
+    for topic, data in in_order(path):
+        recorder.take(topic, data)
+    folder = recorder.close().path
+    assert folder.is_dir()
+    assert len(list(folder.glob("*.mcap"))) == 7
+    (folder / "metadata.yaml").unlink()  # as after a kill
+    saved = recover(folder)
+    assert saved.losses == ()
+    assert saved.messages == run.topics
+    again = read_run(saved.path)
+    assert again.samples.tobytes() == run.samples.tobytes()
+
+
+def in_order(path):
+    from capture_sim.topics import topic_named
+
+    topics = {}
+    with path.open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, Message):
+                yield topic_named(topics[record.channel_id]), record.data
+            elif hasattr(record, "topic"):
+                topics[record.id] = record.topic
+
+
+def test_nothing_to_save_and_nowhere_to_save_it(path, tmp_path):
+    data = path.read_bytes()
+    with pytest.raises(RecordingError, match="no whole chunk"):
+        recover(damaged(tmp_path, data[:3000]))
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        recover(damaged(tmp_path, b"hello"))
+    existing = tmp_path / "there.mcap"
+    existing.write_text("mine")
+    with pytest.raises(RecordingError, match="cannot write"):
+        recover(path, existing)
+    assert existing.read_text() == "mine"
+
+
+def test_command_says_what_it_saved_and_what_is_lost(path, tmp_path, capsys):
+    data = path.read_bytes()
+    broken = damaged(tmp_path, data[: len(data) // 2])
+    assert main(["recover", str(broken)]) == 0
+    said = capsys.readouterr().out
+    assert "broken_recovered.mcap" in said
+    assert "/bench/state: " in said
+    assert "lost: the file ends within a record" in said
+    assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_counting_agrees_with_the_library(path, chunks):
+    found = Counter()
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                found["chunks"] += 1
+                found["messages"] += sum(isinstance(r, Message) for r in breakup_chunk(record))
+    assert found == {"chunks": len(chunks), "messages": sum(len(m) for *_, m in chunks)}

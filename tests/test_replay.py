@@ -1,0 +1,319 @@
+"""Recordings played again over real DDS: same bytes, same timing, same verdict."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import capture_sim
+from capture_sim.errors import RecordingError
+from capture_sim.nodes.discovery import hasten
+from capture_sim.playing import Transport
+from capture_sim.recording import LiveRecorder, Split, read_run, write_run
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.playback import Playback
+from capture_sim.topics import RECORDED, topic_named
+
+NAME = "tilt_m10"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    scene = capture_sim.load_scene(NAME)
+    folder = tmp_path_factory.mktemp("runs")
+    return write_run(capture_sim.simulate(scene), folder / f"{NAME}.mcap", run_id="a run")
+
+
+@pytest.fixture(autouse=True)
+def discovery(tmp_path, monkeypatch):
+    """Let the processes of a test find each other at once."""
+    found = {}
+    hasten(found, tmp_path)
+    for name, value in found.items():
+        monkeypatch.setenv(name, value)
+
+
+# what is played
+
+
+def test_messages_come_in_the_order_of_their_times(path):
+    run = read_run(path)
+    played = list(Playback(path).messages())
+    times = [time for time, *_ in played]
+    assert times == sorted(times)
+    assert len(played) == sum(run.topics.values())
+    for topic in run.topics:
+        assert [data for _, name, data in played if name == topic] == run.raw(topic)
+    assert played[0][1] == "/bench/run_info"
+    assert [name for _, name, _ in played[-3:]] == ["/bench/stream_counts"] * 3
+
+
+def test_what_is_latched_is_played_before_an_offset(path):
+    run = read_run(path)
+    begin = 10**9 + 3 * 10**9
+    played = list(Playback(path).messages(3.0, {"/bench/run_info", "/bench/event", "/bench/state"}))
+    assert played[0][:2] == (begin, "/bench/run_info")
+    states = [data for _, name, data in played if name == "/bench/state"]
+    assert states == run.raw("bench/state")[3000:]
+    events = [data for _, name, data in played if name == "/bench/event"]
+    assert events == run.raw("bench/event")
+    assert min(time for time, *_ in played) == begin
+
+
+def test_split_recording_is_played_as_one(path, tmp_path):
+    recorder = LiveRecorder(tmp_path, split=Split(size=300_000))
+    for _, name, data in Playback(path).messages():
+        recorder.take(topic_named(name), data)
+    folder = recorder.close().path
+    assert len(list(folder.glob("*.mcap"))) > 3
+    states = [data for _, name, data in Playback(folder).messages() if name == "/bench/state"]
+    assert states == read_run(path).raw("bench/state")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match="holds no"):
+        Playback(tmp_path / "empty")
+
+
+# when it is played
+
+
+def test_rate_and_pause():
+    transport = Transport(rate=10.0)
+    begin = time.monotonic()
+    for stamp in (5_000_000_000, 5_200_000_000, 6_000_000_000):
+        transport.wait_until(stamp)
+        assert time.monotonic() - begin >= (stamp - 5_000_000_000) / 1e10
+    assert transport.step() == "stepping needs a paused player"
+    assert transport.resume() == "already playing"
+    assert transport.pause() == ""
+    assert transport.pause() == "already paused"
+    passed = []
+
+    def play():
+        for stamp in (7, 7, 8, 9):
+            transport.wait_until(stamp)
+            passed.append(stamp)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    time.sleep(0.05)
+    assert passed == []
+    transport.step()  # all of one time
+    wait_for(lambda: len(passed) == 2)
+    time.sleep(0.05)
+    assert passed == [7, 7]
+    transport.resume()
+    thread.join(5.0)
+    assert passed == [7, 7, 8, 9]
+
+
+def wait_for(holds, limit=30.0):
+    deadline = time.monotonic() + limit
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+# the node
+
+LISTENER = """
+import json, sys, time
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+from capture_sim.nodes.running import message_class
+
+def qos(latched):
+    kind = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE, durability=kind)
+
+got = {}
+rclpy.init()
+node = rclpy.create_node("listener")
+
+def listen(name, type_name, latched=False):
+    got[name] = []
+    node.create_subscription(
+        message_class(type_name), name, got[name].append, qos(latched), raw=True)
+
+def spin(holds, limit=30.0):
+    end = time.monotonic() + limit
+    while not holds() and time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    return holds()
+
+def call(name):
+    client = node.create_client(Trigger, f"/player/{name}")
+    assert client.wait_for_service(30.0)
+    future = client.call_async(Trigger.Request())
+    rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
+    return future.result().success
+
+"""
+
+
+@pytest.fixture
+def listen(tmp_path):
+    """Run a program that listens; return a function for its answer."""
+    started = []
+
+    def listen(program):
+        process = subprocess.Popen(
+            [sys.executable, "-c", LISTENER + program + "\nprint(json.dumps(answer))"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return lambda: json.loads(process.communicate(timeout=90)[0].splitlines()[-1])
+
+    yield listen
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def play(tmp_path):
+    """Start the player's node with parameters."""
+    started = []
+
+    def play(**parameters):
+        file = tmp_path / "player.yaml"
+        file.write_text(yaml.safe_dump({"player": {"ros__parameters": parameters}}))
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "capture_sim.nodes.player"),
+                *("--ros-args", "--params-file", str(file)),
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield play
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path)]
+    command += [
+        "--rate",
+        "10",
+        "--with",
+        "capture_detector",
+        "recorder",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
+    assert two.problems == ()
+    for topic in RECORDED:
+        if topic.name not in ("capture/status", "bench/stream_counts"):
+            assert two.raw(topic.name) == one.raw(topic.name), topic.name
+    # judged anew, from the played messages: state by state at the same simulated time
+    assert [(s.t, s.state, s.final, s.reason) for s in two.statuses] == [
+        (s.t, s.state, s.final, s.reason) for s in one.statuses
+    ]
+
+
+def test_pause_step_and_latched_topics(path, play, listen):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    play(bag=str(path), paused=True, rate=0.0, delay=0.5)
+    answer = listen(
+        """
+listen("/bench/state", "capture_sim/msg/BenchState")
+answer = {"paused": not spin(lambda: got["/bench/state"], 2.0)}
+answer["step"] = call("play_next")  # all of the first time: the announcement and a state
+answer["first"] = spin(lambda: got["/bench/state"]) and len(got["/bench/state"])
+# a late subscriber gets what is latched, and nothing else moves
+listen("/bench/run_info", "capture_sim/msg/RunInfo", latched=True)
+answer["latched"] = spin(lambda: got["/bench/run_info"]) and len(got["/bench/run_info"])
+answer["again"] = call("play_next") and spin(lambda: len(got["/bench/state"]) == 2)
+answer["pause"] = call("pause")
+answer["resume"] = call("resume")
+answer["more"] = spin(lambda: len(got["/bench/state"]) > 1000)
+"""
+    )()
+    assert answer == {
+        "paused": True,
+        "step": True,
+        "first": 1,
+        "latched": 1,
+        "again": True,
+        "pause": False,  # it is
+        "resume": True,
+        "more": True,
+    }
+
+
+def test_bag_of_others_is_played_with_a_clock(tmp_path, play, listen):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    store = typestore()
+    types = store.types
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        text, strange = (
+            writer.add_connection("/hello", "std_msgs/msg/String", typestore=store),
+            writer.add_connection(
+                "/strange", "foo_msgs/msg/Bar", msgdef="int32 x", rihs01="RIHS01_" + "0" * 64
+            ),
+        )
+        for i in range(20):
+            message = types["std_msgs/msg/String"](data=f"message {i}")
+            data = store.serialize_cdr(message, "std_msgs/msg/String")
+            writer.write(text, 1_000_000_000 + i * 50_000_000, data)
+            writer.write(strange, 1_000_000_000 + i * 50_000_000, b"\0\1\0\0\0\0\0\0")
+    hear = listen(
+        """
+listen("/hello", "std_msgs/msg/String")
+listen("/clock", "rosgraph_msgs/msg/Clock")
+spin(lambda: node.count_publishers("/hello") > 0)
+time.sleep(0.5)
+assert call("resume")
+spin(lambda: len(got["/hello"]) >= 20)
+answer = {"hello": [m.hex() for m in got["/hello"]], "clocks": len(got["/clock"])}
+"""
+    )
+    process = play(bag=str(folder), rate=2.0, paused=True)
+    answer = hear()
+    assert process.wait(30) == 0
+    assert "/strange: type foo_msgs/msg/Bar is not installed" in process.stdout.read()
+    texts = [bytes.fromhex(data)[8:] for data in answer["hello"]]
+    assert [text.split(b"\0")[0].decode() for text in texts] == [f"message {i}" for i in range(20)]
+    assert answer["clocks"] > 5
+
+
+@pytest.mark.parametrize(
+    "parameters, said",
+    [
+        ({}, "parameter bag"),
+        ({"bag": "/nowhere.mcap"}, "/nowhere.mcap: cannot read"),
+        ({"rate": -1.0}, "parameter rate"),
+        ({"start": 100.0}, "parameter start = 100 s: allowed is 0 to 6.0"),
+        ({"topics": ["/no/such"]}, "/no/such not in the recording"),
+    ],
+)
+def test_bad_parameters_are_refused_in_one_line(path, play, parameters, said):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    if parameters:
+        parameters = {"bag": str(path), **parameters}
+    process = play(**parameters) if parameters else play(loop=False)
+    output = process.communicate(timeout=60)[0]
+    assert process.returncode == 2
+    assert said in output
+    assert "Traceback" not in output
