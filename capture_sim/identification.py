@@ -42,8 +42,12 @@ NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
     "stroke": (1e-7,),
     "torsion": (1e-7,),
 }
+#: Searches that begin round the best place found, to see whether it is the best there.
+_NEARBY = 4
 #: Step of the numerical derivatives, of a parameter's scale.
 _STEP = 3e-3
+#: Longest step that the errors are taken over.
+_LONGEST_STEP = 0.3
 #: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
 _FAR = 1e3
 
@@ -137,8 +141,9 @@ def identify(
     until
         s; what was measured later is not used.
     starts
-        Searches at most.  The first begins at the scene's values; where it ends with more
-        left than noise explains, others begin within a factor of two of them.
+        Searches at most, the best counts, and some round it in the end.  The first begins
+        at the scene's values; where more is left than noise explains, others begin within
+        a factor of two of them.  With 1 it is that one alone.
     seed
         Of the other places.
 
@@ -153,18 +158,22 @@ def identify(
     problem = _Problem(scene, measured, names, plan, noise or {}, until)
     problem.simulate(problem.begin)  # raises what is wrong with the scene
     rng = np.random.default_rng(seed)
-    best: Any = None
-    for k in range(max(starts, 1)):
-        begin = problem.begin * 2.0 ** rng.uniform(-1.0, 1.0, problem.begin.size) if k else None
-        found = problem.solve(problem.begin if begin is None else begin, None)
-        if touches is not None:
-            found = problem.solve(found.x, touches)
-        if best is None or found.cost < best.cost:
-            best = found
-            fit = problem.result(best, touches)
-        if is_explained(fit):
+
+    def search(begin: np.ndarray) -> Any:
+        found = problem.solve(begin, None)
+        return found if touches is None else problem.solve(found.x, touches)
+
+    best = search(problem.begin)
+    for _ in range(starts - 1):
+        if is_explained(problem.result(best, touches)):
             break
-    return fit
+        found = search(problem.begin * 2.0 ** rng.uniform(-1.0, 1.0, problem.begin.size))
+        best = min(best, found, key=lambda result: result.cost)
+    # the chatter puts kinks into the way, and a kink may hold a search close to its aim
+    for _ in range(_NEARBY if starts > 1 else 0):
+        near = best.x * (1.0 + 0.1 * rng.standard_normal(best.x.size))
+        best = min(best, problem.solve(near, touches), key=lambda result: result.cost)
+    return problem.result(best, touches)
 
 
 def is_explained(fit: Fit) -> bool:
@@ -280,13 +289,15 @@ class _Problem:
             parts += [start, far, peak, far]
         return np.concatenate(parts)
 
-    def jacobian(self, x: np.ndarray, touches: Touches | None) -> np.ndarray:
+    def jacobian(
+        self, x: np.ndarray, touches: Touches | None, steps: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the derivatives of the residuals, by central differences."""
         columns = []
-        for k in range(x.size):
+        for k, step in enumerate(np.full(x.size, _STEP) if steps is None else steps):
             ahead, back = x.copy(), x.copy()
-            ahead[k] = min(x[k] + _STEP, self._high[k])
-            back[k] = max(x[k] - _STEP, self._low[k])
+            ahead[k] = min(x[k] + step, self._high[k])
+            back[k] = max(x[k] - step, self._low[k])
             change = self.residuals(ahead, touches) - self.residuals(back, touches)
             columns.append(change / (ahead[k] - back[k]))
         return np.stack(columns, axis=1)
@@ -305,31 +316,49 @@ class _Problem:
 
     def result(self, found: Any, touches: Touches | None) -> Fit:
         """Return the fit of a search that has ended."""
-        J = self.jacobian(found.x, touches)
         freedom = max(found.fun.size - found.x.size, 1)
         chi2 = float(2.0 * found.cost / freedom)
-        # singular when the data do not tell a parameter at all: its error is then infinite
-        _, singular, right = np.linalg.svd(J, full_matrices=False)
-        tiny = singular <= 1e-10 * singular.max(initial=1e-300)
-        loads = right.T**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(tiny, np.inf, singular**-2.0)
-            variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
-        finite = np.where(tiny, 0.0, inverse)
-        covariance = (right.T * finite) @ right
-        spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        variance, covariance = spread(self.jacobian(found.x, touches))
+        # Where the dependence has kinks, the slope at the very minimum may be steep: an error
+        # counts that is confirmed by differences over its own size.
+        steps = np.clip(np.sqrt(variance), _STEP / 30.0, _LONGEST_STEP)
+        wide, _ = spread(self.jacobian(found.x, touches, steps))
+        variance = np.maximum(variance, wide)
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         near = np.minimum(found.x - self._low, self._high - found.x) < 1e-4
         return Fit(
             names=self._names,
             values=found.x * self._scale,
             errors=np.sqrt(variance * max(1.0, chi2)) * self._scale,
-            correlation=covariance / np.outer(spread, spread),
+            correlation=covariance / np.outer(scale, scale),
             chi2=chi2,
             freedom=freedom,
             at_bound=tuple(n for n, at in zip(self._names, near, strict=True) if at),
             evaluations=self.evaluations,
             scene=self.scene_at(found.x),
         )
+
+
+def spread(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variances of least-squares parameters, and their covariances.
+
+    Parameters
+    ----------
+    J
+        (n, k) derivatives of residuals of unit variance.
+
+    Returns
+    -------
+    variance, covariance : ndarray (k,), (k, k)
+        The variance is infinite for what the data do not tell; the covariance leaves it out.
+    """
+    _, singular, right = np.linalg.svd(J, full_matrices=False)
+    tiny = singular <= 1e-10 * singular.max(initial=1e-300)
+    loads = right.T**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(tiny, np.inf, singular**-2.0)
+        variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
+    return variance, (right.T * np.where(tiny, 0.0, inverse)) @ right
 
 
 def scatter(series: Series) -> np.ndarray:
