@@ -190,8 +190,8 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
 
 def test_csv_gives_the_same_bits(path, tmp_path, capsys):
     assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.count("written: ") == 15
     run = read_run(path)
+    assert capsys.readouterr().out.count("written: ") == sum(map(bool, run.topics.values()))
     with (tmp_path / "bench_state.csv").open() as file:
         rows = list(csv.DictReader(file))
     columns = flat_columns(run, "bench/state")
@@ -207,7 +207,7 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
 def test_npz_holds_everything_without_pickle(path, tmp_path):
     run = read_run(path)
     with np.load(save_npz(run, tmp_path / "x.npz"), allow_pickle=False) as data:
-        for topic in run.topics:
+        for topic in filter(run.raw, run.topics):
             for name, column in run.columns(topic).items():
                 kept = data[f"{topic.strip('/')}/{name}"]
                 if column.dtype != object:
@@ -220,7 +220,7 @@ def test_parquet_gives_the_same_bits(path, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     assert main(["export", str(path), "--to", "parquet", "--out", str(tmp_path)]) == 0
     run = read_run(path)
-    for topic in run.topics:
+    for topic in filter(run.raw, run.topics):
         table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
         for name, column in flat_columns(run, topic).items():
             if column.dtype != object:
