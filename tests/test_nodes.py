@@ -122,12 +122,12 @@ def start(tmp_path):
 def start_all(start, tmp_path):
     """Start the whole bench; what is given goes to the simulator."""
 
-    def start_all(change="", auto_release=True, **simulator):
+    def start_all(change="", auto_release=True, recorder_change="", **simulator):
         return {
             "simulator": start("simulator", change, **simulator),
             "launcher": start("launcher", auto_release=str(auto_release).lower()),
             "capture_detector": start("capture_detector"),
-            "recorder": start("recorder", out=tmp_path / "out", drain_timeout=1.0),
+            "recorder": start("recorder", recorder_change, out=tmp_path / "out", drain_timeout=1.0),
         }
 
     return start_all
@@ -361,9 +361,14 @@ def test_ctrl_c_on_nodes_without_a_run(start):
     assert "Traceback" not in node.text
 
 
-def test_disk_that_fails_ends_the_recorder_with_one_line(start_all, tmp_path):
-    (tmp_path / "out" / "tilt_0.mcap").mkdir(parents=True)  # nothing can be written there
-    nodes = start_all()
+_SMALL_DISK = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+"""
+
+
+def test_disk_that_fails_ends_the_recorder_with_one_line(start_all):
+    nodes = start_all(recorder_change=_SMALL_DISK)
     assert nodes["recorder"].status() == 1
     assert "Traceback" not in nodes["recorder"].text
     assert "Error occurred at" not in nodes["recorder"].text
