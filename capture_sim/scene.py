@@ -385,6 +385,15 @@ class Detector(_Checked):
     still_time: float = quantity(
         "s", POSITIVE, default=1.0, doc="time standing short of BE that is 'stuck'"
     )
+    delay: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.25,
+        doc="longest wait for later measurements, to judge by their mean; unused without noise",
+    )
+    gap: float = quantity(
+        "s", POSITIVE, default=0.1, doc="hole in the measurements that breaks off a dwell"
+    )
 
 
 @dataclass(frozen=True)
