@@ -146,11 +146,12 @@ class Aligner:
             if target is None or buffer is None:
                 self.skipped += 1
                 continue
-            found.append(_observation(t, chaser, target, buffer))
+            found.append(observed(t, chaser, target, buffer))
         return found
 
 
-def _observation(t: float, chaser: Values, target: Values, buffer: Values) -> Observation:
+def observed(t: float, chaser: Values, target: Values, buffer: Values) -> Observation:
+    """Return what was measured at one instant, see :class:`Source`."""
     rates = len(chaser) == 6 and len(target) == 6 and len(buffer) == 4
     return Observation(
         t=t,

@@ -247,6 +247,7 @@ class Messages:
         self._wrench_stamped = classes("geometry_msgs/msg/WrenchStamped")
         self._wrench = classes("geometry_msgs/msg/Wrench")
         self._vector3 = classes("geometry_msgs/msg/Vector3")
+        self._pose_stamped = classes("geometry_msgs/msg/PoseStamped")
         self._point = classes("geometry_msgs/msg/Point")
         self._quaternion = classes("geometry_msgs/msg/Quaternion")
         self._pose = classes("geometry_msgs/msg/Pose")
@@ -389,6 +390,30 @@ class Messages:
             wrench=self._wrench(
                 force=self._vector3(x=cos * fx + sin * fy, y=cos * fy - sin * fx, z=0.0),
                 torque=self._vector3(x=0.0, y=0.0, z=float(sample["contact_torque"])),
+            ),
+        )
+
+    def sensed_pose(self, t: float, pose: tuple[float, float, float]) -> Message:
+        """Return PoseStamped of what motion capture sees: x, y (m), heading (rad), world."""
+        x, y, theta = pose
+        return self._pose_stamped(
+            header=self.header(t, WORLD),
+            pose=self._pose(
+                position=self._point(x=x, y=y, z=0.0),
+                orientation=self._quaternion(
+                    x=0.0, y=0.0, z=math.sin(theta / 2.0), w=math.cos(theta / 2.0)
+                ),
+            ),
+        )
+
+    def sensed_wrench(self, t: float, wrench: tuple[float, float, float]) -> Message:
+        """Return WrenchStamped of the load cell: force (N) and torque (N m), target's frame."""
+        fx, fy, torque = wrench
+        return self._wrench_stamped(
+            header=self.header(t, TARGET_FRAME),
+            wrench=self._wrench(
+                force=self._vector3(x=fx, y=fy, z=0.0),
+                torque=self._vector3(x=0.0, y=0.0, z=torque),
             ),
         )
 

@@ -33,6 +33,7 @@ CONTACT_LAWS = (
 )
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 METHODS = ("dop853", "dopri5", "rk4")
+FILTERS = ("first", "second")
 
 
 @dataclass(frozen=True)
@@ -397,6 +398,45 @@ class Detector(_Checked):
 
 
 @dataclass(frozen=True)
+class MotionCapture(_Checked):
+    """Cameras that see the poses of both vehicles."""
+
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of the poses")
+    position_noise: float = quantity(
+        "m", NOT_NEGATIVE, default=1e-3, doc="standard deviation of each coordinate"
+    )
+    heading_noise: float = quantity(
+        "rad", NOT_NEGATIVE, default=0.0035, doc="standard deviation of each heading"
+    )
+
+
+@dataclass(frozen=True)
+class LoadCell(_Checked):
+    """Load cell between the cone and the target."""
+
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=1000.0, doc="of the readings")
+    bandwidth: float = quantity(
+        "Hz", POSITIVE, default=200.0, doc="at which half the power is left"
+    )
+    order: str = choice(FILTERS, default="second", doc="low-pass, second is Butterworth's")
+    force_noise: float = quantity(
+        "N", NOT_NEGATIVE, default=0.0, doc="standard deviation of each force, behind the filter"
+    )
+    torque_noise: float = quantity(
+        "N m", NOT_NEGATIVE, default=0.0, doc="standard deviation of the torque, behind the filter"
+    )
+
+
+@dataclass(frozen=True)
+class Sensors(_Checked):
+    """What measures the bench, beside the truth that the simulator knows."""
+
+    motion_capture: MotionCapture | None = None
+    load_cell: LoadCell | None = None
+    seed: int = quantity("1", Range(0, 2**63 - 1), default=0, doc="of the noise")
+
+
+@dataclass(frozen=True)
 class Scene(_Checked):
     """Everything on the bench, and how to run it."""
 
@@ -418,6 +458,7 @@ class Scene(_Checked):
     string: String | None = None
     latch: Latch | None = None
     stops: Stops | None = None
+    sensors: Sensors | None = None
     gravity: float = quantity("m/s^2", POSITIVE, default=9.80665)
 
     def __post_init__(self) -> None:

@@ -57,6 +57,15 @@ def _rates(scene: Scene) -> None:
             f"run.rate = {scene.run.rate!r} Hz: allowed is run.state_rate "
             f"({scene.run.state_rate:g} Hz) divided by a whole number"
         )
+    for name in ("motion_capture", "load_cell"):
+        sensor = None if scene.sensors is None else getattr(scene.sensors, name)
+        if sensor is not None:
+            ratio = scene.run.state_rate / sensor.rate
+            if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+                raise SceneError(
+                    f"sensors.{name}.rate = {sensor.rate!r} Hz: allowed is run.state_rate "
+                    f"({scene.run.state_rate:g} Hz) divided by a whole number"
+                )
 
 
 def _supports(scene: Scene) -> None:

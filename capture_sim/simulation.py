@@ -18,6 +18,7 @@ from capture_sim.launching import LaunchPlan
 from capture_sim.results import summarize
 from capture_sim.samples import ENERGIES, Event, EventKind
 from capture_sim.scene import Scene
+from capture_sim.watching import MotionCaptureWatch
 
 #: Samples per call into the core; large enough to make the call's own cost vanish.
 BLOCK = 4096
@@ -59,7 +60,8 @@ class Result:
     events : list of Event
         In order, each with time and state.
     statuses : list of CaptureStatus
-        The detector's view at ``run.rate``, the final verdict last.
+        The detector's view at ``run.rate`` (with motion capture: of every pose that it sees),
+        the final verdict last.
     statistics : Statistics
         Steps, rejected steps and evaluations of the equations of motion.
     wall_time : float
@@ -241,6 +243,13 @@ def _touch_sequence(result: Result) -> list[tuple[str, int]]:
     ]
 
 
+def _motion_capture_watch(scene: Scene) -> MotionCaptureWatch | None:
+    """Return what judges by motion capture; None where the detector sees the truth."""
+    if scene.sensors is None or scene.sensors.motion_capture is None:
+        return None
+    return MotionCaptureWatch(scene)
+
+
 class Block(NamedTuple):
     """A piece of a run: what is new since the piece before."""
 
@@ -272,6 +281,7 @@ def run_blocks(bench: Bench, extra: np.ndarray | None = None) -> Iterator[Block]
     """
     scene = bench.scene
     detector = CaptureDetector(scene)
+    watch = _motion_capture_watch(scene)
     every = round(scene.run.state_rate / scene.run.rate)
     first = seen = 0
     failure: SimulationError | None = None
@@ -288,9 +298,12 @@ def run_blocks(bench: Bench, extra: np.ndarray | None = None) -> Iterator[Block]
             failure, taken = error, error.partial
         samples = taken if extra is None else taken[np.isin(taken["t"], grid)]
         beside = taken[:0] if extra is None else taken[np.isin(taken["t"], extra)]
-        statuses = [detector.update(observation(s)) for s in samples[(-first) % every :: every]]
+        if watch is not None:
+            statuses = watch.look(samples)
+        else:
+            statuses = [detector.update(observation(s)) for s in samples[(-first) % every :: every]]
         if bench.done or failure is not None:
-            statuses.append(detector.finish())
+            statuses += [detector.finish()] if watch is None else watch.finish()
         events, seen = bench.events[seen:], len(bench.events)
         yield Block(samples, beside, events, statuses)
         first += BLOCK

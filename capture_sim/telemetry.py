@@ -21,6 +21,7 @@ from capture_sim.messages import (
     RunDescription,
 )
 from capture_sim.samples import Event, EventKind
+from capture_sim.sensors import Sensors
 from capture_sim.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -28,6 +29,7 @@ from capture_sim.topics import (
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
+    CHASER_POSE,
     CLOCK,
     CONTACT_STATE,
     CONTACT_WRENCH,
@@ -35,11 +37,13 @@ from capture_sim.topics import (
     LAUNCH_COMMAND,
     LAUNCHER,
     LAUNCHER_STATE,
+    LOAD_CELL,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
     STRING_STATE,
     TARGET_ODOMETRY,
+    TARGET_POSE,
     Topic,
     topics_of,
 )
@@ -124,6 +128,7 @@ class BenchTelemetry(_Stream):
         self._has_string = scene.string is not None
         self._rail_heading = scene.initial.chaser.theta
         self._interval = ContactInterval()
+        self._sensors = None if scene.sensors is None else Sensors(scene)
         self._pending: list[Event] = []
 
     def begin(self) -> Iterator[Sent]:
@@ -154,6 +159,8 @@ class BenchTelemetry(_Stream):
                 self._interval.add_samples(samples[unseen : i + 1])
                 unseen = i + 1
                 yield from self._periodic(samples[i], (first + i) // self._every)
+            if self._sensors is not None:
+                yield from self._sensed(samples[i], self._sensors)
         self._interval.add_samples(samples[unseen:])
 
     def end(self, *, complete: bool = True, reason: str = "") -> Iterator[Sent]:
@@ -181,6 +188,14 @@ class BenchTelemetry(_Stream):
         yield self._sent(TARGET_ODOMETRY, make.target_odometry(sample))
         yield self._sent(CONTACT_WRENCH, make.contact_wrench(sample))
         yield self._sent(JOINT_STATES, make.joint_states(sample))
+
+    def _sensed(self, sample: np.void, sensors: Sensors) -> Iterator[Sent]:
+        t, read = float(sample["t"]), sensors.read(sample)
+        if read.chaser is not None and read.target is not None:
+            yield self._sent(CHASER_POSE, self._messages.sensed_pose(t, read.chaser))
+            yield self._sent(TARGET_POSE, self._messages.sensed_pose(t, read.target))
+        if read.wrench is not None:
+            yield self._sent(LOAD_CELL, self._messages.sensed_wrench(t, read.wrench))
 
 
 def _precedes(event: Event, t: float) -> bool:

@@ -18,6 +18,7 @@ class Rate(Enum):
 
     STATE = "state"  # with every sample, scene.run.state_rate
     PERIODIC = "periodic"  # with every n-th sample, scene.run.rate
+    SENSOR = "sensor"  # at the rate of the sensor, scene.sensors
     EVENT = "event"  # when something happens
     ONCE = "once"  # once a run and publisher
 
@@ -106,6 +107,14 @@ CONTACT_WRENCH = Topic(
     "contact/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.PERIODIC
 )
 JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState", (SIMULATOR,), Rate.PERIODIC)
+# what the sensors of a scene read; without sensors nothing is sent
+CHASER_POSE = Topic(
+    "motion_capture/chaser", "geometry_msgs/msg/PoseStamped", (SIMULATOR,), Rate.SENSOR
+)
+TARGET_POSE = Topic(
+    "motion_capture/target", "geometry_msgs/msg/PoseStamped", (SIMULATOR,), Rate.SENSOR
+)
+LOAD_CELL = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.SENSOR)
 LAUNCH_COMMAND = Topic(
     "launcher/command",
     "capture_sim/msg/LaunchCommand",
@@ -163,6 +172,9 @@ TOPICS: tuple[Topic, ...] = (
     TARGET_ODOMETRY,
     CONTACT_WRENCH,
     JOINT_STATES,
+    CHASER_POSE,
+    TARGET_POSE,
+    LOAD_CELL,
     LAUNCHER_STATE,
     CAPTURE_STATUS,
     STREAM_COUNTS,

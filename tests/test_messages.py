@@ -49,7 +49,8 @@ from capture_sim.topics import (
 
 @pytest.fixture(scope="module")
 def result():
-    return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
+    sensors = ["sensors.motion_capture={}", "sensors.load_cell={}"]
+    return capture_sim.simulate(capture_sim.load_scene("tilt_p10", sensors))
 
 
 @pytest.fixture(scope="module")
@@ -366,6 +367,8 @@ def test_every_message_is_the_same_bytes_from_rclpy_and_from_rosbags(result, str
         both.target_odometry(sample)
         both.contact_wrench(sample)
         both.joint_states(sample)
+        both.sensed_pose(sample["t"], (0.1, -0.2, 3.0))
+        both.sensed_wrench(sample["t"], (1.5, -2.5, 0.5))
     for k, event in enumerate(result.events):
         both.bench_event(k, event)
     for k, status in enumerate(result.statuses[::50]):

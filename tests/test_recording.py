@@ -54,7 +54,8 @@ NAME = "tilt_m10"
 
 @pytest.fixture(scope="module")
 def result():
-    return capture_sim.simulate(capture_sim.load_scene(NAME))
+    sensors = ["sensors.motion_capture={}", "sensors.load_cell={}"]
+    return capture_sim.simulate(capture_sim.load_scene(NAME, sensors))
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ COMMANDS = (
     "compare",
     "export",
     "identify",
+    "judge",
     "benchmark",
     "scenes",
     "show",

@@ -6,65 +6,61 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from capture_sim.detection import CaptureDetector
+from capture_sim.detection import CaptureStatus
+from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
-from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import run
 from capture_sim.scene_files import load_scene_text
 from capture_sim.telemetry import DetectorTelemetry
-from capture_sim.topics import (
-    BUFFER_STATE,
-    CAPTURE_DETECTOR,
-    CHASER_ODOMETRY,
-    TARGET_ODOMETRY,
-    topics_of,
-)
+from capture_sim.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
+from capture_sim.watching import Watch
 
 
 class CaptureDetectorNode(RunFollower):
-    """Sends its judgement of every periodic sample.
+    """Sends its judgement of every instant that the poses were measured at.
 
     What it decides stands in :class:`capture_sim.detection.CaptureDetector`.
     """
 
     # of the run that is on
-    _detector: CaptureDetector
+    _watch: Watch
     _telemetry: DetectorTelemetry
-    _matcher: StampMatcher
-    _observed: int
+    _sets: int
 
     def __init__(self) -> None:
         super().__init__(CAPTURE_DETECTOR)
+        self._criteria = Criteria(self)
         self.open(topics_of(CAPTURE_DETECTOR))
         for topic in FOLLOWED[CAPTURE_DETECTOR]:
             self.follow(topic, partial(self._take, topic.name))
 
     def begin(self, info: Any) -> None:
         """Start anew for the scene of this run."""
-        self._detector = CaptureDetector(load_scene_text(info.scene))
+        self._watch = Watch(self._criteria.of(load_scene_text(info.scene)))
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
-        self._matcher = StampMatcher(topic.name for topic in FOLLOWED[CAPTURE_DETECTOR])
-        self._observed = 0
+        self._sets = 0
+        if given := self._criteria.given():
+            self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
 
     def end(self, reason: str) -> list[str]:
         """Send the final verdict, and tell how much was sent."""
-        verdict = self._detector.finish()
-        self.send(*self._telemetry.status(verdict.t, verdict))
+        statuses = self._watch.finish()
+        self._send_all(statuses)
+        verdict = statuses[-1]
         self.get_logger().info(f"{self.run.name}: {verdict.state.label}, {verdict.reason}")
         self.send(*self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
     def _take(self, name: str, message: Any) -> None:
-        parts = self._matcher.add(name, message)
-        if parts is None:
-            return
-        observation = observation_of(
-            parts[CHASER_ODOMETRY.name], parts[TARGET_ODOMETRY.name], parts[BUFFER_STATE.name]
-        )
-        status = self._detector.update(observation)
-        self.send(*self._telemetry.status(observation.t, status))
-        self.advance_past(self._observed)
-        self._observed += 1
+        self._send_all(self._watch.take(name, message))
+        if name == BUFFER_STATE.name:
+            # one in every set of periodic messages
+            self.advance_past(self._sets)
+            self._sets += 1
+
+    def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
+        for status in statuses:
+            self.send(*self._telemetry.status(status.t, status))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -24,6 +24,7 @@ from capture_sim.topics import (
     BUFFER_STATE,
     CAPTURE_DETECTOR,
     CHASER_ODOMETRY,
+    CHASER_POSE,
     CONTACT_STATE,
     LAUNCHER,
     RECORDED,
@@ -33,6 +34,7 @@ from capture_sim.topics import (
     STREAM_COUNTS,
     STRING_STATE,
     TARGET_ODOMETRY,
+    TARGET_POSE,
     Topic,
 )
 
@@ -41,7 +43,7 @@ RECORDER = "recorder"
 #: What each follower reads; the simulator waits until these subscriptions are connected.
 FOLLOWED: dict[str, tuple[Topic, ...]] = {
     LAUNCHER: (STRING_STATE, CONTACT_STATE),
-    CAPTURE_DETECTOR: (CHASER_ODOMETRY, TARGET_ODOMETRY, BUFFER_STATE),
+    CAPTURE_DETECTOR: (CHASER_ODOMETRY, TARGET_ODOMETRY, BUFFER_STATE, CHASER_POSE, TARGET_POSE),
     RECORDER: RECORDED,
 }
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
+from capture_sim.alignment import Source, observed
 from capture_sim.detection import Observation
 from capture_sim.messages import stamp_seconds
+from capture_sim.watching import measured
 
 
 def stamp_ns_of(message: Any) -> int:
@@ -62,29 +63,9 @@ def observation_of(chaser: Any, target: Any, buffer: Any) -> Observation:
     buffer
         capture_sim/BufferState.
     """
-    chaser_pose, chaser_rate = _planar(chaser)
-    target_pose, target_rate = _planar(target)
-    return Observation(
-        t=stamp_seconds(stamp_ns_of(chaser)),
-        chaser=chaser_pose,
-        chaser_rate=chaser_rate,
-        target=target_pose,
-        target_rate=target_rate,
-        stroke=buffer.axial_stroke,
-        torsion=buffer.torsion,
-        stroke_rate=buffer.axial_rate,
-        torsion_rate=buffer.torsion_rate,
+    return observed(
+        stamp_seconds(stamp_ns_of(chaser)),
+        measured(Source.CHASER, chaser),
+        measured(Source.TARGET, target),
+        measured(Source.BUFFER, buffer),
     )
-
-
-Planar = tuple[float, float, float]
-
-
-def _planar(odometry: Any) -> tuple[Planar, Planar]:
-    """Return pose (m, m, rad) and its rate in the world (m/s, m/s, rad/s)."""
-    pose, twist = odometry.pose.pose, odometry.twist.twist
-    theta = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-    c, s = math.cos(theta), math.sin(theta)
-    vx = c * twist.linear.x - s * twist.linear.y
-    vy = s * twist.linear.x + c * twist.linear.y
-    return (pose.position.x, pose.position.y, theta), (vx, vy, twist.angular.z)

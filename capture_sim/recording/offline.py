@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -124,7 +125,8 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     yield follower.state(0.0, launcher.status)
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
     yield follower.state(0.0, launcher.release())
-    statuses = iter(result.statuses)
+    *judged, verdict = result.statuses
+    waiting = deque(judged)
     periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])
     for topic, message in bench.block(samples, result.events):
         yield topic, message
@@ -136,11 +138,13 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
                 touched=int(sample["touches"]) > 0,
             )
             yield follower.state(float(sample["t"]), launched)
-            yield detector.status(float(sample["t"]), next(statuses))
+            while waiting and waiting[0].t <= float(sample["t"]):
+                status = waiting.popleft()
+                yield detector.status(status.t, status)
     complete, reason = not result.failure, result.failure
     yield from bench.end(complete=complete, reason=reason)
     yield follower.end(complete=complete, reason=reason)
-    for status in statuses:  # the verdict at the end
+    for status in (*waiting, verdict):
         yield detector.status(status.t, status)
     yield detector.end(complete=complete, reason=reason)
 
