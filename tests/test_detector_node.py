@@ -1,0 +1,272 @@
+"""The capture detector's node: its parameters, and poses that no simulator sent."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import rclpy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from capture_sim import load_scene, simulate
+from capture_sim.alignment import Source
+from capture_sim.bench import compile_kernels
+from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
+from capture_sim.cli import main
+from capture_sim.messages import RunDescription
+from capture_sim.nodes.running import BenchNode
+from capture_sim.nodes.suite import run_suite
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.judging import judge_recording
+from capture_sim.scene import Detector
+from capture_sim.topics import (
+    BUFFER_STATE,
+    CAPTURE_DETECTOR,
+    CHASER_POSE,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_ACK,
+    STREAM_COUNTS,
+    TARGET_POSE,
+)
+
+SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels():
+    compile_kernels()
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start nodes, each with its parameters; end them afterwards."""
+    started = []
+
+    def start(name, **parameters):
+        arguments = ["--ros-args", "-p", "exit_when_done:=true"]
+        for key, value in parameters.items():
+            arguments += ["-p", f"{key}:={value}"]
+        log = tmp_path / f"{len(started)}_{name}.log"
+        with log.open("w") as out:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"capture_sim.nodes.{name}", *arguments],
+                env=dict(os.environ),
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+        process.log = log
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def wait_for(process, words, timeout=60.0):
+    deadline = time.monotonic() + timeout
+    while words not in process.log.read_text():
+        assert time.monotonic() < deadline, process.log.read_text()
+        time.sleep(0.02)
+
+
+@contextmanager
+def experimenter():
+    """Yield a function that calls a service of the detector."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("experimenter", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def call(kind, name, request):
+        client = node.create_client(kind, f"capture_detector/{name}")
+        assert client.wait_for_service(20.0)
+        answer = client.call_async(request)
+        executor.spin_until_future_complete(answer, 20.0)
+        node.destroy_client(client)
+        return answer.result()
+
+    try:
+        yield call
+    finally:
+        rclpy.shutdown(context=context)
+
+
+def setting(name, value):
+    kind = ParameterType.PARAMETER_DOUBLE
+    value = ParameterValue(type=kind, double_value=value)
+    return SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+
+
+# parameters
+
+
+@pytest.mark.parametrize(
+    "given, said",
+    [
+        ({"radius": "-0.001"}, "parameter radius = -0.001 m: allowed is > 0"),
+        ({"dwell": "1"}, "parameter dwell = 1: allowed is a number with a decimal point, >= 0 s"),
+        ({"still_speed": ".nan"}, "parameter still_speed = nan m/s: allowed is > 0"),
+    ],
+)
+def test_a_wrong_criterion_ends_the_node_in_a_line(start, given, said):
+    node = start("capture_detector", **given)
+    assert node.wait(60.0) == 2
+    assert node.log.read_text().strip() == f"error: {said}"
+
+
+def test_criteria_are_described_and_refused_before_and_during_a_run(start):
+    names = [field.name for field in fields(Detector)]
+    nodes = [
+        start("capture_detector", dwell=0.3),
+        start("launcher"),
+    ]
+    wait_for(nodes[0], "ready")
+    with experimenter() as call:
+        told = call(
+            DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
+        )
+        by_name = {d.name: d for d in told.descriptors}
+        for field in fields(Detector):
+            descriptor = by_name[field.name]
+            assert descriptor.description.startswith(f"{field.metadata['unit']}, ")
+            assert field.metadata["doc"] in descriptor.description
+            allowed = f"{field.metadata['allowed']} {field.metadata['unit']}"
+            assert descriptor.additional_constraints == allowed
+        (refused,) = call(SetParameters, "set_parameters", setting("radius", 0.0)).results
+        assert not refused.successful
+        assert refused.reason == "parameter radius = 0.0 m: allowed is > 0"
+        (taken,) = call(SetParameters, "set_parameters", setting("leave", 0.03)).results
+        assert taken.successful
+        nodes.append(start("simulator", pace=1.0, consumers="[launcher, capture_detector]"))
+        wait_for(nodes[-1], "released")
+        (refused,) = call(SetParameters, "set_parameters", setting("dwell", -1.0)).results
+        assert not refused.successful
+        assert refused.reason == "parameter dwell = -1.0 s: allowed is >= 0"
+        # right, but of no effect on the run that is on
+        (taken,) = call(SetParameters, "set_parameters", setting("radius", 1e-6)).results
+        assert taken.successful
+    assert [node.wait(60.0) for node in nodes] == [0, 0, 0]
+    said = nodes[0].log.read_text()
+    assert "judged by dwell = 0.3 s, leave = 0.03 m; else by the scene" in said
+    assert "captured, within 5 mm of BE for 0.3 s" in said
+
+
+# live, offline, bag
+
+
+def test_live_offline_and_the_bag_agree_to_the_bit_on_sensed_poses(tmp_path, capsys):
+    scene = load_scene(
+        "tilt_p10", [*SENSED, "sensors.load_cell={}", "sensors.motion_capture.rate=200"]
+    )
+    assert run_suite([scene], tmp_path) == 0
+    live = read_run(tmp_path / "tilt_p10.mcap")
+    offline = simulate(scene)
+    assert live.problems == ()
+    assert list(live.statuses) == offline.statuses
+    assert judge_recording(live) == offline.statuses
+    written = read_run(write_run(offline, tmp_path / "offline.mcap"))
+    assert written.topics == live.topics
+    for topic in ("motion_capture/chaser", "motion_capture/target", "load_cell/wrench"):
+        assert written.raw(topic) == live.raw(topic)
+        assert len(live.raw(topic)) > 1000
+    assert written.raw("capture/status") == live.raw("capture/status")
+    capsys.readouterr()
+    path = str(tmp_path / "tilt_p10.mcap")
+    assert main(["judge", path]) == 0
+    assert capsys.readouterr().out.startswith("tilt_p10: captured at ")
+    assert main(["judge", path, "--set", "detector.radius=1e-4"]) == 0
+    assert "captured" not in capsys.readouterr().out
+
+
+def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
+    result = simulate(load_scene("paper_undamped"))
+    again = judge_recording(read_run(write_run(result, tmp_path / "run.mcap")))
+    assert len(again) == len(result.statuses)
+    for a, b in zip(again, result.statuses, strict=True):
+        assert (a.t, a.state, a.final, a.reason) == (b.t, b.state, b.final, b.reason)
+        assert a.distance == pytest.approx(b.distance, rel=1e-12)
+
+
+class Bench(BenchNode):
+    """Stands in for the simulator: sends what cameras and encoders of a bench would."""
+
+    def __init__(self, consumers):
+        super().__init__("real_bench")
+        self.open((RUN_INFO, CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS))
+        self.in_run = set()
+        self._consumers = consumers
+        self.listen(STREAM_ACK, self._heard)
+
+    def _heard(self, ack):
+        if ack.run_id:
+            self.in_run.add(ack.consumer)
+
+    def run(self, scene, measurements):
+        counts = {}
+        publishers = [SIMULATOR, CAPTURE_DETECTOR]
+        run = RunDescription.of(scene, "on the bench", publishers)
+        self.send(RUN_INFO, self.messages.run_info(run))
+        deadline = time.monotonic() + 60.0
+        ours = (CHASER_POSE, TARGET_POSE)
+        while self.in_run != self._consumers or any(self.matched(t) < 2 for t in ours):
+            rclpy.spin_once(self, timeout_sec=0.05)
+            assert time.monotonic() < deadline, self.in_run
+        counts[RUN_INFO.name] = 1
+        for source, t, values in measurements:
+            if source is Source.BUFFER:
+                topic = BUFFER_STATE
+                message = self.messages._buffer_state(
+                    header=self.messages.header(t, ""),
+                    seq=counts.get(topic.name, 0),
+                    axial_stroke=values[0],
+                    torsion=values[1],
+                )
+            else:
+                topic = CHASER_POSE if source is Source.CHASER else TARGET_POSE
+                message = self.messages.sensed_pose(t, values)
+            self.send(topic, message)
+            counts[topic.name] = counts.get(topic.name, 0) + 1
+        self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
+        self.linger(STREAM_COUNTS)
+
+
+@pytest.mark.parametrize("name", ["tilt_m10", "paper_undamped"])
+def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name):
+    scene = load_scene(name, SENSED)
+    measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
+    nodes = [start("capture_detector"), start("recorder", out=tmp_path, drain_timeout=2.0)]
+    rclpy.init()
+    try:
+        bench = Bench({"capture_detector", "recorder"})
+        bench.run(scene, measured)
+        bench.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert nodes[0].wait(30.0) == 0, nodes[0].log.read_text()
+    nodes[1].wait(30.0)
+    run = read_run(tmp_path / f"{name}.mcap")
+    offline, _ = judge(scene, iter(measured))
+    again = judge_recording(run)[-1]
+    live = run.statuses[-1]
+    assert offline.final
+    assert offline.state is simulate(load_scene(name)).verdict
+    for other in (live, again):
+        assert (other.state, other.reason.split(" from ")[0]) == (
+            offline.state,
+            offline.reason.split(" from ")[0],
+        )
+        # topics may overtake each other: an instant is then judged from other neighbours
+        decided = other.t - other.time_in_state
+        assert decided == pytest.approx(offline.t - offline.time_in_state, abs=0.1)
