@@ -1,0 +1,220 @@
+"""Hardware in the loop: vehicles and buffer are simulated, the contact is not.
+
+What acts on the tip is measured elsewhere and comes in as a wrench, late by some delay.
+It is held over each step.  What is too old, or cannot be, stops the stage safely.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.dynamics.equations import MODE, N_SCRATCH
+from capture_sim.dynamics.parameters import pack
+from capture_sim.dynamics.tip_wrench import (
+    N_LOOP,
+    WORK,
+    mobility,
+    step_with_wrench,
+    stored_energy,
+    tip_state,
+)
+from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.scene import Scene
+from capture_sim.topics import Rate, Topic
+
+CONTACT_RIG = "contact_rig"
+LOOP_SIMULATOR = "loop_simulator"
+
+#: Where the tip is in the cone, for what measures or makes the contact.
+TIP = Topic("loop/tip", "nav_msgs/msg/Odometry", (LOOP_SIMULATOR,), Rate.STATE, recorded=False)
+#: What acts on the tip; stamped with the stamp of the tip's place that it answers.
+TIP_WRENCH = Topic(
+    "loop/wrench", "geometry_msgs/msg/WrenchStamped", (CONTACT_RIG,), Rate.STATE, recorded=False
+)
+
+Wrench = tuple[float, float, float]  # N, N, N m: on the tip, about its centre, target's axes
+NOTHING: Wrench = (0.0, 0.0, 0.0)
+
+
+class SafeStopError(CaptureSimError):
+    """The loop had to be opened; the message says when and why."""
+
+
+class TipState(NamedTuple):
+    """The tip's centre in the frame target/cone: origin in the middle of BE, x to the target."""
+
+    t: float  # s
+    x: float  # m
+    y: float  # m
+    theta: float  # rad, of the probe
+    vx: float  # m/s, against the target
+    vy: float
+    omega: float  # rad/s
+
+
+class LoopStage:
+    """Vehicles and buffer, floating free, with the wrench on the tip from outside.
+
+    Parameters
+    ----------
+    scene
+        Without rail, string, supports, latch and stops: those need located events, and a
+        loop has no second look at a step.
+    step
+        s, over which a wrench is held.
+    substeps
+        Runge-Kutta steps in each.
+
+    Raises
+    ------
+    SceneError
+        The scene has a part that cannot be in a loop.
+    """
+
+    def __init__(self, scene: Scene, step: float = 1e-3, substeps: int = 10) -> None:
+        for name in ("rail", "string", "supports", "latch", "stops"):
+            if getattr(scene, name) is not None:
+                raise SceneError(f"{name}: allowed in the loop is null; the vehicles float free")
+        self.scene = scene
+        self.step = step
+        self._substeps = substeps
+        self._par = pack(scene, 0.0, 0.0)
+        self._mode = np.zeros(1, MODE)
+        q, v = scene.initial_coordinates()
+        self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
+        self._work = np.zeros((5, N_LOOP))
+        self._scratch = np.zeros(N_SCRATCH)
+        self._count = 0
+        # loads the kernel, or compiles it: not within the loop
+        step_with_wrench(
+            self._par, self._mode, self._y, self._work, self._scratch, 0.0, 0, *NOTHING
+        )
+
+    @property
+    def t(self) -> float:
+        """Time, s."""
+        return self._count * self.step
+
+    @property
+    def q(self) -> np.ndarray:
+        """Coordinates (8,), m and rad."""
+        return self._y[:8].copy()
+
+    @property
+    def v(self) -> np.ndarray:
+        """Rates (8,)."""
+        return self._y[8:16].copy()
+
+    @property
+    def tip(self) -> TipState:
+        """Where the tip is now."""
+        x, y, theta, vx, vy, omega = tip_state(self._par, self._y)
+        return TipState(self.t, x + self.scene.cone.L_T, y, theta, vx, vy, omega)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic energy and that of the springs, with what the dampers have taken, J."""
+        return float(stored_energy(self._par, self._y) + self._y[16] + self._y[17])
+
+    @property
+    def work(self) -> float:
+        """Work that the wrench has done so far, J: above 0 the loop has made energy."""
+        return float(self._y[WORK])
+
+    def effective_mass(self, nx: float, ny: float) -> float:
+        """Return the mass that a contact with this normal (target's axes) feels, kg."""
+        return 1.0 / float(mobility(self._par, self._y, self._work[0], nx, ny))
+
+    def advance(self, wrench: Wrench) -> TipState:
+        """Go one step with the wrench held; return where the tip is then.
+
+        Raises
+        ------
+        SafeStopError
+            The probe is pushed in up to its tip, or the state is not finite any more.
+        """
+        h = self.step / self._substeps
+        step_with_wrench(
+            self._par, self._mode, self._y, self._work, self._scratch, h, self._substeps, *wrench
+        )
+        self._count += 1
+        if not np.all(np.isfinite(self._y)) or self._y[4] < self.scene.probe.tip_radius:
+            raise SafeStopError(
+                f"stopped at t = {self.t:.6g} s: the probe is pushed in up to its tip"
+            )
+        return self.tip
+
+
+class WrenchHold:
+    """The latest wrench from outside, as long as it may be trusted.
+
+    Parameters
+    ----------
+    timeout
+        s of age up to which a wrench is held.
+    force_limit
+        N, beyond which it is taken for a fault.
+    """
+
+    def __init__(self, timeout: float, force_limit: float) -> None:
+        self._timeout, self._force_limit = timeout, force_limit
+        self._stamp = -math.inf
+        self._wrench = NOTHING
+        self._fault = ""
+        self.ages: list[float] = []  # s, of every wrench when it was used
+        self.refused = 0
+
+    @property
+    def heard(self) -> bool:
+        """Whether there is one."""
+        return self._stamp > -math.inf
+
+    def offer(self, stamp: float, now: float, wrench: Wrench) -> str:
+        """Take in a wrench; return why it was refused, or nothing.
+
+        Parameters
+        ----------
+        stamp
+            s, of the tip's place that it answers.
+        now
+            s, the loop's time.
+        wrench
+            See :data:`Wrench`.
+        """
+        reason = ""
+        if not all(math.isfinite(value) for value in wrench):
+            reason = "is not finite"
+        elif stamp > now + 1e-9:
+            reason = f"is stamped {stamp - now:.3g} s ahead of the loop"
+        elif stamp <= self._stamp:
+            reason = "is not newer than the one before"
+        if reason:
+            self.refused += 1
+            return f"the wrench stamped {stamp:.6g} s {reason}"
+        self._stamp, self._wrench = stamp, wrench
+        force = math.hypot(wrench[0], wrench[1])
+        if force > self._force_limit:
+            self._fault = f"a force of {force:.4g} N came: allowed is <= {self._force_limit:g}"
+        return ""
+
+    def at(self, now: float) -> Wrench:
+        """Return what acts now.
+
+        Raises
+        ------
+        SafeStopError
+            It is too old or too large.
+        """
+        if self._fault:
+            raise SafeStopError(f"stopped at t = {now:.6g} s: {self._fault}")
+        age = now - self._stamp
+        if age > self._timeout + 1e-9:
+            raise SafeStopError(
+                f"stopped at t = {now:.6g} s: the last wrench is {age:.3g} s old: allowed is "
+                f"<= {self._timeout:g}"
+            )
+        self.ages.append(age)
+        return self._wrench

@@ -1,0 +1,54 @@
+"""The node that stands for contact hardware: it answers the tip's place with a wrench."""
+
+from __future__ import annotations
+
+import array
+import threading
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from capture_sim.contact_rig import ContactRig
+from capture_sim.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
+from capture_sim.loop_messages import LoopMessages, tip_of
+from capture_sim.nodes.running import BenchNode, message_class, run
+from capture_sim.scene_files import load_scene
+
+
+class ContactRigNode(BenchNode):
+    """Elastic walls, see :class:`capture_sim.contact_rig.ContactRig`."""
+
+    def __init__(self) -> None:
+        super().__init__(CONTACT_RIG)
+        name = self.declare("scene", "_loop", "whose cone it is: name in config/scenes, or file")
+        overrides = self.declare("overrides", list, "changes of the scene, as cone.beta=0.8 (SI)")
+        stiffness = self.declare("stiffness", 2000.0, "N/m^exponent, of a wall", low=0.0, high=1e12)
+        exponent = self.declare(
+            "exponent", 1.0, "of the depth: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
+        )
+        lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
+        self._rig = ContactRig(load_scene(name, overrides), stiffness, exponent)
+        self._places: deque[TipState] = deque(maxlen=lag + 1)
+        self._made = LoopMessages(message_class, sequence=array.array)
+        self.open((TIP_WRENCH,))
+        self.listen(TIP, self._answer)
+
+    def work(self) -> int:
+        """Answer until Ctrl-C."""
+        self.get_logger().info("ready")
+        threading.Event().wait()
+        return 0
+
+    def _answer(self, message: Any) -> None:
+        self._places.append(tip_of(message))
+        place = self._places[0]
+        self.send(TIP_WRENCH, self._made.wrench(place.t, self._rig.wrench(place)))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit status."""
+    return run(ContactRigNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

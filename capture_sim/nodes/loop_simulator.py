@@ -1,0 +1,149 @@
+"""The node that simulates vehicles and buffer while the contact comes from a topic."""
+
+from __future__ import annotations
+
+import array
+import json
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from capture_sim.contact_rig import BounceWatch
+from capture_sim.errors import CaptureSimError
+from capture_sim.in_the_loop import (
+    LOOP_SIMULATOR,
+    TIP,
+    TIP_WRENCH,
+    LoopStage,
+    SafeStopError,
+    WrenchHold,
+)
+from capture_sim.loop_messages import LoopMessages, stamp_of, wrench_of
+from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, run
+from capture_sim.scene_files import load_scene
+
+#: The tip's first place is sent this often until it is answered, s (wall).
+KNOCK = 0.02
+
+
+class LoopSimulatorNode(BenchNode):
+    """Sends where the tip is, and goes on with the wrench that has come, step by step.
+
+    It starts when the first place has been answered.  A wrench is held until a newer one
+    comes; without one for ``timeout``, or with one beyond ``force_limit``, the vehicles are
+    stopped and the node ends with exit status 1.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(LOOP_SIMULATOR)
+        name = self.declare("scene", "_loop", "name in config/scenes, or file")
+        overrides = self.declare("overrides", list, "changes of the scene, as buffer.c_A=13 (SI)")
+        rate = self.declare("rate", 1000.0, "Hz, of steps and messages", low=10.0, high=10000.0)
+        self._pace = self.declare("pace", 1.0, "simulated seconds per second", low=0.001, high=1.0)
+        timeout = self.declare(
+            "timeout", 0.02, "s, age up to which a wrench is held", low=0.001, high=10.0
+        )
+        force_limit = self.declare(
+            "force_limit", 500.0, "N, beyond which a wrench is a fault", low=0.0, high=1e9
+        )
+        mass = self.declare(
+            "mass", 0.0, "kg, that the contact feels; 0: the tip's", low=0.0, high=1e6
+        )
+        self._patience = self.declare(
+            "start_timeout", 60.0, "s (wall), wait for the first wrench", low=0.1, high=86400.0
+        )
+        self._report = self.declare("report", "", "JSON file of what was measured; none if empty")
+        substeps = max(1, round(40.0 * 1000.0 / rate))
+        self._stage = LoopStage(load_scene(name, overrides), 1.0 / rate, substeps)
+        self._watch = BounceWatch(self._stage, mass or None)
+        self._hold = WrenchHold(timeout, force_limit)
+        self._made = LoopMessages(message_class, sequence=array.array)
+        self._lock = threading.Lock()
+        self._now = 0.0  # of the loop, s
+        self._sent: dict[float, float] = {}  # wall time by the tip's time
+        self._round_trips: list[float] = []
+        self.open((TIP,))
+        self.listen(TIP_WRENCH, self._wrench_came)
+
+    def _wrench_came(self, message: Any) -> None:
+        came = time.monotonic()
+        stamp = stamp_of(message)
+        wrench = wrench_of(message)
+        with self._lock:
+            reason = self._hold.offer(stamp, self._now, wrench)
+            sent = self._sent.pop(round(stamp, 9), None)
+        if sent is not None and not reason:
+            self._round_trips.append(came - sent)
+
+    def work(self) -> int:
+        """Run the loop to the scene's end; return the exit status."""
+        self._await_first()
+        stopped, late = "", 0
+        began = time.monotonic()
+        steps = round(self._stage.scene.run.t_end / self._stage.step)
+        try:
+            for k in range(steps):
+                due = began + k * self._stage.step / self._pace
+                delay = due - time.monotonic()
+                if delay > 0.0:
+                    time.sleep(delay)
+                late += delay < -self._stage.step / self._pace
+                with self._lock:
+                    wrench = self._hold.at(self._now)
+                self._watch.before(wrench)
+                tip = self._stage.advance(wrench)
+                with self._lock:
+                    self._now = tip.t
+                    self._sent[round(tip.t, 9)] = time.monotonic()
+                self.send(TIP, self._made.tip(tip))
+        except SafeStopError as stop:
+            stopped = str(stop)
+            self.get_logger().error(stopped)
+        self._tell(stopped, late)
+        return FAILED if stopped else OK
+
+    def _await_first(self) -> None:
+        self.get_logger().info("waiting for the first wrench")
+        deadline = time.monotonic() + self._patience
+        while True:
+            with self._lock:
+                if self._hold.heard:
+                    return
+            if time.monotonic() > deadline:
+                raise CaptureSimError(f"no wrench came for {self._patience:g} s")
+            self.send(TIP, self._made.tip(self._stage.tip))
+            time.sleep(KNOCK)
+
+    def _tell(self, stopped: str, late: int) -> None:
+        """Say what was measured, and write it where that is asked for."""
+        bounce = self._watch.bounce(stopped)
+        found: dict[str, Any] = {
+            "stopped": stopped,
+            "steps": round(self._stage.t / self._stage.step),
+            "late_steps": late,
+            "refused": self._hold.refused,
+            "ages": self._hold.ages,
+            "round_trips": self._round_trips,
+            "work": self._stage.work,
+            "bounce": None if bounce is None else bounce._asdict(),
+        }
+        if self._report:
+            Path(self._report).write_text(json.dumps(found), encoding="utf-8")
+        ages = sorted(self._hold.ages) or [0.0]
+        self.get_logger().info(
+            f"{found['steps']} steps, wrench {ages[len(ages) // 2] * 1e3:.1f} ms old (median), "
+            f"{ages[-1] * 1e3:.1f} ms (most); work of the wrench {self._stage.work:.4g} J"
+        )
+        if bounce is not None and not stopped:
+            self.get_logger().info(f"first touch: restitution {bounce.restitution:.4f}")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit status."""
+    return run(LoopSimulatorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
