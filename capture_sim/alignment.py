@@ -129,6 +129,17 @@ class Aligner:
             self._waiting.sort()
         return self._take(whole=False)
 
+    def silent(self, longer: float) -> list[Source]:
+        """Return the sources that have fallen behind the newest of all by more than this, s."""
+        known = {source: track.times for source, track in self._tracks.items()}
+        newest = max((times[-1] for times in known.values() if times), default=0.0)
+        oldest = min((times[0] for times in known.values() if times), default=0.0)
+        return [
+            source
+            for source, times in known.items()
+            if newest - (times[-1] if times else oldest) > longer
+        ]
+
     def flush(self) -> list[Observation]:
         """Return the rest at the end, when nothing more will come."""
         return self._take(whole=True)

@@ -14,7 +14,7 @@ from statistics import mean
 
 from capture_sim.dynamics.cone import nearest_on_wall
 from capture_sim.scene import Scene
-from capture_sim.tip_path import NoiseEstimate, Place, TipPath
+from capture_sim.tip_path import NoiseEstimate, Place, TipPath, third_difference
 
 # the detector works on measurements, a few hundred a second: no compiled code needed
 _nearest_on_wall = nearest_on_wall.py_func  # type: ignore[attr-defined]
@@ -158,6 +158,11 @@ class CaptureDetector:
     def update(self, seen: Observation) -> CaptureStatus:
         """Take in a measurement and return the status."""
         tip = self._tip(seen)
+        if self._final and tip.rate is not None and self._path.half_window == 0.0:
+            # nothing is left to decide, and what was measured is what is told
+            self._last = max(self._last or (seen, tip), (seen, tip), key=lambda of: of[0].t)
+            self._nearest = min(self._nearest, math.hypot(tip.axial, tip.lateral))
+            return self._status(seen, tip)
         if self._last is None or seen.t > self._last[0].t:
             self._last = (seen, tip)
             self._buffer_seen.append((seen.t, seen.stroke, seen.torsion))
@@ -298,9 +303,10 @@ class CaptureDetector:
     def _look_at_buffer(self, place: Place) -> None:
         """Learn the buffer's noise while it is at rest; see when it has been pushed."""
         if len(self._buffer_seen) >= 4:
-            times, *values = (list(x) for x in zip(*list(self._buffer_seen)[-4:], strict=True))
-            for noise, value in zip(self._buffer_noise, values, strict=True):
-                noise.add(times, value)
+            four = list(self._buffer_seen)[-4:]
+            weights = third_difference([seen[0] for seen in four])
+            for i, noise in enumerate(self._buffer_noise):
+                noise.add(sum(w * seen[1 + i] for w, seen in zip(weights, four, strict=True)))
         if not self._buffer_noise[0].known:
             return
         limit, arm = self._criteria.contact_gap, self._scene.rest_length

@@ -78,36 +78,48 @@ class Place:
         return math.sqrt(weighted / square)
 
 
+def third_difference(t: list[float]) -> tuple[float, float, float, float]:
+    """Return weights of four measurements whose sum is 0 for any parabola in time.
+
+    Scaled so that the sum over independent measurements scatters as one of them does.
+    """
+    t_0, t_1, t_2, t_3 = t
+    w_0 = 1.0 / ((t_0 - t_1) * (t_0 - t_2) * (t_0 - t_3))
+    w_1 = 1.0 / ((t_1 - t_0) * (t_1 - t_2) * (t_1 - t_3))
+    w_2 = 1.0 / ((t_2 - t_0) * (t_2 - t_1) * (t_2 - t_3))
+    w_3 = 1.0 / ((t_3 - t_0) * (t_3 - t_1) * (t_3 - t_2))
+    norm = math.sqrt(w_0 * w_0 + w_1 * w_1 + w_2 * w_2 + w_3 * w_3)
+    return w_0 / norm, w_1 / norm, w_2 / norm, w_3 / norm
+
+
 class NoiseEstimate:
     """The scatter of a smooth signal's measurements, from its third differences.
 
     The median makes it blind to the few that a hit makes large.
+
+    Attributes
+    ----------
+    deviation : float
+        Standard deviation of one measurement; 0 while it is not known.
     """
 
     def __init__(self) -> None:
+        self.deviation = 0.0
         self._left: deque[float] = deque(maxlen=MEMORY)
+        self._count = 0
 
-    def add(self, t: list[float], x: list[float]) -> None:
-        """Take in four measurements in a row."""
-        total = square = 0.0
-        for i in range(4):
-            weight = 1.0
-            for j in range(4):
-                if j != i:
-                    weight /= t[i] - t[j]
-            total += weight * x[i]
-            square += weight * weight
-        self._left.append(abs(total) / math.sqrt(square))
+    def add(self, left: float) -> None:
+        """Take in a third difference, see :func:`third_difference`."""
+        self._left.append(abs(left))
+        self._count += 1
+        # of many, one more does not change the median
+        if self.known and (self._count <= 4 * ENOUGH or self._count % ENOUGH == 0):
+            self.deviation = median(self._left) / _MEDIAN
 
     @property
     def known(self) -> bool:
         """Whether there are enough measurements."""
-        return len(self._left) >= ENOUGH
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation of one measurement; 0 while it is not known."""
-        return median(self._left) / _MEDIAN if self.known else 0.0
+        return self._count >= ENOUGH
 
 
 class TipPath:
@@ -141,6 +153,7 @@ class TipPath:
         self._deviation = (0.0, 0.0)
         self._half_window = 0.0
         self._interval = 0.0
+        self._count = 0
         self._judged = -math.inf  # up to here places have been handed out
 
     @property
@@ -182,18 +195,25 @@ class TipPath:
             What the buffer's own measurements add to the scatter of ``tip``, m.
         """
         self._buffer_noise = buffer_noise
-        place = bisect_left(self._t, t)
-        newest = place == len(self._t)
-        if not newest and self._t[place] == t:
-            return []
-        self._t.insert(place, t)
-        self._tip.insert(place, tip)
-        self._rigid.insert(place, rigid)
-        self._rate.insert(place, rate)
-        if newest:
+        if not self._t or t > self._t[-1]:
+            self._t.append(t)
+            self._tip.append(tip)
+            self._rigid.append(rigid)
+            self._rate.append(rate)
             self._learn()
             self._forget()
-        return self._hand_out(t if newest else self._t[-1], self._half_window)
+            if self._half_window == 0.0 and len(self._t) > 1 and self._judged == self._t[-2]:
+                self._judged = t  # as nearly always: no need to search
+                return [self._at(len(self._t) - 1)]
+        else:
+            place = bisect_left(self._t, t)
+            if self._t[place] == t:
+                return []
+            self._t.insert(place, t)
+            self._tip.insert(place, tip)
+            self._rigid.insert(place, rigid)
+            self._rate.insert(place, rate)
+        return self._hand_out(self._t[-1], self._half_window)
 
     def finish(self) -> list[Place]:
         """Return the places that were still waiting for later measurements."""
@@ -245,25 +265,26 @@ class TipPath:
         """Estimate the noise anew, and from it the window."""
         t = self._t[-4:]
         if len(t) == 4 and t[3] - t[0] <= 3.0 * self.gap:
+            w_0, w_1, w_2, w_3 = third_difference(t)
+            p_0, p_1, p_2, p_3 = self._rigid[-4:]
             for i in (0, 1):
-                self._noise[i].add(t, [place[i] for place in self._rigid[-4:]])
-        recent = self._t[-51:]
-        if len(recent) > 1:
-            self._interval = median(b - a for a, b in pairwise(recent))
-        scatter = (self._noise[0].deviation, self._noise[1].deviation)
-        total = math.hypot(*scatter, *self._buffer_noise)
-        if total < self._clean:
+                self._noise[i].add(w_0 * p_0[i] + w_1 * p_1[i] + w_2 * p_2[i] + w_3 * p_3[i])
+        self._count += 1
+        if self._count <= ENOUGH or self._count % ENOUGH == 0:
+            recent = self._t[-51:]
+            if len(recent) > 1:
+                self._interval = median(b - a for a, b in pairwise(recent))
+        axial, lateral = (
+            math.hypot(of_pose.deviation, of_buffer)
+            for of_pose, of_buffer in zip(self._noise, self._buffer_noise, strict=True)
+        )
+        if math.hypot(axial, lateral) < self._clean:
             self._deviation, self._half_window = (0.0, 0.0), 0.0
             return
-        axial, lateral = (
-            math.hypot(of_pose, of_buffer)
-            for of_pose, of_buffer in zip(scatter, self._buffer_noise, strict=True)
-        )
         self._deviation = (axial, lateral)
         # a parabola's middle has 9/4 of the variance of a mean
-        count = (1.5 * max(self._deviation) / (ACCURACY * self._radius)) ** 2
-        wanted = max(0.5 * count, 2.0) * self._interval
-        self._half_window = min(wanted, self._delay)
+        count = (1.5 * max(axial, lateral) / (ACCURACY * self._radius)) ** 2
+        self._half_window = min(max(0.5 * count, 2.0) * self._interval, self._delay)
 
     def _forget(self) -> None:
         while self._t[0] < self._t[-1] - self._keep:

@@ -12,7 +12,7 @@ from capture_sim.alignment import Aligner, Source
 from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.detection import CaptureDetector, CaptureState, Observation
 from capture_sim.simulation import observation
-from capture_sim.tip_path import NoiseEstimate, TipPath
+from capture_sim.tip_path import NoiseEstimate, TipPath, third_difference
 
 MISS = ("initial.target.x=0.55", "initial.target.y=-0.085")
 RUNS = {
@@ -38,7 +38,7 @@ def test_noise_is_found_in_a_parabola_with_holes():
     x = 3.0 - 0.2 * t + 0.4 * t**2 + 1e-3 * rng.standard_normal(t.size)
     estimate = NoiseEstimate()
     for k in range(3, t.size):
-        estimate.add(list(t[k - 3 : k + 1]), list(x[k - 3 : k + 1]))
+        estimate.add(float(np.dot(third_difference(list(t[k - 3 : k + 1])), x[k - 3 : k + 1])))
     # the median of 200 correlated differences is good to some 10 %
     assert estimate.deviation == pytest.approx(1e-3, rel=0.3)
 
@@ -47,7 +47,8 @@ def test_a_parabola_without_noise_has_none():
     estimate = NoiseEstimate()
     t = np.linspace(0.0, 1.0, 101)
     for k in range(3, t.size):
-        estimate.add(list(t[k - 3 : k + 1]), list((1.0 - t * t)[k - 3 : k + 1]))
+        weights = third_difference(list(t[k - 3 : k + 1]))
+        estimate.add(float(np.dot(weights, (1.0 - t * t)[k - 3 : k + 1])))
     assert estimate.known
     assert estimate.deviation < 1e-12
 
@@ -192,6 +193,15 @@ def test_what_is_not_a_number_or_comes_twice_is_left_out():
     assert len(aligner.add(Source.CHASER, 0.0, (0.0, 0.0, 0.0))) == 1
     assert aligner.add(Source.CHASER, 0.0, (0.0, 0.0, 0.0)) == []
     assert aligner.repeated == 1
+
+
+def test_a_source_that_falls_silent_is_named():
+    aligner = Aligner(gap=0.1)
+    for k in range(100):
+        for source, size in ((Source.CHASER, 3), (Source.TARGET, 3), (Source.BUFFER, 2)):
+            if source is not Source.TARGET or k < 40:
+                aligner.add(source, k / 100, (0.0,) * size)
+        assert aligner.silent(0.5) == ([Source.TARGET] if k > 89 else [])
 
 
 # verdicts

@@ -15,6 +15,10 @@ from capture_sim.telemetry import DetectorTelemetry
 from capture_sim.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
 from capture_sim.watching import Watch
 
+#: A source that has fallen behind the others by this much is warned of, s of their stamps;
+#: topics of an unpaced run may be apart by the simulator's window.
+STALE = 2.0
+
 
 class CaptureDetectorNode(RunFollower):
     """Sends its judgement of every instant that the poses were measured at.
@@ -48,11 +52,21 @@ class CaptureDetectorNode(RunFollower):
         self._send_all(statuses)
         verdict = statuses[-1]
         self.get_logger().info(f"{self.run.name}: {verdict.state.label}, {verdict.reason}")
+        if skipped := self._watch.aligner.skipped:
+            self.get_logger().warning(
+                f"{self.run.name}: {skipped} instants not judged: a source had a hole there"
+            )
         self.send(*self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
     def _take(self, name: str, message: Any) -> None:
         self._send_all(self._watch.take(name, message))
+        if silent := self._watch.aligner.silent(STALE):
+            names = " and ".join(source.value for source in silent)
+            self.get_logger().warning(
+                f"nothing is judged: no measurement of the {names} for {STALE:g} s",
+                throttle_duration_sec=5.0,
+            )
         if name == BUFFER_STATE.name:
             # one in every set of periodic messages
             self.advance_past(self._sets)
