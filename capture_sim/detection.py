@@ -24,6 +24,8 @@ _TICK = 1e-9
 
 #: Measurements of the buffer that are averaged where a single one scatters too much.
 _SMOOTHED = 12
+#: Poses that scatter never agree this closely, m and rad.
+_SAME = 1e-12
 #: A stand is looked for over this many ``still_time`` as well, where speeds scatter.
 _LONGEST_STAND = 4.0
 
@@ -163,6 +165,8 @@ class CaptureDetector:
             self._last = max(self._last or (seen, tip), (seen, tip), key=lambda of: of[0].t)
             self._nearest = min(self._nearest, math.hypot(tip.axial, tip.lateral))
             return self._status(seen, tip)
+        if self._frozen(seen):
+            return self._status(seen, tip)
         if self._last is None or seen.t > self._last[0].t:
             self._last = (seen, tip)
             self._buffer_seen.append((seen.t, seen.stroke, seen.torsion))
@@ -189,6 +193,16 @@ class CaptureDetector:
         if not self._final and self._judged is not None:
             self._judge_at_end(self._judged)
         return self._status(*self._last)
+
+    def _frozen(self, seen: Observation) -> bool:
+        """Whether a pose that scatters is repeated: its source has lost sight and says the last."""
+        if self._path.half_window == 0.0 or self._last is None:
+            return False
+        last = self._last[0]
+        return any(
+            max(abs(a - b) for a, b in zip(new, old, strict=True)) < _SAME
+            for new, old in ((seen.chaser, last.chaser), (seen.target, last.target))
+        )
 
     def _enter(self, state: CaptureState, t: float, reason: str) -> None:
         self._state, self._since, self._reason = state, t, reason

@@ -255,6 +255,31 @@ def test_a_hole_breaks_off_the_dwell(runs):
     assert verdict.t == pytest.approx(entered + 0.5 + result.scene.detector.dwell, abs=0.02)
 
 
+@pytest.mark.parametrize("frozen", [Source.CHASER, Source.TARGET])
+def test_a_source_that_repeats_its_last_pose_is_not_believed(frozen):
+    """The tip looks into the zone for 60 ms, the cameras lose it there, and find it outside."""
+    scene = load_scene("tilt_0")
+    aligner, detector = Aligner(scene.detector.gap), CaptureDetector(scene)
+    rng = np.random.default_rng(6)
+    reach = scene.buffer.a + scene.rest_length + scene.cone.L_T
+    last = {}
+    for k in range(400):
+        t = k / 100
+        axial = max(0.1 - 0.08 * t, 0.002) if t < 1.35 else 0.03
+        lost = 1.26 < t < 2.0
+        poses = {Source.CHASER: (-axial - reach, 0.0, 0.0), Source.TARGET: (0.0, 0.0, 0.0)}
+        for source, pose in poses.items():
+            seen = tuple(np.array(pose) + rng.standard_normal(3) * [1e-3, 1e-3, 3.5e-3])
+            if lost and source is frozen:
+                seen = last[source]
+            last[source] = seen
+            aligner.add(source, t, seen)
+        for seen in aligner.add(Source.BUFFER, t, (0.0, 0.0)):
+            status = detector.update(seen)
+            assert status.state is not CaptureState.CAPTURED, t
+    assert detector.delay > 0.0
+
+
 def test_a_pushed_buffer_far_from_the_cone_is_no_contact():
     scene = load_scene("tilt_0")
     detector = CaptureDetector(scene)
