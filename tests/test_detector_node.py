@@ -1,6 +1,7 @@
 """The capture detector's node: its parameters, and poses that no simulator sent."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ from capture_sim.alignment import Source
 from capture_sim.bench import compile_kernels
 from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.cli import main
+from capture_sim.detection import CaptureState
 from capture_sim.messages import RunDescription
 from capture_sim.nodes.running import BenchNode
 from capture_sim.nodes.suite import run_suite
@@ -29,6 +31,7 @@ from capture_sim.scene import Detector
 from capture_sim.topics import (
     BUFFER_STATE,
     CAPTURE_DETECTOR,
+    CAPTURE_STATUS,
     CHASER_POSE,
     RUN_INFO,
     SIMULATOR,
@@ -214,7 +217,6 @@ class Bench(BenchNode):
             self.in_run.add(ack.consumer)
 
     def run(self, scene, measurements):
-        counts = {}
         publishers = [SIMULATOR, CAPTURE_DETECTOR]
         run = RunDescription.of(scene, "on the bench", publishers)
         self.send(RUN_INFO, self.messages.run_info(run))
@@ -223,7 +225,13 @@ class Bench(BenchNode):
         while self.in_run != self._consumers or any(self.matched(t) < 2 for t in ours):
             rclpy.spin_once(self, timeout_sec=0.05)
             assert time.monotonic() < deadline, self.in_run
-        counts[RUN_INFO.name] = 1
+        counts = {RUN_INFO.name: 1, **self.measure(measurements)}
+        self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
+        self.linger(STREAM_COUNTS)
+
+    def measure(self, measurements):
+        """Send measurements; return how many by topic."""
+        counts = {}
         for source, t, values in measurements:
             if source is Source.BUFFER:
                 topic = BUFFER_STATE
@@ -238,8 +246,7 @@ class Bench(BenchNode):
                 message = self.messages.sensed_pose(t, values)
             self.send(topic, message)
             counts[topic.name] = counts.get(topic.name, 0) + 1
-        self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
-        self.linger(STREAM_COUNTS)
+        return counts
 
 
 @pytest.mark.parametrize("name", ["tilt_m10", "paper_undamped"])
@@ -270,3 +277,33 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
         # topics may overtake each other: an instant is then judged from other neighbours
         decided = other.t - other.time_in_state
         assert decided == pytest.approx(offline.t - offline.time_in_state, abs=0.1)
+
+
+def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
+    """As on a bench where cameras run and nobody announces anything."""
+    name = "paper_undamped"
+    measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))
+    node = start("capture_detector", scene=name, overrides="['sensors.motion_capture={}']")
+    wait_for(node, "judging by paper_undamped")
+    rclpy.init()
+    try:
+        bench = Bench(set())
+        statuses = []
+        bench.listen(CAPTURE_STATUS, statuses.append)
+        deadline = time.monotonic() + 60.0
+        while any(bench.matched(t) < 1 for t in (CHASER_POSE, TARGET_POSE, BUFFER_STATE)):
+            assert time.monotonic() < deadline
+            rclpy.spin_once(bench, timeout_sec=0.05)
+        bench.measure(measured)
+        while not (statuses and statuses[-1].final):
+            assert time.monotonic() < deadline
+            rclpy.spin_once(bench, timeout_sec=0.05)
+        bench.destroy_node()
+    finally:
+        rclpy.shutdown()
+    verdicts = [status for status in statuses if status.final]
+    assert verdicts[-1].state == CaptureState.REBOUND
+    assert verdicts[-1].reason.startswith("retreated 20 mm from ")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(20.0) == 0
+    assert "Traceback" not in node.log.read_text()

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from capture_sim.detection import CaptureStatus
+from capture_sim.messages import RunDescription
 from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.running import run
-from capture_sim.scene_files import load_scene_text
+from capture_sim.scene import Scene
+from capture_sim.scene_files import load_scene, load_scene_text
 from capture_sim.telemetry import DetectorTelemetry
 from capture_sim.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
 from capture_sim.watching import Watch
@@ -37,6 +40,23 @@ class CaptureDetectorNode(RunFollower):
         self.open(topics_of(CAPTURE_DETECTOR))
         for topic in FOLLOWED[CAPTURE_DETECTOR]:
             self.follow(topic, partial(self._take, topic.name))
+        name = self.declare(
+            "scene",
+            "",
+            "judge by this scene from the start, for a bench where nobody announces runs: "
+            "name in config/scenes, or file; empty to wait for a run",
+        )
+        overrides = self.declare("overrides", list, "changes of that scene (SI)")
+        if name:
+            self._begin_alone(load_scene(name, overrides))
+
+    def _begin_alone(self, scene: Scene) -> None:
+        """Begin a run that nobody has announced; it lasts until Ctrl-C."""
+        description = RunDescription.of(scene, uuid.uuid4().hex, [CAPTURE_DETECTOR])
+        info = self.messages.run_info(description)
+        self.begin(info)
+        self.run = info
+        self.get_logger().info(f"judging by {scene.name} until Ctrl-C")
 
     def begin(self, info: Any) -> None:
         """Start anew for the scene of this run."""
