@@ -25,6 +25,8 @@ MEMORY, ENOUGH = 200, 8
 ACCURACY = 0.06
 #: A fitted point further off than this many standard deviations is left out.
 OUTLIER = 5.0
+#: Fitted places are this far apart at least, s: closer ones share nearly all measurements.
+SPACING = 0.003
 #: The median of |x| of a normal x with standard deviation 1.
 _MEDIAN = 0.6744897501960817
 
@@ -294,9 +296,12 @@ class TipPath:
         first = bisect_right(self._t, self._judged)
         # a rounding of the stamps must not put off a place
         last = bisect_right(self._t, newest - wait + 1e-9)
-        places = [self._at(i) for i in range(first, last)]
-        if places:
-            self._judged = places[-1].t
+        apart = SPACING - 1e-9 if self._half_window > 0.0 else 0.0
+        places = []
+        for i in range(first, last):
+            if self._t[i] - self._judged >= apart:
+                places.append(self._at(i))
+                self._judged = self._t[i]
         return places
 
     def _at(self, i: int) -> Place:

@@ -81,6 +81,18 @@ def test_the_path_errs_by_what_it_says():
     assert smoothed.half_window == pytest.approx(0.25)
 
 
+def test_many_measurements_are_used_without_a_place_for_each():
+    rng = np.random.default_rng(5)
+    smoothed, places = path(), []
+    for k in range(2000):
+        tip = tuple(1e-3 * rng.standard_normal(2) + [0.1, 0.0])
+        places += smoothed.add(k / 1000, tip, tip, None)
+    late = [p for p in places if p.t > 1.0]
+    assert 0.0 < smoothed.half_window < 0.25
+    assert np.diff([p.t for p in late]) == pytest.approx(0.003)
+    assert late[-1].count == pytest.approx(2 * smoothed.half_window * 1000, abs=2)
+
+
 def test_an_outlier_does_not_move_the_path():
     rng = np.random.default_rng(3)
     smoothed, places = path(), []
