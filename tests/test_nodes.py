@@ -396,7 +396,7 @@ WRONG = {
         ["buffer.c_A = -1", "N s/m", ">= 0"],
     ),
     "same scene twice": ("simulator", {"scenes": "[tilt_0, tilt_0]"}, ["different names"]),
-    "no scene": ("simulator", {"scenes": "[]"}, ["scenes = []", "a list of texts"]),
+    "no scene": ("simulator", {"scenes": "[]"}, ["scenes = []", "names of scenes"]),
     "same consumer twice": ("simulator", {"consumers": "[a, a]"}, ["consumers", "once"]),
     "out is no folder": ("recorder", {"out": os.devnull}, [os.devnull, "folder"]),
     "no syntax": ("launcher", {"auto_release": "["}, ["auto_release"]),
@@ -435,6 +435,7 @@ def test_slowest_follower_is_waited_for():
     followers = Followers(["fast", "slow"], timeout=10.0)
     followers.heard("fast", "run", 300)
     followers.heard("slow", "run", 100)
+    followers.start("run")
     timer = threading.Timer(0.1, followers.heard, ("slow", "run", 200))
     timer.start()
     assert followers.wait_for(200, "run") == []
@@ -446,6 +447,7 @@ def test_follower_that_stands_still_is_left_behind_and_one_that_comes_on_is_not(
     followers = Followers(["dead", "slow"], timeout=0.3)
     followers.heard("dead", "run", 50)
     followers.heard("slow", "run", 0)
+    followers.start("run")
     stop = threading.Event()
 
     def live():
@@ -470,6 +472,24 @@ def test_follower_that_falls_silent_is_left_behind_even_if_it_is_not_late():
     time.sleep(0.2)
     assert followers.wait_for(10, "run") == ["dead"]
     assert "no sign of life" in followers.lost["dead"]
+
+
+def test_follower_that_comes_back_counts_from_the_next_run_on():
+    followers = Followers(["a"], timeout=0.1)
+    followers.heard("a", "run", 1000)
+    followers.start("run")
+    time.sleep(0.2)
+    assert followers.drop_silent() == ["a"]
+    assert followers.unheard() == ["a"]
+    followers.heard("a", "", 0)  # started again
+    followers.heard("a", "run", 10)  # and finds the run under way
+    assert followers.lost == {}
+    assert followers.wait_for(2000, "run") == []  # is not waited for
+    assert followers.not_in("") == ["a"]  # before the next run begins it must be free
+    followers.heard("a", "next", 0)
+    followers.start("next")
+    time.sleep(0.2)
+    assert followers.wait_for(2000, "next") == ["a"]
 
 
 def test_acknowledgement_of_another_run_does_not_count():

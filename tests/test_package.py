@@ -20,9 +20,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CMAKE = (ROOT / "CMakeLists.txt").read_text()
 INTERFACES = sorted([*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")])
 
-# [array of] package/Type name [= constant] [# comment]
+# [array of] package/Type name [= constant or default] [# comment]
 FIELD = re.compile(
-    r"(?P<type>[A-Za-z][\w/]*(?:\[[\d<=]*\])?)\s+(?P<name>\w+)\s*(?:=[^#]*)?(?:#\s*(?P<comment>.*))?$"
+    r"(?P<type>[A-Za-z][\w/]*(?:\[[\d<=]*\])?)\s+(?P<name>\w+)\s*(?:=[^#]*|[\w.+-]+\s+)?(?:#\s*(?P<comment>.*))?$"
 )
 
 

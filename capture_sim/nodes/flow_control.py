@@ -22,6 +22,8 @@ class _Follower:
     run_id: str = ""  # the run that it says it is in; empty for none
     received: int = 0  # samples of the run taken in
     moved: float = 0.0  # wall, when that last grew
+    member: bool = False  # took part in the run that is on from its start, and still does
+    away: bool = False  # left behind, and not heard of since
 
 
 class Followers:
@@ -41,7 +43,7 @@ class Followers:
     changed : threading.Condition
         Notified whenever something was heard; may be waited on together with other news.
     lost : dict
-        Followers that were left behind, and why.
+        Followers that were left behind and have not come back, and why.
     """
 
     def __init__(self, names: Sequence[str], timeout: float) -> None:
@@ -53,7 +55,16 @@ class Followers:
     @property
     def names(self) -> list[str]:
         """Those that still take part."""
-        return list(self._followers)
+        return [name for name, f in self._followers.items() if not f.away]
+
+    def start(self, run_id: str) -> None:
+        """Begin a run: from here on those that are in it are waited for.
+
+        One that comes later follows the run without being waited for, and counts from the next.
+        """
+        with self.changed:
+            for follower in self._followers.values():
+                follower.member = follower.run_id == run_id and not follower.away
 
     def heard(self, name: str, run_id: str, received: int) -> None:
         """Take in an acknowledgement: so many samples of that run are taken in."""
@@ -62,8 +73,12 @@ class Followers:
             if follower is None:
                 return
             now = time.monotonic()
+            if follower.away and (run_id, received) != (follower.run_id, follower.received):
+                follower.away = False  # it is back: takes part again from the next run on
+                del self.lost[name]
             if run_id != follower.run_id:
                 follower.run_id, follower.received, follower.moved = run_id, 0, now
+                follower.member = False
             if received > follower.received:
                 follower.received, follower.moved = received, now
             follower.heard = now
@@ -71,11 +86,11 @@ class Followers:
 
     def unheard(self) -> list[str]:
         """Return those that have not been heard of."""
-        return [name for name, f in self._followers.items() if f.heard is None]
+        return [name for name, f in self._followers.items() if f.heard is None or f.away]
 
     def not_in(self, run_id: str) -> list[str]:
         """Return those that are not in this run; an empty ``run_id``: not free."""
-        return [name for name, f in self._followers.items() if f.run_id != run_id]
+        return [name for name, f in self._followers.items() if f.run_id != run_id and not f.away]
 
     def drop_silent(self) -> list[str]:
         """Leave those behind that have fallen silent, and return them."""
@@ -83,7 +98,7 @@ class Followers:
         silent = [
             name
             for name, f in self._followers.items()
-            if f.heard is not None and now - f.heard > self._timeout
+            if f.heard is not None and not f.away and now - f.heard > self._timeout
         ]
         for name in silent:
             self._drop(name, f"no sign of life for {self._timeout:g} s")
@@ -116,9 +131,12 @@ class Followers:
     def _behind(self, count: int, run_id: str) -> list[str]:
         """Return those with fewer samples; one that has ended the run is not waited for."""
         return [
-            name for name, f in self._followers.items() if f.run_id == run_id and f.received < count
+            name
+            for name, f in self._followers.items()
+            if f.member and f.run_id == run_id and f.received < count
         ]
 
     def _drop(self, name: str, why: str) -> None:
-        del self._followers[name]
+        follower = self._followers[name]
+        follower.away, follower.member = True, False
         self.lost[name] = why

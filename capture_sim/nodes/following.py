@@ -17,6 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 
+from capture_sim.control import QUITTING, RESET, STOPPED
 from capture_sim.nodes.running import FAILED, OK, BenchNode
 from capture_sim.telemetry import samples_per_message
 from capture_sim.topics import (
@@ -53,6 +54,9 @@ HEARTBEAT = 0.5
 ACK_EVERY = 100
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"
+_EARLY = "ended early: "
+#: ... and that somebody asked the simulator to end: nothing has failed.
+_AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
 #: Messages that were on their way when the simulator went are waited for this long, s (wall).
 GRACE = 0.5
 
@@ -159,7 +163,7 @@ class RunFollower(BenchNode):
         sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
         self._received = sent.get(BENCH_STATE.name, 0)
         self._acknowledge()
-        self._finish("" if self._counts.complete else f"ended early: {self._counts.reason}")
+        self._finish("" if self._counts.complete else f"{_EARLY}{self._counts.reason}")
 
     # the protocol
 
@@ -244,6 +248,9 @@ class RunFollower(BenchNode):
         problems = self.end(reason)
         if reason == INTERRUPTED:
             problems = [reason]  # that something is missing goes without saying
+        elif reason in _AS_ASKED:
+            self.get_logger().info(f"{self.run.name}: {reason}")
+            problems = []
         for problem in problems:
             self._status = FAILED
             self.get_logger().error(f"{self.run.name}: {problem}")

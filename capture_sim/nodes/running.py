@@ -17,7 +17,12 @@ from types import FrameType
 from typing import Any, NoReturn
 
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -88,6 +93,8 @@ class BenchNode(Node):
         self.messages = Messages(message_class, sequence=array.array)
         self.failure: Exception | None = None  # that ended the callbacks
         self._senders: dict[Topic, Any] = {}
+        self._checks: dict[str, Callable[[Any], None]] = {}
+        self.add_on_set_parameters_callback(self._check_parameters)
 
     def work(self) -> int:
         """Do the node's work in the main thread; return the exit status."""
@@ -105,6 +112,8 @@ class BenchNode(Node):
         low: float | None = None,
         high: float | None = None,
         read_only: bool = True,
+        allowed: str = "",
+        check: Callable[[Any], None] | None = None,
     ) -> Any:
         """Declare a parameter and return its value.
 
@@ -117,6 +126,11 @@ class BenchNode(Node):
             Bounds of a number, both or neither.
         read_only
             Whether the value is fixed from the start.
+        allowed
+            In words, where bounds do not say it.
+        check
+            Called with the value, now and before every change; raises CaptureSimError if it
+            is not usable.
 
         Raises
         ------
@@ -124,7 +138,7 @@ class BenchNode(Node):
             One line that says what is allowed.
         """
         descriptor = ParameterDescriptor(description=description, read_only=read_only)
-        allowed = "a list of texts" if default is list else _kind(default)
+        allowed = allowed or ("a list of texts" if default is list else _kind(default))
         if low is not None and high is not None:
             if isinstance(default, float):
                 span = FloatingPointRange(from_value=float(low), to_value=float(high))
@@ -133,12 +147,14 @@ class BenchNode(Node):
                 span = IntegerRange(from_value=int(low), to_value=int(high))
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
+        descriptor.additional_constraints = allowed
         try:
             if default is list:
                 # an empty list has no type in ROS: declared by type, and unset when empty
                 self.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor)
-                return list(self.get_parameter_or(name).value or ())
-            value = self.declare_parameter(name, default, descriptor).value
+                value = list(self.get_parameter_or(name).value or ())
+            else:
+                value = self.declare_parameter(name, default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException):
             value = None
         if value is None:
@@ -147,7 +163,20 @@ class BenchNode(Node):
             raise ParameterError(
                 f"parameter {name} = {shown}: allowed is {allowed} ({description})"
             )
+        if check is not None:
+            check(value)
+            self._checks[name] = check
         return value
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            check = self._checks.get(parameter.name)
+            try:
+                if check is not None:
+                    check(parameter.value)
+            except CaptureSimError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and never declared: mistyped, most likely."""
@@ -162,7 +191,7 @@ class BenchNode(Node):
         """Make the publishers of these topics."""
         for topic in topics:
             kind = message_class(topic.type_name)
-            self._senders[topic] = self.create_publisher(kind, topic.name, qos_of(topic))
+            self._senders[topic] = self.create_publisher(kind, self.placed(topic), qos_of(topic))
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], **options: Any) -> None:
         """Subscribe to a topic; an error of ours in the callback ends the node in one line."""
@@ -175,7 +204,11 @@ class BenchNode(Node):
                     self.fail(error)
 
         kind = message_class(topic.type_name)
-        self.create_subscription(kind, topic.name, take, qos_of(topic), **options)
+        self.create_subscription(kind, self.placed(topic), take, qos_of(topic), **options)
+
+    def placed(self, topic: Topic) -> str:
+        """Return a topic's name for this node: in a namespace the clock, too, is its own."""
+        return topic.name if self.get_namespace() == "/" else topic.name.lstrip("/")
 
     def fail(self, error: Exception) -> None:
         """Let the main thread end the node because of an error in a callback."""

@@ -2,52 +2,51 @@
 
 from __future__ import annotations
 
-import threading
-import time
+import gc
+import itertools
+import sys
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
-from capture_sim.errors import CaptureSimError, SimulationError
+from capture_sim.control import RunCut, SimulationControl, State
+from capture_sim.errors import CaptureSimError
 from capture_sim.kernels import is_compiled
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.messages import LaunchAction, RunDescription
-from capture_sim.nodes.flow_control import POLL, Followers
-from capture_sim.nodes.following import FOLLOWED, INTERRUPTED, RECORDER
-from capture_sim.nodes.running import (
-    FAILED,
-    OK,
-    BenchNode,
-    ParameterError,
-    run,
-)
+from capture_sim.nodes.diagnostics import SimulatorDiagnostics
+from capture_sim.nodes.flow_control import Followers
+from capture_sim.nodes.following import INTERRUPTED, RECORDER
+from capture_sim.nodes.gathering import Gathering
+from capture_sim.nodes.robot_model import RobotModel
+from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
+from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.nodes.stepping import Stepping
+from capture_sim.pacing import Pacer
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene
-from capture_sim.telemetry import BenchTelemetry
+from capture_sim.telemetry import BenchTelemetry, Sent
 from capture_sim.topics import (
-    BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_DETECTOR,
     LAUNCH_COMMAND,
     LAUNCHER,
+    RUN_INFO,
     SIMULATOR,
     STREAM_ACK,
     STREAM_COUNTS,
     topics_of,
 )
 
-#: Samples that the core computes at a time.
-BLOCK = 100
-#: ... fewer when they would stand for more wall time than this, s.
-BLOCK_TIME = 0.05
-#: Progress is said this often, s (wall).
-REPORT_PERIOD = 2.0
 #: After a run its followers get this long to close their files, s (wall).
 CLOSING_TIME = 60.0
+#: Python hands over between threads this often, s; its own 5 ms would make ticks late.
+SWITCH_INTERVAL = 2e-4
 
 
 @dataclass
@@ -55,31 +54,9 @@ class _Run:
     """A run that is announced: what is run, and what the launcher has said about it."""
 
     scene: Scene
-    id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    id: str = ""
     armed: Any = None  # LaunchCommand
     released: bool = False
-    aborted: bool = False
-
-
-class Pacer:
-    """Lets simulated time pass at a given rate of wall time; what is late is not waited for.
-
-    Parameters
-    ----------
-    pace
-        Simulated seconds per second; 0 does not wait at all.
-    """
-
-    def __init__(self, pace: float) -> None:
-        self._pace = pace
-        self._start = time.monotonic()
-
-    def wait_for(self, t: float) -> None:
-        """Wait until t, s since the release, is due."""
-        if self._pace > 0.0:
-            delay = self._start + t / self._pace - time.monotonic()
-            if delay > 0.0:
-                time.sleep(delay)
 
 
 class SimulatorNode(BenchNode):
@@ -89,21 +66,46 @@ class SimulatorNode(BenchNode):
     launcher has armed and released, and sends the samples: at most a window ahead of the
     slowest follower.  Simulated time starts at the release, so no delay before it, and no
     pace after it, changes a number.
+
+    The main thread steps the bench; callbacks and services have threads of their own.
     """
 
     def __init__(self) -> None:
         super().__init__(SIMULATOR)
         names = self.declare(
-            "scenes", ["tilt_0"], "experiments, in turn: names in config/scenes, or files"
+            "scenes",
+            ["tilt_0"],
+            "experiments, in turn: names in config/scenes, or files; changed while stopped",
+            read_only=False,
+            allowed="names of scenes or YAML files, each once",
         )
-        overrides = self.declare("overrides", list, "changes of the scenes, as buffer.c_A=13 (SI)")
-        self._pace = self.declare(
-            "pace", 0.0, "simulated seconds per second; 0 as fast as it goes", low=0.0, high=1000.0
+        overrides = self.declare(
+            "overrides",
+            list,
+            "changes of the scenes, as buffer.c_A=13 (SI); changed while stopped",
+            read_only=False,
+            allowed="PART.FIELD=VALUE each, within the field's own range",
+        )
+        factor = self.declare(
+            "pace",
+            0.0,
+            "real-time factor: simulated seconds per second; 0 as fast as it goes",
+            low=0.0,
+            high=1000.0,
+            read_only=False,
+        )
+        state = self.declare(
+            "initial_state",
+            "playing",
+            "of the simulation, when the node has started",
+            allowed="stopped, playing or paused",
+            check=_check_state,
         )
         consumers = self.declare(
             "consumers",
             [RECORDER, CAPTURE_DETECTOR, LAUNCHER],
             "nodes that take part: awaited at the start, never outrun",
+            allowed="names of nodes, each once",
         )
         self._window = self.declare(
             "window", 800, "samples that may be ahead of the slowest consumer", low=200, high=900
@@ -125,20 +127,30 @@ class SimulatorNode(BenchNode):
             raise ParameterError(
                 f"parameter consumers = {list(consumers)!r}: allowed are names of nodes, each once"
             )
-        self._scenes = [load_scene(name, overrides) for name in names]
-        for scene in self._scenes:
-            plan_launch(scene)  # refuses here what could not be launched later
-        if len({scene.name for scene in self._scenes}) != len(self._scenes):
-            raise ParameterError(
-                f"parameter scenes = {list(names)!r}: allowed are experiments of different names"
-            )
+        self._scenes = _load(names, overrides)
         self._reporting = [SIMULATOR, *(name for name in consumers if topics_of(name))]
         self._followers = Followers(consumers, timeout)
+        self.control = SimulationControl(State[state.upper()], self._followers.changed)
+        self._gathering = Gathering(
+            self, self._followers, self.control, replaced=not self._exit_when_done
+        )
+        self._pacer = Pacer(factor)
+        # run ids of one simulator begin alike, so that another's are known for what they are
+        self._session = uuid.uuid4().hex[:24]
+        self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
+        self._state: Any = None  # BenchState sent last
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
+        self._rival = ""  # experiment of another simulator on the same topics
         self.open(topics_of(SIMULATOR))
+        self._model = RobotModel(self)
+        self._diagnostics = SimulatorDiagnostics(self, self.control)
+        self._served = SimulationServices(self, self.control)
         self.listen(STREAM_ACK, self._heard)
         self.listen(LAUNCH_COMMAND, self._commanded)
+        self.listen(RUN_INFO, self._announced)
+        self.add_on_set_parameters_callback(self._may_set)
+        self.add_post_set_parameters_callback(self._parameters_set)
 
     # callbacks
 
@@ -154,26 +166,72 @@ class SimulatorNode(BenchNode):
             elif command.action == LaunchAction.RELEASE:
                 self._run.released = True
             elif command.action == LaunchAction.ABORT:
-                self._run.aborted = True
+                self.control.cut("aborted by the launcher")
             self._followers.changed.notify_all()
+
+    def _announced(self, info: Any) -> None:
+        """Take note of another simulator: with two on one topic, no stream would be whole."""
+        with self._followers.changed:
+            session = info.run_id[: len(self._session)]
+            if session == self._session:
+                return
+            self._rival = info.name
+            # both hear each other; the run that is on stays, of two the smaller number
+            if self._telemetry is None or session < self._session:
+                self.control.cut(self._rivalry())
+
+    def _rivalry(self) -> str:
+        topic = self.resolve_topic_name(RUN_INFO.name)
+        return (
+            f"another simulator, with {self._rival}, publishes {topic}: "
+            "use another ROS_DOMAIN_ID or namespace"
+        )
+
+    def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
+        if wanted:
+            try:
+                if self.control.state is not State.STOPPED:
+                    raise ParameterError(
+                        f"parameter {next(iter(wanted))}: may be changed while the simulation is "
+                        f"stopped; it is {self.control.state.name.lower()}"
+                    )
+                _load(*self._scene_parameters(wanted))
+            except CaptureSimError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _parameters_set(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name == "pace":
+                self._pacer.factor = parameter.value
+            elif parameter.name in ("scenes", "overrides"):
+                self._scenes = _load(*self._scene_parameters({}))
+
+    def _scene_parameters(self, wanted: dict[str, Any]) -> tuple[list[str], list[str]]:
+        present = {name: self.get_parameter_or(name).value for name in ("scenes", "overrides")}
+        present.update(wanted)
+        return list(present["scenes"] or ()), list(present["overrides"] or ())
 
     # in the main thread
 
     def work(self) -> int:
-        """Run all scenes; return the exit status."""
+        """Run all scenes, as often as is asked for; return the exit status."""
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once: some ten seconds")
         compile_kernels()
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        gc.collect()
+        gc.freeze()  # a sweep over all that was imported takes longer than a tick
         status = OK
-        for scene in self._scenes:
-            if self._go_through(_Run(scene)):
+        while self.control.await_start() is not State.QUITTING:
+            done, failed = self._go_through_all()
+            if failed:
                 status = FAILED
-            if self._followers.lost:
-                status = FAILED
+            if done and self._exit_when_done:
                 break
-        if not self._exit_when_done:
-            self.get_logger().info("all runs are over; Ctrl-C ends this node")
-            threading.Event().wait()
+            if done and self.control.state is State.STOPPED:
+                self.get_logger().info("all runs are over; play runs them again, Ctrl-C ends")
         return status
 
     def interrupted(self) -> None:
@@ -182,61 +240,93 @@ class SimulatorNode(BenchNode):
             self._end_run(INTERRUPTED)
             self.linger(STREAM_COUNTS)
 
-    def _go_through(self, announced: _Run) -> str:
-        """Go through a run; return why it ended early, or nothing."""
+    def destroy_node(self) -> None:
+        """End the services, then the node."""
+        self._served.close()
+        super().destroy_node()
+
+    def _go_through_all(self) -> tuple[bool, bool]:
+        """Run the scenes in turn; return whether they are through, and whether one failed."""
+        failed = False
+        for scene in self._scenes:
+            again = True
+            while again:
+                if self.control.state in (State.STOPPED, State.QUITTING):
+                    return False, failed
+                failure, again, stopped = self._go_through(
+                    _Run(scene, f"{self._session}{next(self._numbers):08x}")
+                )
+                failed = failed or bool(failure or self._followers.lost)
+                if stopped and not failure:
+                    return False, failed
+            if failed and (not self._exit_when_done or self._followers.lost or self._rival):
+                break  # nobody there to see the others, or somebody ought to look first
+        self.control.finish()
+        return True, failed
+
+    def _go_through(self, announced: _Run) -> tuple[str, bool, bool]:
+        """Go through a run; return why it failed, whether it begins anew, and was stopped."""
         with self._followers.changed:
             self._run = announced
+        self.control.begin()
+        failure, cut = "", None
         try:
-            self._await(self._all_free, self._patience)
+            if self._rival and self.count_publishers(self.placed(RUN_INFO)) > 1:
+                raise CaptureSimError(self._rivalry())
+            self._rival = ""
+            self._await(self._gathering.all_free, self._patience)
             self._begin_run()
-            self._await(self._all_ready, self._patience)
+            self._await(lambda: self._gathering.all_ready(announced.id), self._patience)
+            self.control.ready()
             self._await(self._launched, None)
+            self._followers.start(announced.id)
             failure = self._simulate(Bench(announced.scene, self._commanded_plan()))
+        except RunCut as asked:
+            cut = asked
+            if not asked.asked_for:
+                failure = str(asked)
         except CaptureSimError as error:
             failure = str(error)
         if failure:
             self._complain(failure)
         if self._telemetry is not None:
-            self._end_run(failure)
-            failure = self._see_off() or failure
-        return failure
+            self._end_run(failure or ("" if cut is None else str(cut)))
+        if cut is None:
+            failure = failure or self._see_off()
+        self.control.end(failure)
+        return failure, cut is not None and cut.again, cut is not None and not cut.again
 
     def _begin_run(self) -> None:
         scene = self._run.scene
         description = RunDescription.of(scene, self._run.id, self._reporting)
-        self._telemetry = BenchTelemetry(self.messages, scene, description)
+        with self._followers.changed:
+            self._telemetry = BenchTelemetry(self.messages, scene, description)
+        self._model.begin(scene)
         for sent in self._telemetry.begin():
             self.send(*sent)
 
     def _simulate(self, bench: Bench) -> str:
-        """Send the whole run; return why it ended early, or nothing."""
+        """Send the whole run; return why it failed, or nothing."""
         assert self._telemetry is not None
-        block = BLOCK
-        if self._pace > 0.0:
-            due = BLOCK_TIME * self._pace * bench.scene.run.state_rate
-            block = int(np.clip(due, 1, BLOCK))
-        self.get_logger().info(f"{bench.scene.name}: released")
-        pacer = Pacer(self._pace)
-        progress = _Progress(self, bench.scene)
-        count = seen = 0
-        failure = ""
-        while not (bench.done or failure):
-            try:
-                samples = bench.advance(bench.times(count, block))
-            except SimulationError as error:
-                samples, failure = error.partial, str(error)
-            self._leave_room(count + len(samples) - self._window)
-            if self._run.aborted:
-                return "aborted by the launcher"
-            events, seen = bench.events[seen:], len(bench.events)
-            for topic, message in self._telemetry.block(samples, events):
-                if topic is BENCH_STATE or topic is BENCH_EVENT:
-                    pacer.wait_for(message.t)
-                self.send(topic, message)
-            count += len(samples)
-            progress.report(count)
-        progress.finish(count)
+        name = bench.scene.name
+        self.get_logger().info(f"{name}: released")
+        self._pacer = Pacer(self._pacer.factor)
+        stepping = Stepping(bench, self._telemetry, self.control, self._pacer)
+        self._diagnostics.begin(stepping, self._pacer)
+        try:
+            failure = stepping.run(self._send, self._leave_room)
+        finally:
+            self._diagnostics.end()
+        self.get_logger().info(f"{name}: done, {stepping.count} samples, {stepping.figures}")
         return failure
+
+    def _send(self, sent: Sent) -> None:
+        topic, message = sent
+        self.send(topic, message)
+        if topic is BENCH_STATE:
+            self._state = message
+        elif topic is BenchTelemetry.LAST_PERIODIC:
+            self._model.move(self._state)
 
     def _commanded_plan(self) -> LaunchPlan:
         """Return the launch with the mass and height that the launcher has set."""
@@ -261,7 +351,9 @@ class SimulatorNode(BenchNode):
     def _see_off(self) -> str:
         """Give the followers time to take in and write what was sent; return what failed."""
         try:
-            self._await(self._all_free, CLOSING_TIME)
+            self._await(self._gathering.all_closed, CLOSING_TIME)
+        except RunCut:
+            pass
         except CaptureSimError as error:
             self._complain(str(error))
             return str(error)
@@ -273,76 +365,35 @@ class SimulatorNode(BenchNode):
     # what is waited for
 
     def _leave_room(self, count: int) -> None:
-        for name in self._followers.wait_for(count, self._run.id):
+        for name in self._followers.wait_for(count - self._window, self._run.id):
             self._complain(f"{name}: {self._followers.lost[name]}; the run goes on without it")
 
-    def _all_free(self) -> str:
-        if unheard := self._followers.unheard():
-            return f"waiting for {', '.join(unheard)} to start"
-        if busy := self._followers.not_in(""):
-            return f"waiting for {', '.join(busy)} to end the last run"
-        return ""
-
-    def _all_ready(self) -> str:
-        if outside := self._followers.not_in(self._run.id):
-            return f"waiting for {', '.join(outside)} to take up the run"
-        for topic in topics_of(SIMULATOR):
-            readers = [name for name in self._followers.names if topic in FOLLOWED.get(name, ())]
-            if self.matched(topic) < len(readers):
-                return f"waiting for {topic.name} to be connected to {', '.join(readers)}"
-        return ""
-
     def _launched(self) -> str:
-        if self._run.aborted:
-            raise CaptureSimError("aborted by the launcher before the release")
         return "" if self._run.armed and self._run.released else "waiting for the release"
 
     def _await(self, lacking: Callable[[], str], limit: float | None) -> None:
-        """Wait until ``lacking`` returns nothing; say what it returns, ever more seldom.
-
-        Raises
-        ------
-        CaptureSimError
-            After ``limit`` (s), or when a follower falls silent meanwhile.
-        """
-        began = said = time.monotonic()
-        silence = REPORT_PERIOD
-        with self._followers.changed:
-            while text := lacking():
-                self._followers.changed.wait(POLL)
-                for name in self._followers.drop_silent():
-                    raise CaptureSimError(f"{name}: {self._followers.lost[name]}")
-                now = time.monotonic()
-                if limit is not None and now - began > limit:
-                    raise CaptureSimError(f"{text}: given up after {limit:g} s")
-                if now - said > silence:
-                    said, silence = now, 2.0 * silence
-                    self.get_logger().info(f"{self._run.scene.name}: {text}")
+        self._gathering.wait(self._run.scene.name, lacking, limit)
 
 
-class _Progress:
-    """Says at times how far a run is."""
+def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
+    """Return the scenes; refuses here what could not be launched later."""
+    if not names:
+        raise ParameterError("parameter scenes = []: allowed are names of scenes, one at least")
+    scenes = [load_scene(name, list(overrides)) for name in names]
+    for scene in scenes:
+        plan_launch(scene)
+    if len({scene.name for scene in scenes}) != len(scenes):
+        raise ParameterError(
+            f"parameter scenes = {list(names)!r}: allowed are experiments of different names"
+        )
+    return scenes
 
-    def __init__(self, node: SimulatorNode, scene: Scene) -> None:
-        self._log = node.get_logger()
-        self._scene = scene
-        self._began = self._said = time.monotonic()
 
-    def report(self, count: int) -> None:
-        """Say it if it is time to; ``count`` samples are sent."""
-        if time.monotonic() - self._said > REPORT_PERIOD:
-            self._said = time.monotonic()
-            limit = self._scene.run.t_end
-            self._log.info(f"{self._scene.name}: {self._figures(count)}, at most {limit:g} s")
-
-    def finish(self, count: int) -> None:
-        """Say how long it took."""
-        self._log.info(f"{self._scene.name}: done, {count} samples, {self._figures(count)}")
-
-    def _figures(self, count: int) -> str:
-        simulated = count / self._scene.run.state_rate
-        spent = max(time.monotonic() - self._began, 1e-9)
-        return f"{simulated:.2f} s simulated in {spent:.2f} s ({simulated / spent:.1f} x real time)"
+def _check_state(value: str) -> None:
+    if value not in ("stopped", "playing", "paused"):
+        raise ParameterError(
+            f"parameter initial_state = {value!r}: allowed is stopped, playing or paused"
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,0 +1,67 @@
+"""The bench for RViz and Foxglove: /robot_description, and /tf where its messages exist."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from capture_sim.nodes.running import BenchNode, message_class
+from capture_sim.robot_description import Transform, moving_transforms, static_transforms, urdf
+from capture_sim.scene import Scene
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class RobotModel:
+    """Publishes what the bench looks like and where its parts are.
+
+    For the eye only: not counted, not recorded (poses and joints are), never waited for.
+    """
+
+    def __init__(self, node: BenchNode) -> None:
+        self._node = node
+        self._string = message_class("std_msgs/msg/String")
+        self._description = node.create_publisher(self._string, "robot_description", _LATCHED)
+        self._moving: Any = None
+        self._scene: Scene | None = None
+        try:
+            self._tf = message_class("tf2_msgs/msg/TFMessage")
+        except ImportError:  # not among the wheels
+            return
+        self._stamped = message_class("geometry_msgs/msg/TransformStamped")
+        self._moving = node.create_publisher(self._tf, self._placed("/tf"), 100)
+        self._static = node.create_publisher(self._tf, self._placed("/tf_static"), _LATCHED)
+
+    def begin(self, scene: Scene) -> None:
+        """Show the parts of this scene, at its start."""
+        self._scene = scene
+        self._description.publish(self._string(data=urdf(scene)))
+        if self._moving is not None:
+            self._static.publish(self._message(static_transforms(scene), 0.0))
+            q, _ = scene.initial_coordinates()
+            self._moving.publish(self._message(moving_transforms(scene, q.tolist()), 0.0))
+
+    def move(self, state: Any) -> None:
+        """Show the parts where this BenchState has them."""
+        if self._moving is not None and self._scene is not None:
+            transforms = moving_transforms(self._scene, state.q.tolist())
+            self._moving.publish(self._message(transforms, state.t))
+
+    def _placed(self, name: str) -> str:
+        return name if self._node.get_namespace() == "/" else name.lstrip("/")
+
+    def _message(self, transforms: Iterable[Transform], t: float) -> Any:
+        return self._tf(transforms=[self._transform(transform, t) for transform in transforms])
+
+    def _transform(self, place: Transform, t: float) -> Any:
+        message = self._stamped(
+            header=self._node.messages.header(t, place.parent), child_frame_id=place.child
+        )
+        message.transform.translation.x = place.x
+        message.transform.translation.y = place.y
+        message.transform.rotation.z = math.sin(0.5 * place.yaw)
+        message.transform.rotation.w = math.cos(0.5 * place.yaw)
+        return message
