@@ -187,6 +187,38 @@ def test_two_suites_are_identical(name, suites):
         assert first.raw(topic) == second.raw(topic), topic
 
 
+def test_two_suites_in_one_domain_do_not_mix(suites, scenes, tmp_path):
+    status = {}
+
+    def suite(name):
+        status[name] = run_suite(scenes[:1], tmp_path / name)
+
+    threads = [threading.Thread(target=suite, args=(name,)) for name in "ab"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert status == {"a": 0, "b": 0}
+    alone = suites[0][NAMES[0]]
+    for name in "ab":
+        run = read_run(tmp_path / name / f"{NAMES[0]}.mcap")
+        assert run.complete
+        assert run.topics == alone.topics
+        for topic in {key.lstrip("/") for key in run.topics} - OF_THE_RUN:
+            assert run.raw(topic) == alone.raw(topic), topic
+
+
+def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
+    first = start("simulator", consumers="[launcher]", pace="1.0")
+    start("launcher")
+    first.wait_for("released")
+    second = start("simulator", consumers="[launcher]")
+    assert second.status(30.0) == 1
+    assert re.search("another simulator, with tilt_0, publishes /bench/run_info", second.text)
+    assert "Traceback" not in second.text
+    assert first.status(30.0) == 0
+
+
 def test_launcher_is_heard_and_delivers(suites):
     states = suites[0]["tilt_0"].columns("launcher/state")
     assert states["state"][:2].tolist() == [1, 2]  # armed, released

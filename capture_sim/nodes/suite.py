@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 
 import yaml
 
+from capture_sim.nodes.places import Place, claim_place
 from capture_sim.scene import Scene
 from capture_sim.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 
@@ -52,8 +53,8 @@ _DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
 def run_suite(scenes: Sequence[Scene], out: Path, *, record: bool = True, pace: float = 0.0) -> int:
     """Run experiments with the ROS 2 nodes.
 
-    Uses the caller's ROS_DOMAIN_ID, or without one a domain of this process's own, so that
-    suites beside each other do not mix.
+    Uses the caller's ROS_DOMAIN_ID, or without one a domain that no other suite of this
+    machine uses.  A second suite in one domain runs in a namespace of its own.
 
     Parameters
     ----------
@@ -81,18 +82,23 @@ def run_suite(scenes: Sequence[Scene], out: Path, *, record: bool = True, pace: 
     limit = START_LIMIT
     for scene in scenes:
         limit += scene.run.t_end * (SLOWEST if pace == 0.0 else 1.5 / pace)
-    with tempfile.TemporaryDirectory(prefix="capture_sim_") as temporary:
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as temporary, claim_place() as place:
         folder = Path(temporary)
-        parameters = _write_parameters(folder, scenes, out, names[1:], pace)
-        environment = _environment(folder, out)
-        _say(f"starting {', '.join(names)} on ROS_DOMAIN_ID {environment['ROS_DOMAIN_ID']}")
-        with _interruptible(), _Processes(names, parameters, environment) as processes:
+        parameters = _write_parameters(folder, scenes, out, names[1:], pace, place)
+        environment = _environment(folder, out, place)
+        _say(f"starting {', '.join(names)} {place}")
+        with _interruptible(), _Processes(names, parameters, place, environment) as processes:
             status = processes.supervise(limit)
     return status
 
 
 def _write_parameters(
-    folder: Path, scenes: Sequence[Scene], out: Path, consumers: Sequence[str], pace: float
+    folder: Path,
+    scenes: Sequence[Scene],
+    out: Path,
+    consumers: Sequence[str],
+    pace: float,
+    place: Place,
 ) -> Path:
     files = []
     for number, scene in enumerate(scenes):
@@ -104,7 +110,7 @@ def _write_parameters(
     if RECORDER in of_node:
         of_node[RECORDER] = {"out": str(out)}
     content = {
-        name: {"ros__parameters": {"exit_when_done": True, **values}}
+        f"{place.prefix}/{name}": {"ros__parameters": {"exit_when_done": True, **values}}
         for name, values in of_node.items()
     }
     path = folder / "parameters.yaml"
@@ -112,10 +118,9 @@ def _write_parameters(
     return path
 
 
-def _environment(folder: Path, out: Path) -> dict[str, str]:
+def _environment(folder: Path, out: Path, place: Place) -> dict[str, str]:
     """Return the nodes' environment; what the caller has set is left as it is."""
-    environment = dict(os.environ)
-    environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(place.domain))
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity}: {message}")
     if "ROS_HOME" not in environment:
@@ -156,8 +161,15 @@ def _interruptible() -> Iterator[None]:
 class _Processes:
     """The nodes' processes; leaving the context ends what still runs."""
 
-    def __init__(self, names: Sequence[str], parameters: Path, environment: Mapping[str, str]):
+    def __init__(
+        self,
+        names: Sequence[str],
+        parameters: Path,
+        place: Place,
+        environment: Mapping[str, str],
+    ) -> None:
         self._names = names
+        self._place = place
         self._parameters = parameters
         self._environment = environment
         self._running: dict[str, subprocess.Popen[str]] = {}
@@ -209,6 +221,7 @@ class _Processes:
             [
                 *(sys.executable, "-m", f"capture_sim.nodes.{name}"),
                 *("--ros-args", "--params-file", str(self._parameters)),
+                *("-r", f"__ns:={self._place.namespace}"),
             ],
             env=dict(self._environment),
             stdin=subprocess.DEVNULL,
