@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.dynamics.supports import ball_loads, load_factor, rolling_wrench
-from capture_sim.launching import Launcher, LauncherPhase, plan_launch
+from capture_sim.launching import Launcher, LauncherPhase, expected_speed, plan_launch
 
 
 def event(result, label):
@@ -112,6 +112,63 @@ def test_launcher_follows_the_launch():
     done = launcher.observe(0.06, True, True)
     assert (done.state, done.measured_speed) == (LauncherPhase.DELIVERED, 0.101)
     assert launcher.abort("late").state is LauncherPhase.DELIVERED
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "paper_designed"])
+def test_speed_that_belongs_to_a_travel(name):
+    """By energy, against the motion as it is integrated in time."""
+    scene = load_scene(name)
+    result = simulate(scene)
+    launcher = Launcher(scene)
+    launcher.release()
+    before = result.samples[result.samples["touches"] == 0]
+    for sample in before[::7]:
+        travel = launcher.travelled(*sample["q"][:2])
+        assert expected_speed(scene, launcher.plan, travel) == pytest.approx(
+            sample["v"][0], abs=2e-6
+        )
+        status = launcher.observe(
+            float(sample["v"][0]),
+            sample["string_tension"] == 0.0,
+            False,
+            t=float(sample["t"]),
+            travel=travel,
+        )
+        assert status.state is not LauncherPhase.ABORTED
+
+
+def released(**options):
+    launcher = Launcher(load_scene("tilt_0"), **options)
+    launcher.release()
+    return launcher
+
+
+def test_launch_is_aborted_outside_its_window_and_only_there():
+    plan = released().plan
+    half = 0.5 * plan.drop_height
+    wanted = plan.landing_speed * math.sqrt(0.5)
+    for off, state in ((0.0099, "RELEASED"), (-0.0099, "RELEASED"), (0.0101, "ABORTED")):
+        launcher = released(tolerance=0.1)
+        status = launcher.observe(wanted + off, False, False, t=1.0, travel=half)
+        assert status.state is LauncherPhase[state]
+    assert "0.06" in status.reason
+    assert "allowed is" in status.reason
+    # latched: nothing that comes later mends it
+    assert launcher.observe(wanted, False, True, t=1.1, travel=half) == status
+    assert launcher.abort("later").reason == status.reason
+
+
+def test_launch_that_does_not_arrive_is_aborted():
+    launcher = released(tolerance=0.2)
+    late = 1.2 * launcher.plan.contact_time + 0.5
+    wanted = launcher.plan.landing_speed
+    height = launcher.plan.drop_height
+    assert launcher.observe(wanted, True, False, t=late - 0.01, travel=height).reason == ""
+    assert (
+        "no contact" in launcher.observe(wanted, True, False, t=late + 0.01, travel=height).reason
+    )
+    stuck = released()
+    assert stuck.observe(0.0, False, False, t=late + 0.01, travel=0.0).state == 5
 
 
 def test_chaser_coasts_to_rest_and_stays_there():

@@ -43,7 +43,7 @@ RECORDER = "recorder"
 
 #: What each follower reads; the simulator waits until these subscriptions are connected.
 FOLLOWED: dict[str, tuple[Topic, ...]] = {
-    LAUNCHER: (STRING_STATE, CONTACT_STATE),
+    LAUNCHER: (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY),
     CAPTURE_DETECTOR: (CHASER_ODOMETRY, TARGET_ODOMETRY, BUFFER_STATE, CHASER_POSE, TARGET_POSE),
     RECORDER: RECORDED,
 }
