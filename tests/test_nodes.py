@@ -8,17 +8,18 @@ import sys
 import textwrap
 import threading
 import time
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from bench_processes import Client, Simulation, Started, processes
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
+from capture_sim.control import Code, State
 from capture_sim.nodes.flow_control import Followers
 from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class
-from capture_sim.nodes.suite import _DISCOVERY, run_suite
+from capture_sim.nodes.suite import run_suite
 from capture_sim.recording import read_run, write_run
 from capture_sim.simulation import observation
 
@@ -51,71 +52,11 @@ def suites(scenes, tmp_path_factory):
     return runs
 
 
-@dataclass
-class Started:
-    """A node's process and what it says."""
-
-    process: subprocess.Popen
-    lines: list = field(default_factory=list)
-
-    def __post_init__(self):
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
-
-    def _read(self):
-        self.lines.extend(iter(self.process.stdout.readline, ""))
-
-    @property
-    def text(self):
-        return "".join(self.lines)
-
-    def wait_for(self, words, timeout=60.0):
-        """Wait until the node says something."""
-        deadline = time.monotonic() + timeout
-        while words not in self.text:
-            assert time.monotonic() < deadline, f"never said {words!r}:\n{self.text}"
-            time.sleep(0.01)
-
-    def status(self, timeout=60.0):
-        """Wait for the end and return the exit status."""
-        status = self.process.wait(timeout)
-        self.reader.join(5.0)
-        return status
-
-
 @pytest.fixture
 def start(tmp_path):
-    """Start a node: its name, parameters, and Python code that changes it before."""
-    profile = tmp_path / "discovery.xml"
-    profile.write_text(_DISCOVERY)
-    environment = dict(
-        os.environ,
-        FASTRTPS_DEFAULT_PROFILES_FILE=str(profile),
-        FASTDDS_BUILTIN_TRANSPORTS="UDPv4",  # a killed process would leave its shared memory
-    )
-    started = []
-
-    def start(name, change="", **parameters):
-        arguments = ["--ros-args", "-p", "exit_when_done:=true"]
-        for key, value in parameters.items():
-            arguments += ["-p", f"{key}:={value}"]
-        program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
-        program += "raise SystemExit(node.main())"
-        process = subprocess.Popen(
-            [sys.executable, "-c", program, *arguments],
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        started.append(Started(process))
-        return started[-1]
-
-    yield start
-    for node in started:
-        if node.process.poll() is None:
-            node.process.kill()
-        node.process.wait()
+    """Start a node: its name, Python code that changes it before, and parameters."""
+    with processes(tmp_path) as start:
+        yield start
 
 
 @pytest.fixture
@@ -305,35 +246,48 @@ def test_launcher_that_dies_before_the_release_ends_the_run(start_all):
 
 
 def test_chaser_is_held_until_the_release_is_given(start, tmp_path):
-    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-    from rcl_interfaces.srv import SetParameters
-
     nodes = [
         start("simulator", consumers="[launcher, capture_detector]"),
         start("launcher", auto_release="false"),
         start("capture_detector"),
     ]
     nodes[0].wait_for("waiting for the release")
-    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
-    request = SetParameters.Request(parameters=[Parameter(name="auto_release", value=value)])
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
-
-    context = Context()
-    rclpy.init(context=context)
-    try:
-        node = rclpy.create_node("experimenter", context=context)
-        client = node.create_client(SetParameters, "launcher/set_parameters")
-        assert client.wait_for_service(20.0)
-        executor = SingleThreadedExecutor(context=context)
-        answer = client.call_async(request)
-        executor.add_node(node)
-        executor.spin_until_future_complete(answer, 20.0)
-        assert answer.result().results[0].successful
-    finally:
-        rclpy.shutdown(context=context)
+    with Client() as client:
+        assert client.set("launcher", auto_release=True) == (True, "")
     assert [node.status() for node in nodes] == [0, 0, 0]
+
+
+def test_launcher_aborts_a_launch_that_goes_wrong(start):
+    """The real bench is not as planned: here the mass that was fitted is heavier by half."""
+    heavier = """
+        from dataclasses import replace
+        fitted = node.SimulatorNode._commanded_plan
+        def wrong(self):
+            plan = fitted(self)
+            return replace(plan, hanging_mass=1.5 * plan.hanging_mass)
+        node.SimulatorNode._commanded_plan = wrong
+    """
+    with Client() as client:
+        simulator = start("simulator", heavier, consumers="[launcher]", pace="2.0")
+        launcher = start("launcher", actuator="output")
+        holds = []
+        kind = message_class("std_msgs/msg/Bool")
+        client.node.create_subscription(kind, "launcher/hold", holds.append, 10)
+        assert launcher.status() == 1
+        assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: allowed is", launcher.text)
+        assert simulator.status() == 1
+        assert "aborted by the launcher" in simulator.text
+        # held, let go at the release, held again
+        assert [m.data for m in holds][-2:] == [False, True]
+
+
+def test_quitting_ends_the_process(start):
+    with Client() as client:
+        node = start("simulator", consumers="[nobody]", exit_when_done="false")
+        simulation = Simulation(client)
+        assert simulation.set(State.QUITTING) == (Code.OK, "")
+        assert node.status(20.0) == 0
+        assert "Traceback" not in node.text
 
 
 # Ctrl-C

@@ -1,0 +1,218 @@
+"""Nodes in processes of their own, and a client to talk to them, for tests and benchmarks."""
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+
+from capture_sim.control import State
+from capture_sim.nodes.simulation_services import definitions
+from capture_sim.nodes.suite import _DISCOVERY
+from capture_sim.topics import BENCH_STATE, CLOCK, RUN_INFO
+
+
+@dataclass
+class Started:
+    """A node's process and what it says."""
+
+    process: subprocess.Popen
+    lines: list = field(default_factory=list)
+
+    def __post_init__(self):
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        self.lines.extend(iter(self.process.stdout.readline, ""))
+
+    @property
+    def text(self):
+        return "".join(self.lines)
+
+    def wait_for(self, words, timeout=60.0, since=0):
+        """Wait until the node says something, in the lines from ``since`` on."""
+        deadline = time.monotonic() + timeout
+        while words not in "".join(self.lines[since:]):
+            assert time.monotonic() < deadline, f"never said {words!r}:\n{self.text}"
+            time.sleep(0.01)
+
+    def status(self, timeout=60.0):
+        """Wait for the end and return the exit status."""
+        status = self.process.wait(timeout)
+        self.reader.join(5.0)
+        return status
+
+
+@contextmanager
+def processes(folder):
+    """Give a function that starts a node: its name, Python code that changes it, parameters."""
+    profile = folder / "discovery.xml"
+    profile.write_text(_DISCOVERY)
+    environment = dict(
+        os.environ,
+        FASTRTPS_DEFAULT_PROFILES_FILE=str(profile),
+        FASTDDS_BUILTIN_TRANSPORTS="UDPv4",  # a killed process would leave its shared memory
+    )
+    started = []
+
+    def start(name, change="", **parameters):
+        arguments = ["--ros-args"]
+        for key, value in {"exit_when_done": "true", **parameters}.items():
+            arguments += ["-p", f"{key}:={value}"]
+        program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
+        program += "raise SystemExit(node.main())"
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, *arguments],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(Started(process))
+        return started[-1]
+
+    try:
+        yield start
+    finally:
+        for node in started:
+            if node.process.poll() is None:
+                node.process.kill()
+            node.process.wait()
+
+
+class Client:
+    """A node of this process that calls services, sets parameters and listens."""
+
+    def __init__(self):
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("experimenter", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._clients = {}
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self):
+        from rclpy.executors import ExternalShutdownException
+
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def close(self):
+        import rclpy
+
+        self._executor.shutdown(2.0)
+        rclpy.shutdown(context=self._context)
+        self._thread.join(2.0)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.close()
+
+    def ask(self, kind, name, timeout=30.0, **fields):
+        """Call a service and return its response."""
+        return self.begin(kind, name, timeout, **fields)()
+
+    def begin(self, kind, name, timeout=30.0, **fields):
+        """Call a service; return a function that waits for the response."""
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout), f"no service {name}"
+        answer = client.call_async(kind.Request(**fields))
+
+        def response():
+            deadline = time.monotonic() + timeout
+            while not answer.done():
+                assert time.monotonic() < deadline, f"{name} did not answer"
+                time.sleep(0.0005)
+            return answer.result()
+
+        return response
+
+    def set(self, node, **parameters):
+        """Set parameters together; return whether that worked, and the reason if not."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        wanted = [
+            Parameter(key, value=value).to_parameter_msg() for key, value in parameters.items()
+        ]
+        name = f"/{node}/set_parameters_atomically"
+        result = self.ask(SetParametersAtomically, name, parameters=wanted).result
+        return result.successful, result.reason
+
+    def listen(self, topic):
+        """Return a list that collects a topic's messages from now on."""
+        from capture_sim.nodes.running import message_class, qos_of
+
+        messages = []
+        kind = message_class(topic.type_name)
+        self.node.create_subscription(kind, topic.name, messages.append, qos_of(topic))
+        return messages
+
+
+def wait_until(condition, timeout=20.0, what=""):
+    """Wait until something is so."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, what or "waited in vain"
+        time.sleep(0.002)
+
+
+def service(name):
+    return getattr(__import__(f"{definitions()}.srv", fromlist=[name]), name)
+
+
+class Simulation:
+    """The simulator as a client of simulation_interfaces sees it."""
+
+    def __init__(self, client):
+        self.client = client
+        self.runs = client.listen(RUN_INFO)
+        self.states = client.listen(BENCH_STATE)
+        self.clock = client.listen(CLOCK)
+
+    def _ask(self, kind, **fields):
+        words = re.sub("(?<!^)(?=[A-Z])", "_", kind).lower()
+        return self.client.ask(service(kind), f"/simulator/{words}", **fields)
+
+    def set(self, state):
+        kind = service("SetSimulationState").Request().state.__class__
+        result = self._ask("SetSimulationState", state=kind(state=int(state))).result
+        return result.result, result.error_message
+
+    @property
+    def state(self):
+        return State(self._ask("GetSimulationState").state.state)
+
+    def step(self, count=1):
+        result = self._ask("StepSimulation", steps=count).result
+        return result.result, result.error_message
+
+    def reset(self, scope=0):
+        result = self._ask("ResetSimulation", scope=scope).result
+        return result.result, result.error_message
+
+    def features(self):
+        return self._ask("GetSimulatorFeatures").features
+
+    def settle(self):
+        """Return how many states have come once no more do."""
+        count = -1
+        while count != len(self.states):
+            count = len(self.states)
+            time.sleep(0.2)
+        return count
