@@ -11,8 +11,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from capture_sim.control import State
+from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.simulation_services import definitions
-from capture_sim.nodes.suite import _DISCOVERY
 from capture_sim.topics import BENCH_STATE, CLOCK, RUN_INFO
 
 
@@ -51,13 +51,9 @@ class Started:
 @contextmanager
 def processes(folder):
     """Give a function that starts a node: its name, Python code that changes it, parameters."""
-    profile = folder / "discovery.xml"
-    profile.write_text(_DISCOVERY)
-    environment = dict(
-        os.environ,
-        FASTRTPS_DEFAULT_PROFILES_FILE=str(profile),
-        FASTDDS_BUILTIN_TRANSPORTS="UDPv4",  # a killed process would leave its shared memory
-    )
+    # a killed process would leave its shared memory
+    environment = dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+    hasten(environment, folder)
     started = []
 
     def start(name, change="", **parameters):

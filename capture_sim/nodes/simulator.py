@@ -123,7 +123,8 @@ class SimulatorNode(BenchNode):
         self._exit_when_done = self.declare(
             "exit_when_done", False, "end this process after the last run"
         )
-        if not all(consumers) or len(set(consumers)) != len(consumers):
+        consumers = [name for name in consumers if name]  # ROS has no empty list: [""] is none
+        if len(set(consumers)) != len(consumers):
             raise ParameterError(
                 f"parameter consumers = {list(consumers)!r}: allowed are names of nodes, each once"
             )

@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 
 import yaml
 
+from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.places import Place, claim_place
 from capture_sim.scene import Scene
 from capture_sim.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
@@ -36,18 +37,6 @@ LAST_GRACE = 5.0
 START_LIMIT = 180.0
 #: Wall time that an unpaced run may take for each simulated second, s.
 SLOWEST = 30.0
-
-#: Fast DDS repeats its announcements every 3 s, and processes that start one after another
-#: wait that long for each other; a repetition every 0.2 s costs nothing on one machine.
-_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="bench" is_default_profile="true">
-    <rtps><builtin><discovery_config>
-      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
-    </discovery_config></builtin></rtps>
-  </participant>
-</profiles>
-"""
 
 
 def run_suite(scenes: Sequence[Scene], out: Path, *, record: bool = True, pace: float = 0.0) -> int:
@@ -125,10 +114,7 @@ def _environment(folder: Path, out: Path, place: Place) -> dict[str, str]:
     environment.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity}: {message}")
     if "ROS_HOME" not in environment:
         environment.setdefault("ROS_LOG_DIR", str(out.absolute() / "log"))
-    if "FASTDDS_DEFAULT_PROFILES_FILE" not in environment:
-        profile = folder / "discovery.xml"
-        profile.write_text(_DISCOVERY, encoding="utf-8")
-        environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    hasten(environment, folder)
     return environment
 
 
