@@ -138,7 +138,8 @@ class SimulationControl:
     def set_state(self, target: int) -> Request:
         """Ask for STOPPED, PLAYING, PAUSED or QUITTING.
 
-        Pausing is done when no further sample will be sent, stopping when the run has ended.
+        Pausing is done when no further sample will be sent, stopping when the run has ended;
+        quitting is answered while it can be.
         """
         with self.changed:
             if target not in (State.STOPPED, State.PLAYING, State.PAUSED, State.QUITTING):
@@ -156,7 +157,7 @@ class SimulationControl:
                 self._fulfil_resets(_OK)
             if self._state is not State.PAUSED:
                 self._fail_step("the state was changed to " + self._state.name.lower())
-            if self._state is State.PLAYING or not self._running:
+            if self._state in (State.PLAYING, State.QUITTING) or not self._running:
                 request.fulfil(_OK)
             else:
                 self._pausing.append(request)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -34,6 +35,8 @@ INFO = (
 )
 #: Longest that a pause, stop or reset may take, s (wall).
 LIMIT = 120.0
+#: An answer arrives within this long, s (wall).
+GOOD_BYE = 0.3
 
 
 def definitions() -> str:
@@ -61,6 +64,7 @@ class SimulationServices:
 
     def __init__(self, node: Node, control: SimulationControl) -> None:
         self._control = control
+        self._answered = 0.0  # wall, when the state was set last
         self._package = definitions()
         # arguments of the process, as a new name, are the simulator's own
         self._node = Node(
@@ -92,7 +96,10 @@ class SimulationServices:
             self._executor.spin()
 
     def close(self) -> None:
-        """Serve no more."""
+        """Serve no more; what has just been answered gets time to arrive."""
+        left = self._answered + GOOD_BYE - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
         self._executor.shutdown(2.0)
         self._node.destroy_node()
 
@@ -106,7 +113,9 @@ class SimulationServices:
         return _answered(response, Answer(Code.OK))
 
     def _set_state(self, request: Any, response: Any) -> Any:
-        return _answered(response, self._control.set_state(request.state.state).wait(LIMIT))
+        answer = self._control.set_state(request.state.state).wait(LIMIT)
+        self._answered = time.monotonic()
+        return _answered(response, answer)
 
     def _step(self, request: Any, response: Any) -> Any:
         return _answered(response, self._control.step(request.steps).wait())

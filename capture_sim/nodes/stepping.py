@@ -143,4 +143,9 @@ class Stepping:
     @property
     def figures(self) -> str:
         """How far the run is and how fast it went, in words."""
-        return f"{self.t:.2f} s simulated in {self.wall:.2f} s ({self.achieved:.5g} x real time)"
+        text = f"{self.t:.2f} s simulated in {self.wall:.2f} s ({self.achieved:.5g} x real time)"
+        late = self._pacer.lateness() if self._since is None else None
+        if late is not None:
+            shown = ", ".join(f"{1e6 * value:.0f}" for value in late)
+            text += f"; ticks late by {shown} us (p50, p99, p99.9, max)"
+        return text
