@@ -7,7 +7,7 @@ messages in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -115,14 +115,24 @@ class BenchTelemetry(_Stream):
         What is on the bench.
     run
         The run's description; its rates are used.
+    states
+        Makes the BenchStates of samples, from the first's number on, in whatever form the
+        transport takes; ``messages.bench_states`` unless given.
     """
 
     publisher = SIMULATOR
     #: The topic that ends the set of periodic messages of a sample.
     LAST_PERIODIC = JOINT_STATES
 
-    def __init__(self, messages: Messages, scene: Scene, run: RunDescription) -> None:
+    def __init__(
+        self,
+        messages: Messages,
+        scene: Scene,
+        run: RunDescription,
+        states: Callable[[int, np.ndarray], Iterator[Message]] | None = None,
+    ) -> None:
         super().__init__(messages, run.run_id)
+        self._states = messages.bench_states if states is None else states
         self._run = run
         self._every = samples_per_message(run.state_rate, run.rate)
         self._has_string = scene.string is not None
@@ -149,7 +159,7 @@ class BenchTelemetry(_Stream):
         self._pending.extend(events)
         first = self._counts[BENCH_STATE]
         times = samples["t"].tolist()
-        states = self._messages.bench_states(first, samples)
+        states = self._states(first, samples)
         unseen = 0  # first sample the contact's interval has not taken in
         for i, state in enumerate(states):
             while self._pending and _precedes(self._pending[0], times[i]):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim.nodes.running import BenchNode, message_class
@@ -44,11 +45,11 @@ class RobotModel:
             q, _ = scene.initial_coordinates()
             self._moving.publish(self._message(moving_transforms(scene, q.tolist()), 0.0))
 
-    def move(self, state: Any) -> None:
-        """Show the parts where this BenchState has them."""
+    def move(self, sample: np.void) -> None:
+        """Show the parts where this sample has them."""
         if self._moving is not None and self._scene is not None:
-            transforms = moving_transforms(self._scene, state.q.tolist())
-            self._moving.publish(self._message(transforms, state.t))
+            transforms = moving_transforms(self._scene, sample["q"].tolist())
+            self._moving.publish(self._message(transforms, float(sample["t"])))
 
     def _placed(self, name: str) -> str:
         return name if self._node.get_namespace() == "/" else name.lstrip("/")

@@ -26,13 +26,13 @@ from capture_sim.nodes.gathering import Gathering
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
 from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.nodes.state_stream import StateStream
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.pacing import Pacer
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene
-from capture_sim.telemetry import BenchTelemetry, Sent
+from capture_sim.telemetry import BenchTelemetry
 from capture_sim.topics import (
-    BENCH_STATE,
     CAPTURE_DETECTOR,
     LAUNCH_COMMAND,
     LAUNCHER,
@@ -140,7 +140,7 @@ class SimulatorNode(BenchNode):
         self._session = uuid.uuid4().hex[:24]
         self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
-        self._state: Any = None  # BenchState sent last
+        self._states = StateStream(self.messages)
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
         self._rival = ""  # experiment of another simulator on the same topics
         self.open(topics_of(SIMULATOR))
@@ -301,7 +301,7 @@ class SimulatorNode(BenchNode):
         scene = self._run.scene
         description = RunDescription.of(scene, self._run.id, self._reporting)
         with self._followers.changed:
-            self._telemetry = BenchTelemetry(self.messages, scene, description)
+            self._telemetry = BenchTelemetry(self.messages, scene, description, self._states)
         self._model.begin(scene)
         for sent in self._telemetry.begin():
             self.send(*sent)
@@ -315,19 +315,11 @@ class SimulatorNode(BenchNode):
         stepping = Stepping(bench, self._telemetry, self.control, self._pacer)
         self._diagnostics.begin(stepping, self._pacer)
         try:
-            failure = stepping.run(self._send, self._leave_room)
+            failure = stepping.run(self.send, self._leave_room, self._model.move)
         finally:
             self._diagnostics.end()
         self.get_logger().info(f"{name}: done, {stepping.count} samples, {stepping.figures}")
         return failure
-
-    def _send(self, sent: Sent) -> None:
-        topic, message = sent
-        self.send(topic, message)
-        if topic is BENCH_STATE:
-            self._state = message
-        elif topic is BenchTelemetry.LAST_PERIODIC:
-            self._model.move(self._state)
 
     def _commanded_plan(self) -> LaunchPlan:
         """Return the launch with the mass and height that the launcher has set."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from capture_sim.control import SimulationControl
 from capture_sim.errors import SimulationError
 from capture_sim.pacing import Pacer
 from capture_sim.telemetry import BenchTelemetry, Sent
-from capture_sim.topics import BENCH_EVENT, BENCH_STATE
+from capture_sim.topics import BENCH_EVENT, BENCH_STATE, Topic
 
 #: Samples that the core computes at a time.
 BLOCK = 100
@@ -60,7 +60,12 @@ class Stepping:
         self._simulated = 0.0  # s, while running
         self._from = 0.0
 
-    def run(self, send: Callable[[Sent], None], leave_room: Callable[[int], None]) -> str:
+    def run(
+        self,
+        send: Callable[[Topic, Any], None],
+        leave_room: Callable[[int], None],
+        show: Callable[[np.void], None],
+    ) -> str:
         """Send the whole run; return why it failed, or nothing.
 
         Parameters
@@ -69,6 +74,8 @@ class Stepping:
             Called with every topic and message.
         leave_room
             Called with the number of samples computed before they are sent; may wait.
+        show
+            Called with every sample that periodic messages were made of, after them.
 
         Raises
         ------
@@ -85,7 +92,12 @@ class Stepping:
                 samples, failure = error.partial, str(error)
             leave_room(self.count + len(samples))
             events, self._events = self.bench.events[self._events :], len(self.bench.events)
-            self._send_block(self._telemetry.block(samples, events), samples, send)
+            block = self._telemetry.block(samples, events)
+            for sample, due in zip(samples, _by_sample(block), strict=True):
+                self._send(due, float(sample["t"]), send)
+                self.residual = float(sample["energy_residual"])
+                if due[-1][0] is BenchTelemetry.LAST_PERIODIC:
+                    show(sample)
         self._halt()
         return failure
 
@@ -95,27 +107,20 @@ class Stepping:
             return BLOCK
         return int(np.clip(BLOCK_TIME * factor * self.bench.scene.run.state_rate, 1, BLOCK))
 
-    def _send_block(
-        self, block: Iterable[Sent], samples: np.ndarray, send: Callable[[Sent], None]
-    ) -> None:
-        times, residuals = samples["t"].tolist(), samples["energy_residual"].tolist()
-        first, passed = self.count, self.count
-        for sent in block:
-            topic: Any = sent[0]
-            if topic is BENCH_STATE or topic is BENCH_EVENT:
-                if passed == self.count:
-                    # the first of what belongs to the next sample
-                    if not self._control.free:
-                        self._halt()
-                        self._control.pass_sample()
-                        self._pacer.restart(times[passed - first])
-                        self._resume()
-                    passed += 1
-                self._pacer.wait_for(sent[1].t)
-                if topic is BENCH_STATE:
-                    self.t, self.residual = times[self.count - first], residuals[self.count - first]
-                    self.count += 1
-            send(sent)
+    def _send(self, due: list[Sent], t: float, send: Callable[[Topic, Any], None]) -> None:
+        if not self._control.free:
+            self._halt()
+            self._control.pass_sample()
+            self._pacer.restart(t)
+            self._resume()
+        for topic, message in due:
+            if topic is BENCH_EVENT:
+                self._pacer.wait_for(message.t)
+            elif topic is BENCH_STATE:
+                self._pacer.wait_for(t)
+                self.t = t
+                self.count += 1
+            send(topic, message)
 
     # how fast it went
 
@@ -149,3 +154,17 @@ class Stepping:
             shown = ", ".join(f"{1e6 * value:.0f}" for value in late)
             text += f"; ticks late by {shown} us (p50, p99, p99.9, max)"
         return text
+
+
+def _by_sample(block: Iterable[Sent]) -> Iterator[list[Sent]]:
+    """Yield what belongs to each sample, made before it is due: events, state, the rest."""
+    due: list[Sent] = []
+    ended = False  # the state is among it
+    for sent in block:
+        if ended and (sent[0] is BENCH_STATE or sent[0] is BENCH_EVENT):
+            yield due
+            due, ended = [], False
+        due.append(sent)
+        ended = ended or sent[0] is BENCH_STATE
+    if due:
+        yield due
