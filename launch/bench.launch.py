@@ -85,7 +85,7 @@ def suite(context):
     # on a real bench nobody says that it is all over
     ends = wanted("simulator") and not wanted("keep")
     parameters = {name: {"exit_when_done": ends} for name in (*started, "simulator")}
-    parameters["simulator"] |= {"consumers": started or [""], **checked(argument)}
+    parameters["simulator"] |= {"consumers": list(started) or [""], **checked(argument)}
     if argument("out") and wanted("record"):
         parameters["recorder"]["out"] = argument("out")
     if wanted("simulator"):
