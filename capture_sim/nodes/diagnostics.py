@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from capture_sim.control import SimulationControl
+from capture_sim.control import SimulationControl, State
 from capture_sim.nodes.running import BenchNode, message_class
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.pacing import Pacer
@@ -57,7 +57,8 @@ class SimulatorDiagnostics:
     def _tick(self) -> None:
         self._publish(whole=not self._on)
         self._rounds += 1
-        if self._on and self._run is not None and self._rounds % _SAY_EVERY == 0:
+        playing = self._on and self._control.state is State.PLAYING
+        if playing and self._run is not None and self._rounds % _SAY_EVERY == 0:
             stepping = self._run[0]
             scene = stepping.bench.scene
             text = f"{scene.name}: {stepping.figures}, at most {scene.run.t_end:g} s"

@@ -112,7 +112,8 @@ class Stepping:
             self._halt()
             self._control.pass_sample()
             self._pacer.restart(t)
-            self._resume()
+            if self._control.free:
+                self._resume()  # a step counts neither as time nor as speed
         for topic, message in due:
             if topic is BENCH_EVENT:
                 self._pacer.wait_for(message.t)
