@@ -347,8 +347,8 @@ class Kills:
         rng = random.Random(options.seed)
         offline = simulate(load_scene("tilt_0")).samples
         trials, problems = [], []
-        with processes(folder) as start, Client() as client:
-            bench = _LastingBench(start, client, folder / "out")
+        with processes(folder) as start:
+            bench = _LastingBench(start, folder / "out")
             for number in range(options.kills):
                 victim = rng.choice(NODES)
                 delay = rng.uniform(0.0, 3.5)
@@ -387,7 +387,7 @@ class Kills:
 class _LastingBench:
     """Nodes that stay; the dead are replaced."""
 
-    def __init__(self, start, client, out):
+    def __init__(self, start, out):
         self._start = start
         self._out = out
         self._parameters = {
@@ -395,9 +395,13 @@ class _LastingBench:
             "recorder": {"out": out, "drain_timeout": 1.0},
         }
         self.nodes = {name: self._new(name) for name in NODES}
-        self.simulation = Simulation(client)
+        self._meet()
         for name in FOLLOWERS:
             self.nodes[name].wait_for("ready")
+
+    def _meet(self):
+        """Talk to the simulator; anew to a new one: DDS keeps the dead one's services for 20 s."""
+        self.simulation = Simulation(Client())
 
     def _new(self, name):
         return self._start(name, exit_when_done="false", **self._parameters.get(name, {}))
@@ -415,15 +419,16 @@ class _LastingBench:
         recorded = self._newest()
         others = {name: node for name, node in self.nodes.items() if name != victim}
         if victim == "simulator":
-            for name in FOLLOWERS:
-                if "armed" in "".join(others["launcher"].lines[marks["launcher"] :]):
-                    others[name].wait_for("has gone", 10.0, since=marks[name])
+            armed = "armed" in "".join(others["launcher"].lines[marks["launcher"] :])
+            over = "done, " in "".join(dead.lines[marks["simulator"] :])
+            for name in FOLLOWERS if armed and not over else ():
+                others[name].wait_for("has gone", 10.0, since=marks[name])
         elif victim != "launcher" or sent:
             wait_until(lambda: self.simulation.state is State.STOPPED, 30.0, "did not stop")
         lost = None
         if victim == "recorder" and sent:
             kept = self._prefix(recorded, offline, problems)
-            lost = 1e3 * (sent[-1] - kept / 1000.0) / 2.0
+            lost = round(max(1e3 * (sent[-1] - kept / 1000.0) / 2.0, 0.0), 1)
         elif recorded is not None and sent:
             time.sleep(0.3)
             self._prefix(recorded, offline, problems)
@@ -433,7 +438,10 @@ class _LastingBench:
             if "Traceback" in node.text:
                 problems.append(f"{name}: traceback")
         self.nodes[victim] = self._new(victim)
-        if victim != "simulator":
+        if victim == "simulator":
+            self.simulation.client.close()
+            self._meet()
+        else:
             self.nodes[victim].wait_for("ready")
         self._whole_run(victim, offline, problems)
         return {

@@ -15,7 +15,7 @@ from typing import NamedTuple
 #: Why runs end early that somebody asked to end.
 RESET, STOPPED, QUITTING = "reset", "stopped", "quitting"
 #: A step waits this long for a release that does not come, s (wall).
-RELEASE_PATIENCE = 2.0
+RELEASE_PATIENCE = 5.0
 #: The stepping thread looks up this often while it waits, s.
 _POLL = 0.2
 

@@ -117,6 +117,8 @@ class RunDescription:
         Of all other periodic topics, Hz.
     publishers
         Nodes whose StreamCounts end the run.
+    consumers
+        Nodes that take part, and read what the others publish.
     """
 
     run_id: str
@@ -126,6 +128,7 @@ class RunDescription:
     state_rate: float
     rate: float
     publishers: tuple[str, ...]
+    consumers: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -134,6 +137,7 @@ class RunDescription:
         run_id: str,
         publishers: Sequence[str],
         software: Sequence[str] | None = None,
+        consumers: Sequence[str] = (),
     ) -> RunDescription:
         """Describe a run of a scene; the software is that of this process unless given."""
         return cls(
@@ -144,6 +148,7 @@ class RunDescription:
             state_rate=scene.run.state_rate,
             rate=scene.run.rate,
             publishers=tuple(publishers),
+            consumers=tuple(consumers),
         )
 
     @property
@@ -493,6 +498,7 @@ class Messages:
             state_rate=float(run.state_rate),
             rate=float(run.rate),
             publishers=list(run.publishers),
+            consumers=list(run.consumers),
         )
 
     def stream_counts(

@@ -6,6 +6,7 @@ import array
 import dataclasses
 import importlib
 import math
+import re
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from capture_sim.messages import (
 from capture_sim.recording.cdr import PaddingCleaner
 from capture_sim.recording.definitions import offline_messages, typestore
 from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.resources import message_dir
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.telemetry import BenchTelemetry, samples_per_message
 from capture_sim.topics import (
@@ -86,7 +88,13 @@ def test_every_interface_of_the_package_has_a_topic_and_every_topic_a_type():
     types = set(typestore().fielddefs)
     assert {topic.type_name for topic in TOPICS} <= types
     ours = {name for name in types if name.startswith("capture_sim/")}
-    assert ours == {t.type_name for t in TOPICS if t.type_name.startswith("capture_sim/")}
+    in_services = {
+        f"capture_sim/msg/{word}"
+        for path in (message_dir().parent / "srv").glob("*.srv")
+        for word in re.findall(r"^([A-Z]\w+) ", path.read_text(), re.MULTILINE)
+    }
+    sent = {t.type_name for t in TOPICS if t.type_name.startswith("capture_sim/")}
+    assert ours == sent | in_services
 
 
 def test_table_says_truly_which_types_carry_stamp_and_sequence():

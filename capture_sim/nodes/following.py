@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.clock import Clock
@@ -27,6 +27,7 @@ from capture_sim.topics import (
     CHASER_ODOMETRY,
     CHASER_POSE,
     CONTACT_STATE,
+    LAUNCH_COMMAND,
     LAUNCHER,
     RECORDED,
     RUN_INFO,
@@ -37,6 +38,7 @@ from capture_sim.topics import (
     TARGET_ODOMETRY,
     TARGET_POSE,
     Topic,
+    topics_of,
 )
 
 RECORDER = "recorder"
@@ -48,6 +50,8 @@ FOLLOWED: dict[str, tuple[Topic, ...]] = {
     RECORDER: RECORDED,
 }
 
+#: What a node waits for its readers to be connected at most, s (wall).
+CONNECTING = 5.0
 #: A follower says that it is there this often, s (wall).
 HEARTBEAT = 0.5
 #: Samples between two acknowledgements while a run is on.
@@ -57,8 +61,23 @@ INTERRUPTED = "interrupted"
 _EARLY = "ended early: "
 #: ... and that somebody asked the simulator to end: nothing has failed.
 _AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
+#: What a node hears at its start is what others keep for latecomers: of the run that is on, or
+#: of one that is over.  It greets the simulator when that has arrived, s (wall).
+SETTLING = 0.5
+#: ... and if a run was among it, when it has had this long to hear of that run's end, s (wall).
+OVERTAKING = 1.5
 #: Messages that were on their way when the simulator went are waited for this long, s (wall).
 GRACE = 0.5
+
+
+def connections(topic: Topic, consumers: Sequence[str]) -> int:
+    """Return how many subscribers a topic has once all that take part are connected."""
+    count = sum(topic in FOLLOWED.get(name, ()) for name in consumers)
+    if topic is RUN_INFO:
+        return len(consumers) + 1  # each follower, and the simulator, which looks for others
+    if topic is STREAM_COUNTS:
+        return count + len(consumers)
+    return count + (topic is LAUNCH_COMMAND)  # the simulator
 
 
 class RunFollower(BenchNode):
@@ -88,6 +107,10 @@ class RunFollower(BenchNode):
         self._deadline = float("inf")  # wall, when a run that has ended is given up
         self._received = 0  # samples of the run taken in
         self._runs = 0  # that have ended
+        self._kept: Any = None  # RunInfo that is announced and not taken up yet
+        self._connected_by: float | None = None  # wall, when that is waited for no longer
+        self._settled = threading.Event()  # the simulator may be greeted
+        self._settling_ends = time.monotonic() + SETTLING
         self._alone = True  # no simulator is alive
         self._over = threading.Event()
         self._status = OK
@@ -169,6 +192,7 @@ class RunFollower(BenchNode):
 
     def work(self) -> int:
         """Greet the simulator until the process is to end; return the exit status."""
+        self._settled.wait()
         self.get_logger().info("ready, waiting for a run")
         # Sent by this thread and not by a timer: a callback may compile for a minute, and
         # must not be taken for dead meanwhile.
@@ -195,6 +219,40 @@ class RunFollower(BenchNode):
                 self._finish(f"another run, {info.name}, was announced meanwhile")
             else:
                 return
+        self._kept = info
+        if self._settled.is_set():
+            self._consider()
+        else:
+            # kept for latecomers; if it is over, that has been said and is on its way
+            self._settling_ends = max(self._settling_ends, time.monotonic() + OVERTAKING)
+
+    def _settle(self) -> None:
+        """Take up the run that is on, if one is; what else was heard is of the past."""
+        info, counts = self._kept, self._last_counts
+        over = info is not None and counts is not None and counts.run_id == info.run_id
+        self._settled.set()
+        if over or self._alone:
+            self._kept = None
+        self._consider()
+        if self._kept is None:
+            self._acknowledge()
+
+    def _consider(self) -> None:
+        """Take up the run that is announced, once those that read this node are connected."""
+        info = self._kept
+        if info is None:
+            return
+        lacking = any(
+            self.matched(topic) < connections(topic, info.consumers)
+            for topic in topics_of(self.get_name())
+        )
+        if lacking and self._connected_by is None:
+            self._connected_by = time.monotonic() + CONNECTING
+        if not lacking or time.monotonic() > (self._connected_by or 0.0):
+            self._kept = self._connected_by = None
+            self._take_up(info)
+
+    def _take_up(self, info: Any) -> None:
         self._tally.clear()
         self._counts = None
         self._received = 0
@@ -237,6 +295,10 @@ class RunFollower(BenchNode):
             self._over.set()
 
     def _look_at_clock(self) -> None:
+        if not self._settled.is_set() and time.monotonic() > self._settling_ends:
+            self._settle()
+        elif self._settled.is_set():
+            self._consider()
         if self.run is None or self.failure or time.monotonic() < self._deadline:
             return
         if self._counts is None:

@@ -9,7 +9,7 @@ from typing import Any
 from capture_sim.control import SimulationControl
 from capture_sim.errors import CaptureSimError
 from capture_sim.nodes.flow_control import POLL, Followers
-from capture_sim.nodes.following import FOLLOWED
+from capture_sim.nodes.following import connections
 from capture_sim.nodes.running import BenchNode
 from capture_sim.topics import SIMULATOR, topics_of
 
@@ -61,9 +61,9 @@ class Gathering:
         if outside := self._followers.not_in(run_id):
             return f"waiting for {', '.join(outside)} to take up the run"
         for topic in topics_of(SIMULATOR):
-            readers = [name for name in self._followers.names if topic in FOLLOWED.get(name, ())]
-            if self._node.matched(topic) < len(readers):
-                return f"waiting for {topic.name} to be connected to {', '.join(readers)}"
+            wanted = connections(topic, self._followers.names)
+            if self._node.matched(topic) < wanted:
+                return f"waiting for {topic.name} to be connected to all {wanted} subscribers"
         return ""
 
     def wait(self, what: str, lacking: Callable[[], str], limit: float | None) -> None:

@@ -7,13 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from capture_sim.nodes.early import EarlyMessages
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
 from capture_sim.nodes.running import ParameterError, run
+from capture_sim.recording.cdr import sequence_of
 from capture_sim.recording.files import Split
 from capture_sim.recording.live import LiveRecorder
-from capture_sim.topics import BENCH_STATE, RECORDED, Topic
+from capture_sim.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
 
 
 class RecorderNode(RunFollower):
@@ -48,15 +51,21 @@ class RecorderNode(RunFollower):
         )
         self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder = self._fresh()
+        self._early = EarlyMessages()
         self._states = 0
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))
         for topic in FOLLOWED[RECORDER]:
-            self.listen(topic, partial(self._take, topic), raw=True)
+            if topic is not RUN_INFO:
+                # what is kept for latecomers may be of a run before
+                self.listen(topic, partial(self._take, topic), latecomer=False, raw=True)
 
     def begin(self, info: Any) -> None:
-        """Say where the run goes; the recorder itself opens the file."""
+        """Open the file: the run's description, then what came before it."""
         self._states = 0
+        self._recorder.take(RUN_INFO, serialize_message(info))
+        for topic, data in self._early.take(info.run_id):
+            self._recorder.take(topic, data)
         self.get_logger().info(f"{info.name}: recording in {self._out}")
 
     def complete(self) -> bool:
@@ -96,6 +105,9 @@ class RecorderNode(RunFollower):
         return response
 
     def _take(self, topic: Topic, data: bytes) -> None:
+        if self.run is None:
+            self._early.add(topic, data, sequence_of(topic, data))
+            return
         self._recorder.take(topic, data)
         if topic is BENCH_STATE:
             self._states += 1

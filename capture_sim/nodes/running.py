@@ -65,18 +65,27 @@ def message_class(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def qos_of(topic: Topic) -> QoSProfile:
+def qos_of(topic: Topic, *, latecomer: bool = True) -> QoSProfile:
     """Return the quality of service of a topic: reliable, the rest as its table entry says.
 
     A topic with a lease is one whose publisher must not vanish unnoticed: DDS renews the
     lease while the process lives, also when there is nothing to send, and tells the
     subscribers when it runs out.  Without a lease that takes 20 s.
+
+    Parameters
+    ----------
+    topic
+        Of the table.
+    latecomer
+        Whether a subscriber wants what is kept of a latched topic from before it came.
     """
     profile = QoSProfile(
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+            DurabilityPolicy.TRANSIENT_LOCAL
+            if topic.latched and latecomer
+            else DurabilityPolicy.VOLATILE
         ),
     )
     if topic.lease is not None:
@@ -193,7 +202,14 @@ class BenchNode(Node):
             kind = message_class(topic.type_name)
             self._senders[topic] = self.create_publisher(kind, self.placed(topic), qos_of(topic))
 
-    def listen(self, topic: Topic, callback: Callable[[Any], None], **options: Any) -> None:
+    def listen(
+        self,
+        topic: Topic,
+        callback: Callable[[Any], None],
+        *,
+        latecomer: bool = True,
+        **options: Any,
+    ) -> None:
         """Subscribe to a topic; an error of ours in the callback ends the node in one line."""
 
         def take(message: Any) -> None:
@@ -204,7 +220,8 @@ class BenchNode(Node):
                     self.fail(error)
 
         kind = message_class(topic.type_name)
-        self.create_subscription(kind, self.placed(topic), take, qos_of(topic), **options)
+        qos = qos_of(topic, latecomer=latecomer)
+        self.create_subscription(kind, self.placed(topic), take, qos, **options)
 
     def placed(self, topic: Topic) -> str:
         """Return a topic's name for this node: in a namespace the clock, too, is its own."""

@@ -299,7 +299,9 @@ class SimulatorNode(BenchNode):
 
     def _begin_run(self) -> None:
         scene = self._run.scene
-        description = RunDescription.of(scene, self._run.id, self._reporting)
+        description = RunDescription.of(
+            scene, self._run.id, self._reporting, consumers=self._followers.names
+        )
         with self._followers.changed:
             self._telemetry = BenchTelemetry(self.messages, scene, description, self._states)
         self._model.begin(scene)
