@@ -11,7 +11,8 @@ import time
 
 import numpy as np
 import pytest
-from bench_processes import Client, Simulation, Started, processes
+from bench_processes import Client, Simulation, Started, processes, wait_until
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
@@ -174,8 +175,8 @@ def test_launcher_is_heard_and_delivers(suites):
 def test_dropped_messages_are_named(start_all):
     """The simulator counts a message and does not send it: all who need it must notice."""
     drop = """
-        from capture_sim.topics import BENCH_STATE, CHASER_ODOMETRY
-        left = {BENCH_STATE: 1234, CHASER_ODOMETRY: 56}
+        from capture_sim.topics import BENCH_STATE, TARGET_ODOMETRY
+        left = {BENCH_STATE: 1234, TARGET_ODOMETRY: 56}
         send = node.SimulatorNode.send
         def leaky(self, topic, message):
             if topic in left:
@@ -189,9 +190,9 @@ def test_dropped_messages_are_named(start_all):
     assert nodes["recorder"].status() == 1
     said = nodes["recorder"].text
     assert re.search(r"bench/state: 1 messages? missing \(seq 1234\)", said), said
-    assert re.search(r"chaser/odom: 1 messages? missing", said), said
+    assert re.search(r"target/odom: 1 messages? missing", said), said
     assert nodes["capture_detector"].status() == 1
-    assert re.search(r"chaser/odom: \d+ of \d+ messages came", nodes["capture_detector"].text)
+    assert re.search(r"target/odom: \d+ of \d+ messages came", nodes["capture_detector"].text)
     assert nodes["launcher"].status() == 0  # it needs neither
     assert nodes["simulator"].status() == 0
 
@@ -269,16 +270,21 @@ def test_launcher_aborts_a_launch_that_goes_wrong(start):
     """
     with Client() as client:
         simulator = start("simulator", heavier, consumers="[launcher]", pace="2.0")
-        launcher = start("launcher", actuator="output")
+        launcher = start("launcher", actuator="output", auto_release="false")
         holds = []
         kind = message_class("std_msgs/msg/Bool")
-        client.node.create_subscription(kind, "launcher/hold", holds.append, 10)
+        qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        client.node.create_subscription(kind, "launcher/hold", holds.append, qos)
+        simulator.wait_for("waiting for the release")
+        wait_until(lambda: holds)
+        client.set("launcher", auto_release=True)
         assert launcher.status() == 1
         assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: allowed is", launcher.text)
         assert simulator.status() == 1
         assert "aborted by the launcher" in simulator.text
         # held, let go at the release, held again
-        assert [m.data for m in holds][-2:] == [False, True]
+        wait_until(lambda: len(holds) >= 3)
+        assert [m.data for m in holds][-3:] == [True, False, True]
 
 
 def test_quitting_ends_the_process(start):
