@@ -1,0 +1,65 @@
+"""config/nodes.yaml holds what the nodes declare, with their own defaults."""
+
+import re
+import signal
+from pathlib import Path
+
+import yaml
+from bench_processes import Client, processes
+
+from capture_sim.resources import config_dir
+
+FILE = config_dir() / "nodes.yaml"
+NODES = ("simulator", "launcher", "capture_detector", "recorder")
+IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
+
+
+def plain(value):
+    return value if isinstance(value, (str, float, int)) else list(value)
+
+
+def test_file_and_nodes_agree(tmp_path):
+    from rcl_interfaces.srv import GetParameters, ListParameters
+    from rclpy.parameter import parameter_value_to_python
+
+    content = yaml.safe_load(FILE.read_text())
+    assert set(content) == {f"/**/{name}" for name in NODES}
+    with processes(tmp_path) as start, Client() as client:
+        own = {"recorder": {"out": tmp_path}}
+        started = {name: start(name, exit_when_done="false", **own.get(name, {})) for name in NODES}
+        for name in NODES:
+            names = client.ask(ListParameters, f"/{name}/list_parameters").result.names
+            ours = sorted(n for n in names if not IGNORED.match(n))
+            declared = {}
+            for key in ours:
+                values = client.ask(GetParameters, f"/{name}/get_parameters", names=[key]).values
+                if values:  # one without a value is not given in the file either
+                    declared[key] = plain(parameter_value_to_python(values[0]))
+            given = content[f"/**/{name}"]["ros__parameters"]
+            if name == "recorder":
+                assert declared.pop("out") == str(tmp_path)
+                assert given.pop("out") == "runs"
+            assert given == declared
+        for node in started.values():
+            node.process.send_signal(signal.SIGINT)
+            assert node.status(10.0) == 0
+
+
+def test_file_reaches_nodes_in_any_namespace(tmp_path):
+    import subprocess
+    import sys
+
+    changed = Path(tmp_path, "nodes.yaml")
+    changed.write_text(FILE.read_text().replace("window: 800", "window: 5000"))
+    for namespace in ("/", "/bench_2"):
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "capture_sim.nodes.simulator", "--ros-args"),
+                *("--params-file", str(changed), "-r", f"__ns:={namespace}"),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 2
+        assert "window = 5000: allowed is" in done.stderr
