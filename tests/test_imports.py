@@ -17,8 +17,8 @@ PACKAGE = "capture_sim"
 SOURCE = Path(__file__).resolve().parent.parent / PACKAGE
 
 # What belongs to whom, by the name's beginning
-RECORDING = ("mcap", "mcap_ros2", "rosbags")
-VIEWING = ("matplotlib", "pyarrow", "rerun")
+RECORDING = ("mcap", "mcap_ros2", "pyarrow", "rosbags")
+VIEWING = ("matplotlib", "rerun")
 ROS = re.compile(
     rf"(ament_\w+|launch\w*|rcl\w*|rosidl\w*|tf2\w*|\w+_msgs|\w+_srvs|\w+_interfaces|{PACKAGE}\.(msg|srv))$"
 )

@@ -20,6 +20,7 @@ COMMANDS = (
     "identify",
     "judge",
     "benchmark",
+    "envelope",
     "scenes",
     "show",
 )
