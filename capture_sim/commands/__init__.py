@@ -20,6 +20,7 @@ COMMANDS = (
     "identify",
     "judge",
     "benchmark",
+    "design",
     "envelope",
     "scenes",
     "show",

@@ -1,0 +1,222 @@
+"""``capture-sim design``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.commands.arguments import FAILED, OK, add_overrides, load, prepare_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from capture_sim.buffer_design import Design, Trial, Wish
+    from capture_sim.capture_margin import Spread
+    from capture_sim.scene import Scene
+
+HELP = "find springs and damper for the strokes you want"
+DESCRIPTION = (
+    "The paper's design flow: strokes wished for in, k_A, k_T and c_A out, or the reason why no "
+    "buffer meets the wish (exit status 1). Without strokes those of the scene's own springs are "
+    "taken."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "scene", nargs="?", default="paper_designed", help="default: paper_designed"
+    )
+    parser.add_argument("--stroke", type=float, metavar="MM", help="axial stroke, mm")
+    parser.add_argument("--torsion", type=float, metavar="MRAD", help="torsional stroke, mrad")
+    parser.add_argument(
+        "--damped",
+        action="store_true",
+        help="the strokes are those with the damper in (the paper's are without)",
+    )
+    parser.add_argument(
+        "--peak-force", type=float, metavar="N", help="most that a touch may push with, N"
+    )
+    parser.add_argument(
+        "--spread",
+        metavar="SPEED,OFFSET,ANGLE",
+        help="choose the damper that keeps the capture longest under this spread of the approach: "
+        "%%, mm, deg, as 10,2,1",
+    )
+    parser.add_argument(
+        "--trade-off",
+        metavar="LOW:HIGH:N",
+        help="also design for N axial strokes from LOW to HIGH times the wish, as 0.3:3:9",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/design"), help="folder (default: runs/design)"
+    )
+    add_overrides(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.buffer_design import design_buffer, trade_off
+    from capture_sim.commands.showing import compile_first, say
+
+    scene = load(options.scene, options.overrides)
+    factors = _factors(options.trade_off)
+    spread = _spread(options.spread)
+    prepare_folder(options.out)
+    compile_first()
+    wish = _wish(options, scene, spread)
+    say(
+        f"wanted: {wish.axial_stroke * 1e3:.4g} mm and {wish.torsion * 1e3:.4g} mrad "
+        f"{'with' if wish.damped else 'without'} the damper"
+    )
+    design = design_buffer(scene, wish, _tell)
+    _report(design)
+    _keep(design, options.out)
+    designs: Sequence[Design] = ()
+    if factors:
+        designs = trade_off(scene, wish, factors)
+        for one in designs:
+            say(_line(one))
+    try:
+        from capture_sim.viewing.design_plots import save_design, save_trade_off
+
+        say(f"picture in {save_design(design, options.out / 'design.png')}")
+        if designs:
+            say(f"trade-off in {save_trade_off(designs, options.out / 'trade_off.png')}")
+    except ImportError as error:
+        say(f"no picture: {error}")
+    return OK if design.met else FAILED
+
+
+def _wish(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> Wish:
+    from capture_sim.buffer_design import Wish
+    from capture_sim.errors import SceneError
+    from capture_sim.first_contact import run_first_contact
+    from capture_sim.stroke_matching import with_buffer
+
+    stroke, torsion = options.stroke, options.torsion
+    if (stroke is None) != (torsion is None):
+        raise SceneError("--stroke (mm), --torsion (mrad): allowed is both or none")
+    if stroke is None:
+        b = scene.buffer
+        own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))
+        stroke, torsion = own.axial_stroke * 1e3, own.torsion * 1e3
+    return Wish(stroke * 1e-3, torsion * 1e-3, options.damped, options.peak_force, spread)
+
+
+def _spread(text: str | None) -> Spread | None:
+    from capture_sim.capture_margin import Spread
+    from capture_sim.errors import SceneError
+
+    if text is None:
+        return None
+    try:
+        speed, offset, angle = (float(part) for part in text.split(","))
+    except ValueError:
+        raise SceneError(f"--spread {text}: allowed is %,mm,deg, as 10,2,1") from None
+    return Spread(speed / 100.0, offset * 1e-3, math.radians(angle))
+
+
+def _factors(text: str | None) -> list[float]:
+    from capture_sim.errors import SceneError
+
+    if text is None:
+        return []
+    try:
+        parts = text.split(":")
+        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+        if len(parts) != 3 or not (0.0 < low < high < math.inf and 2 <= count <= 100):
+            raise ValueError
+    except (ValueError, IndexError):
+        raise SceneError(
+            f"--trade-off {text}: allowed is LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"
+        ) from None
+    return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
+
+
+def _tell(trial: Trial) -> None:
+    from capture_sim.commands.showing import say
+
+    buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
+    if trial.step == 5:
+        strokes = f"{trial.axial_stroke * 1e3:.4f} mm  {trial.torsion * 1e3:.4f} mrad"
+        say(f"step 5  {buffer}  strokes {strokes} {trial.reason}")
+    else:
+        verdict = trial.verdict.label if trial.verdict is not None else ""
+        say(f"step 7  {buffer}  {verdict}: nearest {trial.nearest * 1e3:.2f} mm")
+
+
+def _report(design: Design) -> None:
+    from capture_sim.commands.showing import say
+
+    say("")
+    if not design.met:
+        say(f"no buffer meets the wish: {design.refusal}")
+        return
+    assert design.scene is not None
+    assert design.undamped is not None
+    assert design.damped is not None
+    assert design.outcome is not None
+    assert design.energy is not None
+    assert design.capturing is not None
+    b, energy = design.scene.buffer, design.energy
+    low, high = design.capturing
+    say(f"k_A = {b.k_A:.5g} N/m, k_T = {b.k_T:.5g} N m/rad, c_A = {b.c_A:.4g} N s/m")
+    say(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m; {design.outcome.reason}")
+    for name, contact in (("without", design.undamped), ("with", design.damped)):
+        say(
+            f"  first contact {name} the damper: {contact.axial_stroke * 1e3:.4g} mm, "
+            f"{contact.torsion * 1e3:.4g} mrad, {contact.duration * 1e3:.1f} ms, "
+            f"touch {contact.peak_force:.1f} N, buffer {contact.buffer_force:.1f} N"
+        )
+    say(
+        f"  of {energy.approach * 1e3:.2f} mJ the damper absorbed {energy.damper * 1e3:.2f} "
+        f"(area of load over stroke), the touches {energy.contact * 1e3:.2f} (force over "
+        "penetration)"
+    )
+    if design.margin is not None:
+        say(f"  every capture is kept up to {design.margin:g} times the spread")
+    steps = [trial.step for trial in design.history]
+    say(f"  {steps.count(5)} runs for the springs, {steps.count(7)} for the damper")
+
+
+def _line(design: Design) -> str:
+    stroke = f"{design.wish.axial_stroke * 1e3:8.4g} mm"
+    if not design.met or design.scene is None or design.damped is None:
+        return f"{stroke}  {design.refusal}"
+    b = design.scene.buffer
+    return (
+        f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  first contact: touch "
+        f"{design.damped.peak_force:.1f} N, buffer {design.damped.buffer_force:.1f} N"
+    )
+
+
+def _keep(design: Design, folder: Path) -> None:
+    """Write the scene with its buffer, and every run of the flow."""
+    import dataclasses
+    import json
+
+    from capture_sim.commands.showing import say
+    from capture_sim.errors import RecordingError
+
+    def plain(trial: Trial) -> dict[str, Any]:
+        row = dataclasses.asdict(trial)
+        row["verdict"] = trial.verdict.label if trial.verdict is not None else None
+        row["nearest"] = None if math.isnan(trial.nearest) else trial.nearest
+        return row
+
+    kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
+    kept["wish"] = dataclasses.asdict(design.wish)
+    kept["history"] = [plain(trial) for trial in design.history]
+    try:
+        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
+        (folder / "design.json").write_text(text, encoding="utf-8")
+        say(f"every run in {folder / 'design.json'}")
+        if design.met and design.scene is not None:
+            scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")
+            (folder / "design.yaml").write_text(scene.to_yaml(), encoding="utf-8")
+            say(f"scene in {folder / 'design.yaml'}")
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from None

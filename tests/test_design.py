@@ -1,0 +1,210 @@
+"""The design flow: the paper's springs come back, refusals are true, energies add up."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene, simulate
+from capture_sim.buffer_design import Wish, design_buffer, trade_off
+from capture_sim.buffer_energy import energy_of
+from capture_sim.capture_margin import Spread, captures, corners, margin_of
+from capture_sim.cli import main
+from capture_sim.errors import SceneError
+from capture_sim.first_contact import largest, run_first_contact
+from capture_sim.results import first_cluster
+from capture_sim.stroke_matching import match_strokes, with_buffer
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return load_scene("paper_undamped")
+
+
+@pytest.fixture(scope="module")
+def design(paper):
+    own = run_first_contact(paper)
+    return design_buffer(paper, Wish(own.axial_stroke, own.torsion))
+
+
+@pytest.mark.parametrize("name", ["paper_undamped", "paper_designed", "paper_case_1", "tilt_p10"])
+def test_first_contact_is_that_of_the_whole_run(name):
+    scene = load_scene(name)
+    contact, whole = run_first_contact(scene), simulate(scene)
+    touches = first_cluster(whole.touches)
+    assert contact.touches == touches.size
+    assert contact.duration == pytest.approx(whole.summary["first_contact_duration"], rel=1e-9)
+    assert contact.peak_force == whole.summary["first_contact_peak_force"]
+    start, end = touches["start"].min(), touches["end"].max()
+    fine = simulate(scene, t_end=end, t_eval=np.arange(start, end, 2e-5)).samples
+    assert contact.axial_stroke == pytest.approx(np.abs(fine["axial_stroke"]).max(), rel=1e-4)
+    assert contact.torsion == pytest.approx(np.abs(fine["torsion"]).max(), rel=1e-3)
+
+
+def test_a_run_without_contact_has_no_strokes():
+    scene = load_scene("paper_designed", ["initial.target.y=0.5", "run.t_end=0.3"])
+    contact = run_first_contact(scene)
+    assert (contact.touches, contact.axial_stroke, contact.peak_force) == (0, 0.0, 0.0)
+    assert math.isnan(contact.duration)
+
+
+def test_largest_finds_the_peak_between_samples():
+    t = np.arange(0.0, 1.0, 0.08)
+    assert largest(t, np.sin(5 * t), 5 * np.cos(5 * t)) == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(np.sin(5 * t)).max() < 0.9999
+
+
+def test_the_papers_springs_come_back(design):
+    b = design.scene.buffer
+    assert b.k_A == pytest.approx(500.0, rel=0.01)
+    assert b.k_T == pytest.approx(200.0, rel=0.01)
+    assert sum(trial.step == 5 for trial in design.history) <= 10
+
+
+def test_the_damper_captures_and_the_papers_is_among_those_that_do(design):
+    assert simulate(design.scene).verdict.label == "captured"
+    low, high = design.capturing
+    assert low < 13.0 < high
+    assert low <= design.scene.buffer.c_A <= high
+    b = design.scene.buffer
+    for c_A in (0.97 * low, 1.04 * high):
+        outside = with_buffer(design.scene, b.k_A, b.k_T, c_A)
+        assert simulate(outside).verdict.label != "captured"
+
+
+def test_the_paper_has_both_ways_to_fail(design):
+    """Too little damping and too much: either way the tip stays away from BE."""
+    tried = sorted((t for t in design.history if t.step == 7), key=lambda t: t.c_A)
+    assert tried[0].verdict.label == tried[-1].verdict.label == "rebound"
+    assert min(t.nearest for t in tried) < 0.5 * min(tried[0].nearest, tried[-1].nearest)
+
+
+def test_energy_by_curves_is_that_of_the_ledger(design):
+    energy = design.energy
+    assert energy.damper == pytest.approx(energy.damper_ledger, rel=2e-3)
+    assert energy.contact == pytest.approx(energy.contact_ledger, rel=1e-2)
+    chaser, target = 21.9706 + 1.0 + 0.178185, 23.5731
+    m = chaser * target / (chaser + target)
+    assert energy.approach == pytest.approx(0.5 * m * 0.1**2, rel=1e-4)
+    assert energy.damper + energy.contact < energy.approach
+
+
+def test_without_a_damper_its_curve_encloses_nothing(paper):
+    energy = energy_of(paper, 0.25)
+    assert energy.damper_ledger == 0.0
+    assert abs(energy.damper) < 1e-4 * energy.approach
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_strokes_wished_for_are_met(paper, damped):
+    wish = Wish(5e-3, 3e-3, damped=damped)
+    found = design_buffer(paper, wish)
+    assert found.met
+    b = found.scene.buffer
+    scene = found.scene if damped else with_buffer(found.scene, b.k_A, b.k_T, 0.0)
+    contact = run_first_contact(replace(scene, run=replace(scene.run, rtol=1e-10)))
+    assert contact.axial_stroke == pytest.approx(5e-3, rel=0.02)
+    assert contact.torsion == pytest.approx(3e-3, rel=0.02)
+    assert simulate(found.scene).verdict.label == "captured"
+
+
+def test_a_stroke_longer_than_the_approach_has_energy_for_is_refused(paper):
+    found = design_buffer(paper, Wish(0.1, 2e-3))
+    assert not found.met
+    assert found.refusal.startswith("no springs give")
+    strokes = [
+        run_first_contact(with_buffer(paper, k_A, k_T, 0.0)).axial_stroke
+        for k_A in np.geomspace(20.0, 5000.0, 12)
+        for k_T in np.geomspace(5.0, 2e4, 6)
+    ]
+    assert max(strokes) < 0.1
+
+
+def test_too_short_a_stroke_is_refused_as_no_damper_captures(paper):
+    found = design_buffer(paper, Wish(2.3e-3, 2e-3))
+    assert "no damper captures" in found.refusal
+    assert "too much energy is left" in found.refusal
+    assert "too little is left" in found.refusal
+    b = found.scene.buffer
+    for c_A in [0.0, *np.geomspace(0.3, 1500.0, 40)]:
+        scene = with_buffer(paper, b.k_A, b.k_T, c_A)
+        assert simulate(scene).verdict.label != "captured"
+
+
+def test_a_limit_of_force_is_kept_or_refused(paper, design):
+    own = run_first_contact(paper)
+    kept = design_buffer(paper, Wish(own.axial_stroke, own.torsion, peak_force=250.0))
+    assert kept.met
+    assert kept.outcome.peak_force <= 250.0 < design.history[-1].peak_force + 100.0
+    refused = design_buffer(paper, Wish(own.axial_stroke, own.torsion, peak_force=100.0))
+    assert "pushes too hard" in refused.refusal
+    # the first touch alone is harder than that, whatever the buffer
+    assert own.peak_force > 100.0
+
+
+def test_corners_of_a_spread():
+    assert len(corners(Spread(0.1, 1e-3, 0.02))) == 26
+    assert corners(Spread(0.1, 0.0, 0.0)) == [(0.0, 0.0, -0.1), (0.0, 0.0, 0.1)]
+
+
+def test_margin_is_where_the_first_capture_is_lost(design):
+    spread = Spread(speed=0.2, offset=0.0, angle=0.0)
+    margin = margin_of(design.scene, spread)
+    assert margin > 0.0
+    assert all(captures(design.scene, spread, s) for s in (0.25, margin))
+    weak = replace(design.scene, buffer=replace(design.scene.buffer, c_A=design.capturing[0]))
+    assert margin_of(weak, spread) < margin
+
+
+def test_trade_off_has_a_design_or_a_reason_for_each_stroke(paper):
+    designs = trade_off(paper, Wish(7.678e-3, 2.0e-3), [0.3, 1.0])
+    assert [d.met for d in designs] == [False, True]
+    assert designs[1].wish.axial_stroke == pytest.approx(7.678e-3)
+
+
+def test_match_ends_where_nothing_can_be_met(paper):
+    match = match_strokes(paper, 0.1, 1e-3, 0.0, (500.0, 200.0), thorough=False)
+    assert not match.met
+    assert match.runs <= 26
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--stroke=5"], "--stroke (mm), --torsion (mrad): allowed is both or none"),
+        (["--stroke=0", "--torsion=1"], "axial_stroke = 0.0 m: allowed is >= 1e-06"),
+        (["--stroke=5", "--torsion=nan"], "torsion = nan rad"),
+        (["--peak-force=-1"], "peak_force = -1.0 N: allowed is > 0"),
+        (["--spread=1,2"], "--spread 1,2: allowed is %,mm,deg"),
+        (["--spread=50,1,1"], "spread.speed = 0.5: allowed is >= 0 and <= 0.24"),
+        (["--spread=0,0,0"], "allowed is one above 0"),
+        (["--trade-off=3:1:5"], "--trade-off 3:1:5"),
+    ],
+)
+def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", *arguments]) == 2
+    answer = capsys.readouterr().err
+    assert said in answer
+    assert answer.count("\n") == 1
+
+
+def test_bad_wishes_name_the_value():
+    with pytest.raises(SceneError, match=r"torsion = 2\.0 rad: allowed is"):
+        Wish(1e-3, 2.0)
+
+
+def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
+    assert main(["design", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "k_A = 499.99 N/m" in said or "k_A = 500" in said
+    scene = load_scene(tmp_path / "design.yaml")
+    assert simulate(scene).verdict.label == "captured"
+    kept = json.loads((tmp_path / "design.json").read_text())
+    assert kept["refusal"] == ""
+    assert len(kept["history"]) > 30
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+    assert main(["design", "--peak-force=50", "--out", str(tmp_path)]) == 1
+    assert "pushes too hard" in capsys.readouterr().out
