@@ -148,7 +148,7 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
                 axes.axvline(place, color=palette.GREY, ls=":", lw=1.5, label=note)
         axes.set_xlabel("axial stroke wished for  [mm]")
         axes.grid(color=palette.LIGHT, lw=0.6)
-        axes.legend(fontsize=12, loc="upper right", framealpha=1.0)
+        axes.legend(fontsize=12, loc="upper left", framealpha=1.0)
     force.set_ylim(0.0, 1.45 * force.get_ylim()[1])
     low_end, high_end = buffer.get_ylim()
     buffer.set_ylim(low_end, high_end * 8.0)
