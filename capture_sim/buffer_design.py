@@ -12,17 +12,17 @@ the capture under a spread of speed, offset and angle.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from capture_sim.approach import approach_of
-from capture_sim.buffer_energy import Energy, energy_of
+from capture_sim.buffer_energy import energy_of
+from capture_sim.buffer_wish import Design, Trial, Wish
 from capture_sim.capture_margin import Spread, margin_of
-from capture_sim.detection import CaptureState
-from capture_sim.errors import SceneError
 from capture_sim.first_contact import FirstContact, run_first_contact
 from capture_sim.scene import Scene
 from capture_sim.stroke_matching import ACCEPTED, Match, guess, match_strokes, with_buffer
@@ -34,104 +34,8 @@ SHARES = (0.0, *np.geomspace(3e-3, 3.0, 28).tolist())
 
 #: Ends of the range of dampers that capture are known to this part of themselves.
 _END = 0.01
+_PROMISING, _CLOSER = 6, 12  # where nothing is good: dampers to look round, parts between them
 _SIDE = 3  # dampers on each side of the middle that are looked at for the margin
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the buffer is to do.
-
-    Attributes
-    ----------
-    axial_stroke, torsion : float
-        Largest strokes of the first contact, m and rad: Delta_1 and Delta_2.
-    damped : bool
-        Whether the strokes are those with the damper in; the paper's are those without.
-    peak_force : float or None
-        Most that any touch up to the verdict may push with, N.
-    spread : Spread or None
-        Of the approach, for the margin; None takes the middle of the dampers that capture.
-
-    Raises
-    ------
-    SceneError
-        A value is out of its range.
-    """
-
-    axial_stroke: float
-    torsion: float
-    damped: bool = False
-    peak_force: float | None = None
-    spread: Spread | None = None
-
-    def __post_init__(self) -> None:
-        for name, unit, high in (("axial_stroke", "m", 1.0), ("torsion", "rad", 1.0)):
-            value = getattr(self, name)
-            if not 1e-6 <= value <= high:
-                raise SceneError(f"{name} = {value!r} {unit}: allowed is >= 1e-06 and <= {high:g}")
-        if self.peak_force is not None and not 0.0 < self.peak_force < math.inf:
-            raise SceneError(f"peak_force = {self.peak_force!r} N: allowed is > 0")
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One run of the flow: the buffer tried, and what came of it; SI units.
-
-    ``step`` is 5 for strokes, 7 for a verdict; what a step does not look at is NaN or None.
-    """
-
-    step: int
-    k_A: float
-    k_T: float
-    c_A: float
-    axial_stroke: float
-    torsion: float
-    peak_force: float
-    nearest: float = math.nan
-    verdict: CaptureState | None = None
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class Design:
-    """What the flow came to.
-
-    Attributes
-    ----------
-    wish : Wish
-    refusal : str
-        Why no buffer meets the wish; empty if one does, and all that follows is about it.
-    scene : Scene or None
-        With the buffer in it; without one that meets the wish, the nearest that was found.
-    undamped, damped : FirstContact or None
-        The first contact with these springs, without and with the damper.
-    outcome : Outcome or None
-        Of the run to the verdict.
-    capturing : (float, float) or None
-        Dampers round the chosen one that capture and keep the limit of force, N s/m.
-    margin : float or None
-        How many times the wished spread the approach may be off before a capture is lost.
-    energy : Energy or None
-        Step 6, of the run to the verdict.
-    history : tuple of Trial
-        Every run, in order.
-    """
-
-    wish: Wish
-    refusal: str
-    scene: Scene | None = None
-    undamped: FirstContact | None = None
-    damped: FirstContact | None = None
-    outcome: Outcome | None = None
-    capturing: tuple[float, float] | None = None
-    margin: float | None = None
-    energy: Energy | None = None
-    history: tuple[Trial, ...] = field(default=(), repr=False)
-
-    @property
-    def met(self) -> bool:
-        """Whether there is a buffer."""
-        return not self.refusal
 
 
 @dataclass(frozen=True)
@@ -230,6 +134,26 @@ class _Flow:
                 start = None
         return best
 
+    def closer(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
+        """Return dampers between those tried, next to the most promising ones.
+
+        Promising are captures of little force; without any, dampers that bring the tip near.
+        """
+
+        def promise(place: int) -> tuple[bool, float]:
+            one = tried[place]
+            if one is None or one.outcome.failed:
+                return True, math.inf
+            if one.outcome.captured:
+                return False, one.outcome.peak_force
+            return True, one.outcome.nearest
+
+        more: list[float] = []
+        for place in sorted(range(len(grid)), key=promise)[:_PROMISING]:
+            for low, high in itertools.pairwise(grid[max(place - 1, 0) : place + 2]):
+                more += np.linspace(low, high, _CLOSER + 1)[1:-1].tolist()
+        return more
+
     def edge(self, inside: _Damper, outside: float) -> _Damper:
         """Bisect to the last good damper between a good one and a bad one (N s/m)."""
         while abs(outside - inside.c_A) > _END * max(inside.c_A, outside):
@@ -272,6 +196,12 @@ def design_buffer(scene: Scene, wish: Wish, tell: Callable[[Trial], None] | None
     grid = [share * critical for share in SHARES]
     tried: list[_Damper | None] = [flow.damper(c_A, springs) for c_A in grid]
     piece = flow.widest(tried)
+    if piece is None:
+        # the good ones may hide between those tried: look closer where they come nearest
+        grid = sorted({*grid, *flow.closer(grid, tried)})
+        known = {one.c_A: one for one in tried if one is not None}
+        tried = [known.get(c_A) or flow.damper(c_A, springs) for c_A in grid]
+        piece = flow.widest(tried)
     if piece is None:
         judged = [one for one in tried if one is not None]
         nearest = min(judged, key=lambda one: one.outcome.nearest) if judged else None

@@ -22,7 +22,16 @@ VIEWING = ("matplotlib", "rerun")
 ROS = re.compile(
     rf"(ament_\w+|launch\w*|rcl\w*|rosidl\w*|tf2\w*|\w+_msgs|\w+_srvs|\w+_interfaces|{PACKAGE}\.(msg|srv))$"
 )
-ADAPTERS = ("nodes", "recording", "viewing", "benchmarking", "commands", "cli", "__main__")
+ADAPTERS = (
+    "nodes",
+    "recording",
+    "viewing",
+    "benchmarking",
+    "reproduction",
+    "commands",
+    "cli",
+    "__main__",
+)
 # The only ones that may show or record for a node
 EXCEPTIONS = {
     ("nodes.recorder", "recording"),
@@ -87,6 +96,8 @@ def forbidden(name, imported):
     other = layer(inner)
     if other in ("core", own) or own == "__main__" or (own == "cli" and other != "__main__"):
         return None
+    if own == "reproduction" and other in ("benchmarking", "viewing"):
+        return None  # it runs the second engine, and draws
     if own == "commands" and other not in ("cli", "__main__"):
         return None
     if own == "core" or other in ("commands", "cli", "__main__"):

@@ -46,19 +46,7 @@ def prepare(
     """
     exu = importlib.import_module(MODULE)
     system, tree_node, target_node = build(scene, scene.friction.mu if mu is None else mu)
-    settings = exu.SimulationSettings()
-    time = settings.timeIntegration
-    time.endTime = scene.run.t_end
-    time.numberOfSteps = max(1, round(scene.run.t_end / 1e-3))
-    time.automaticStepSize = True
-    time.absoluteTolerance = 1e-2 * rtol
-    time.relativeTolerance = rtol
-    time.initialStepSize = 1e-6
-    time.minimumStepSize = 1e-12
-    time.explicit.computeEndOfStepAccelerations = False
-    time.verboseMode = 0
-    settings.solution.file.write = False
-    settings.solution.sensors.writePeriod = scene.run.t_end
+    settings = solver_settings(exu, scene.run.t_end, rtol)
 
     def run() -> Callable[[], Outcome]:
         done = system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5)
@@ -74,6 +62,24 @@ def prepare(
         return read
 
     return run
+
+
+def solver_settings(exu: Any, t_end: float, rtol: float, output_step: float = 1e-3) -> Any:
+    """Return the settings of a run to ``t_end`` (s), in pieces of ``output_step`` (s)."""
+    settings = exu.SimulationSettings()
+    time = settings.timeIntegration
+    time.endTime = t_end
+    time.numberOfSteps = max(1, round(t_end / output_step))
+    time.automaticStepSize = True
+    time.absoluteTolerance = 1e-2 * rtol
+    time.relativeTolerance = rtol
+    time.initialStepSize = 1e-6
+    time.minimumStepSize = 1e-12
+    time.explicit.computeEndOfStepAccelerations = False
+    time.verboseMode = 0
+    settings.solution.file.write = False
+    settings.solution.sensors.writePeriod = t_end
+    return settings
 
 
 def build(scene: Scene, mu: float) -> tuple[Any, int, int]:

@@ -20,6 +20,7 @@ COMMANDS = (
     "identify",
     "judge",
     "benchmark",
+    "reproduce",
     "design",
     "envelope",
     "scenes",
