@@ -22,6 +22,7 @@ COMMANDS = (
     "benchmark",
     "reproduce",
     "design",
+    "sensitivity",
     "envelope",
     "scenes",
     "show",

@@ -1,0 +1,170 @@
+"""``capture-sim sensitivity``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.commands.arguments import OK, add_overrides, load, prepare_folder
+
+if TYPE_CHECKING:
+    from capture_sim.sensitivity import Global, Local
+
+HELP = "find what force, strokes and verdict hang on"
+DESCRIPTION = (
+    "How peak force, strokes and verdict move with each parameter: derivatives, a tornado over "
+    "the parameters' spreads, and Morris' or Sobol's indices."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "scene", nargs="?", default="paper_designed", help="default: paper_designed"
+    )
+    parser.add_argument(
+        "--spread",
+        type=float,
+        default=10.0,
+        metavar="PERCENT",
+        help="of each parameter, to either side; offset 2 mm, angles 1 deg (default: 10)",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("morris", "sobol", "none"),
+        default="morris",
+        help="for all parameters at once (default: morris)",
+    )
+    parser.add_argument(
+        "--samples", type=int, default=32, help="trajectories, or base samples (default: 32)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the samples (default: 1)")
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="N", help="processes (default: one per core)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/sensitivity"), help="default: runs/sensitivity"
+    )
+    add_overrides(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; return the exit status."""
+    from capture_sim.commands.progress import Progress
+    from capture_sim.commands.showing import compile_first, say
+    from capture_sim.errors import SceneError
+    from capture_sim.executors import default_workers, open_executor
+    from capture_sim.sensitivity import (
+        STEPS,
+        check_method,
+        default_parameters,
+        global_sensitivity,
+        local_sensitivity,
+    )
+
+    scene = load(options.scene, options.overrides)
+    parameters = default_parameters(options.spread / 100.0)
+    if not 0 <= options.workers <= 1024:
+        raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")
+    if options.method != "none":
+        check_method(options.method, options.samples)
+    prepare_folder(options.out)
+    compile_first()
+    whole: Global | None = None
+    count, done = 1 + 2 * len(parameters) * (1 + len(STEPS)), 0
+    with (
+        open_executor(options.workers or default_workers(), options.scheduler) as executor,
+        Progress() as progress,
+    ):
+
+        def heard(more: int) -> None:
+            nonlocal done
+            done += more
+            progress.at("derivatives", done, count)
+
+        near = local_sensitivity(scene, parameters, executor, heard)
+        if options.method != "none":
+            whole = global_sensitivity(
+                scene,
+                parameters,
+                executor,
+                options.method,
+                options.samples,
+                options.seed,
+                lambda some, of: progress.at(options.method, some, of),
+            )
+    _report(near)
+    if whole is not None:
+        say(f"captured in {whole.captured:.1%} of {whole.runs} runs over the whole spread")
+    _keep(near, whole, options.out)
+    try:
+        from capture_sim.viewing.tornado import save_indices, save_tornado
+
+        say(f"tornado in {save_tornado(near, options.out / 'tornado.png')}")
+        if whole is not None:
+            say(f"indices in {save_indices(whole, options.out / f'{whole.method}.png')}")
+    except ImportError as error:
+        say(f"no picture: {error}")
+    return OK
+
+
+def _report(near: Local) -> None:
+    """Print what a parameter off by its spread would do, were it linear; ! where that is not so."""
+    from capture_sim.commands.showing import say
+    from capture_sim.sensitivity import QUANTITIES
+
+    smooth = QUANTITIES[:-1]
+    say("change of each quantity for a parameter that is off by its spread, by its derivative")
+    say("(!: ill-conditioned, does not settle; *: another verdict at an end of the spread)")
+    say("")
+    head = [f"{name} {unit}" for name, unit in smooth]
+    say(f"{'':22}" + "".join(f"{text:>16}" for text in head))
+    base = near.base.tolist()
+    say(f"{'at the scene':22}" + "".join(f"{value:16.5g}" for value in base[:-1]))
+    for parameter, row, low, high in zip(
+        near.parameters, near.derivatives, near.low, near.high, strict=True
+    ):
+        flips = "*" if low[-1] != base[-1] or high[-1] != base[-1] else " "
+        cells = "".join(f"{d.value:15.3g}{' ' if d.settled else '!'}" for d in row)
+        say(f"{parameter.name + flips:22}{cells}")
+    say("")
+
+
+def _keep(near: Local, whole: Global | None, folder: Path) -> None:
+    """Write the numbers."""
+    import dataclasses
+    import json
+
+    import numpy as np
+
+    from capture_sim.commands.showing import say
+    from capture_sim.errors import RecordingError
+    from capture_sim.sensitivity import QUANTITIES
+
+    def plain(table: Any) -> Any:
+        return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
+
+    kept: dict[str, Any] = {
+        "quantities": [list(pair) for pair in QUANTITIES],
+        "parameters": [dataclasses.asdict(parameter) for parameter in near.parameters],
+        "base": near.base.tolist(),
+        "low": near.low.tolist(),
+        "high": near.high.tolist(),
+        "derivatives": [[dataclasses.asdict(d) for d in row] for row in near.derivatives],
+    }
+    if whole is not None:
+        kept[whole.method] = {
+            "runs": whole.runs,
+            "captured": whole.captured,
+            "first": plain(whole.first),
+            "total": plain(whole.total),
+            "confidence": plain(whole.confidence),
+        }
+    path = folder / "sensitivity.json"
+    try:
+        path.write_text(json.dumps(kept, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    say(f"numbers in {path}")

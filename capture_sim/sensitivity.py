@@ -1,0 +1,335 @@
+"""How force, strokes and verdict move with each parameter of a scene.
+
+Near the scene, by central differences; over the whole spread, one parameter at a time (the
+tornado) or all at once (Morris' or Sobol's method, by SALib).  A run has corners where a touch
+more or less decides: a difference quotient that does not settle as its step shrinks, or whose
+two runs do not have the same touches, is flagged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from capture_sim.approach import approach_of, placed
+from capture_sim.errors import SceneError
+from capture_sim.executors import Executor, ordered
+from capture_sim.first_contact import run_first_contact
+from capture_sim.scene import Scene
+from capture_sim.verdict import run_to_verdict
+
+#: What is looked at: name, unit.  Force, strokes and duration are of the first contact, nearest
+#: is until the verdict, captured 1 or 0.
+QUANTITIES = (
+    ("peak_force", "N"),
+    ("axial_stroke", "m"),
+    ("torsion", "rad"),
+    ("duration", "s"),
+    ("nearest", "m"),
+    ("captured", "1"),
+)
+_SMOOTH = len(QUANTITIES) - 1  # all but the verdict have derivatives
+
+#: Steps of the difference quotients, of the parameter's spread.
+STEPS = (0.1, 0.03, 0.01, 0.003, 0.001)
+
+#: A derivative that changes by more than this part of itself from step to step is flagged.
+SETTLED = 0.1
+
+_RUN_UP = 1e-3  # m
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter and how far it may be off.
+
+    ``name`` is a field of the scene (``buffer.k_A``) or ``approach.speed``, ``.offset`` or
+    ``.angle``; ``spread`` to either side, as part of the value if ``relative``, else in SI
+    units.
+    """
+
+    name: str
+    unit: str
+    spread: float
+    relative: bool = True
+
+
+def default_parameters(part: float = 0.1) -> tuple[Parameter, ...]:
+    """Return what may be off in a bench, each by ``part`` of itself if nothing else is natural.
+
+    Raises
+    ------
+    SceneError
+        ``part`` is out of its range.
+    """
+    if not 0.0 < part <= 0.5:
+        raise SceneError(f"spread = {part!r}: allowed is > 0 and <= 0.5")
+    return (
+        Parameter("approach.speed", "m/s", part),
+        Parameter("approach.offset", "m", 2e-3, relative=False),
+        Parameter("approach.angle", "rad", math.radians(1.0), relative=False),
+        Parameter("buffer.k_A", "N/m", part),
+        Parameter("buffer.k_T", "N m/rad", part),
+        Parameter("buffer.c_A", "N s/m", part),
+        Parameter("chaser.mass", "kg", part),
+        Parameter("chaser.inertia", "kg m^2", part),
+        Parameter("target.mass", "kg", part),
+        Parameter("target.inertia", "kg m^2", part),
+        Parameter("cylinder.mass", "kg", part),
+        Parameter("probe.density", "kg/m^3", part),
+        Parameter("cone.beta", "rad", math.radians(1.0), relative=False),
+        Parameter("contact.restitution", "1", part),
+        Parameter("friction.mu", "1", part),
+        Parameter("friction.v_eps", "m/s", part),
+    )
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """How a quantity moves with a parameter, at the scene.
+
+    Attributes
+    ----------
+    value : float
+        Change of the quantity (SI) for a parameter that is off by its spread, were it linear.
+    error : float
+        Change of ``value`` from the step before to the one taken.
+    step : float
+        The step that was taken, of the spread.
+    settled : bool
+        The quotient settles as the step shrinks, and both runs have the same touches: without
+        that the value is not to be trusted.
+    """
+
+    value: float
+    error: float
+    step: float
+    settled: bool
+
+
+@dataclass(frozen=True)
+class Local:
+    """Derivatives and the tornado.
+
+    ``derivatives[p][q]`` is for parameter p and quantity q (the verdict has none), ``low`` and
+    ``high`` (p, q) are the quantities with the parameter off by its spread, ``base`` (q,)
+    without.
+    """
+
+    parameters: tuple[Parameter, ...]
+    base: np.ndarray
+    derivatives: list[list[Derivative]]
+    low: np.ndarray
+    high: np.ndarray
+
+
+@dataclass(frozen=True)
+class Global:
+    """Indices of Morris or Sobol, all parameters varied at once.
+
+    ``first`` and ``total`` (p, q): Sobol's S_1 and S_T; with Morris the mean of the elementary
+    effects' magnitudes mu* (in ``total``) and their scatter sigma (in ``first``), in units of
+    the quantity.  ``confidence`` (p, q) is that of ``total`` (95 %).  NaN where a quantity
+    does not vary.
+    """
+
+    method: str
+    parameters: tuple[Parameter, ...]
+    first: np.ndarray
+    total: np.ndarray
+    confidence: np.ndarray
+    runs: int
+    captured: float
+
+
+def value_of(scene: Scene, parameter: Parameter) -> float:
+    """Return a parameter's value in a scene, SI.
+
+    Raises
+    ------
+    SceneError
+        The scene has no such number.
+    """
+    part, _, name = parameter.name.partition(".")
+    if part == "approach" and name in ("angle", "offset", "speed"):
+        return dict(zip(("angle", "offset", "speed"), approach_of(scene), strict=True))[name]
+    value = getattr(getattr(scene, part, None), name, None)
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise SceneError(f"{parameter.name}: allowed is a number of the scene that it has")
+    return float(value)
+
+
+def changed(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float]) -> Scene:
+    """Return a scene with parameters at ``values`` (SI), just before its first touch.
+
+    Raises
+    ------
+    SceneError
+        A value is out of its range, or the chaser misses the cone.
+    """
+    approach = dict(zip(("angle", "offset", "speed"), approach_of(scene), strict=True))
+    start = scene.initial
+    # out of the way while sizes change: it is placed anew
+    far = replace(start.chaser, x=start.target.x - 10.0, y=start.target.y, theta=0.0)
+    scene = replace(scene, initial=replace(start, chaser=far), rail=None, string=None)
+    for parameter, value in zip(parameters, values, strict=True):
+        part, _, name = parameter.name.partition(".")
+        if part == "approach":
+            approach[name] = value
+        else:
+            scene = replace(scene, **{part: replace(getattr(scene, part), **{name: value})})
+    near = placed(scene, approach["angle"], approach["offset"], approach["speed"], _RUN_UP)
+    if near is None:
+        raise SceneError(f"{scene.name}: with {dict(approach)} the chaser misses the cone")
+    return near
+
+
+def respond(task: tuple[Scene, tuple[Parameter, ...], tuple[float, ...]]) -> tuple[Any, int]:
+    """Return the quantities (q,) of a changed scene, and the touches of its first contact."""
+    scene = changed(*task)
+    contact, outcome = run_first_contact(scene), run_to_verdict(scene, finer=10)
+    values = [getattr(contact, name) for name, _ in QUANTITIES[:4]]
+    return np.array([*values, outcome.nearest, float(outcome.captured)]), contact.touches
+
+
+def local_sensitivity(
+    scene: Scene,
+    parameters: tuple[Parameter, ...],
+    executor: Executor,
+    tell: Callable[[int], None] | None = None,
+) -> Local:
+    """Find the derivatives at a scene, and what each parameter does over its spread.
+
+    Takes ``1 + 2 len(parameters) (1 + len(STEPS))`` runs; ``tell`` hears of each.
+
+    Raises
+    ------
+    SceneError
+        A parameter is not in the scene, or out of its range within its spread.
+    """
+    base = [value_of(scene, p) for p in parameters]
+    spread = [_spread(p, v) for p, v in zip(parameters, base, strict=True)]
+    shares = (1.0, *STEPS)
+    tasks: list[Any] = [(scene, parameters, tuple(base))]
+    for number in range(len(parameters)):
+        for share in shares:
+            for sign in (-1.0, 1.0):
+                values = list(base)
+                values[number] += sign * share * spread[number]
+                tasks.append((scene, parameters, tuple(values)))
+    for _, _, values in tasks:
+        changed(scene, parameters, values)  # says what is out of range before anything runs
+    answers = ordered(executor, respond, tasks, tell)
+    at = np.array([values for values, _ in answers[1:]]).reshape(
+        len(parameters), len(shares), 2, len(QUANTITIES)
+    )
+    touches = np.array([count for _, count in answers[1:]]).reshape(at.shape[:3])
+    derivatives = [
+        [_settle(at[p, 1:, :, q], touches[p, 1:], float(answers[0][0][q])) for q in range(_SMOOTH)]
+        for p in range(len(parameters))
+    ]
+    return Local(parameters, answers[0][0], derivatives, at[:, 0, 0], at[:, 0, 1])
+
+
+def _spread(parameter: Parameter, value: float) -> float:
+    return parameter.spread * abs(value) if parameter.relative else parameter.spread
+
+
+def _settle(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
+    """Choose among difference quotients the one that changes least from step to step.
+
+    ``ends`` (steps, 2) are the quantity's values below and above, ``touches`` likewise.
+    """
+    quotients = (ends[:, 1] - ends[:, 0]) / (2.0 * np.array(STEPS))
+    changes = np.abs(np.diff(quotients))
+    best = int(np.argmin(changes)) + 1
+    value, error = float(quotients[best]), float(changes[best - 1])
+    same = bool(touches[best, 0] == touches[best, 1])
+    small = error <= 1e-4 * abs(base)  # nothing to move: no need to settle
+    return Derivative(value, error, STEPS[best], same and (error <= SETTLED * abs(value) or small))
+
+
+def check_method(method: str, samples: int) -> None:
+    """Raise SceneError for a method or a number of samples that there is not."""
+    if method not in ("morris", "sobol"):
+        raise SceneError(f"method = {method!r}: allowed is morris or sobol")
+    if not 4 <= samples <= 65536 or (method == "sobol" and samples & (samples - 1)):
+        raise SceneError(f"samples = {samples!r}: allowed is >= 4, with sobol a power of 2")
+
+
+def global_sensitivity(
+    scene: Scene,
+    parameters: tuple[Parameter, ...],
+    executor: Executor,
+    method: str = "morris",
+    samples: int = 32,
+    seed: int = 1,
+    tell: Callable[[int, int], None] | None = None,
+) -> Global:
+    """Vary all parameters at once, evenly over their spreads.
+
+    Parameters
+    ----------
+    method
+        ``"morris"``: ``samples`` trajectories of ``len(parameters) + 1`` runs; ``"sobol"``:
+        ``samples`` (a power of 2) times ``len(parameters) + 2`` runs.
+    seed
+        Of the samples.
+    tell
+        Hears how many of how many runs are done.
+
+    Raises
+    ------
+    SceneError
+        A value is out of its range.
+    """
+    from SALib.analyze import morris as morris_analysis
+    from SALib.analyze import sobol as sobol_analysis
+    from SALib.sample import morris as morris_sample
+    from SALib.sample import sobol as sobol_sample
+
+    check_method(method, samples)
+    base = [value_of(scene, p) for p in parameters]
+    bounds = []
+    for parameter, value in zip(parameters, base, strict=True):
+        off = _spread(parameter, value)
+        bounds.append([value - off, value + off])
+    problem = {
+        "num_vars": len(parameters),
+        "names": [parameter.name for parameter in parameters],
+        "bounds": bounds,
+    }
+    if method == "morris":
+        points = morris_sample.sample(problem, samples, seed=seed)
+    else:
+        points = sobol_sample.sample(problem, samples, calc_second_order=False, seed=seed)
+    tasks = [(scene, parameters, tuple(point)) for point in points.tolist()]
+    done = 0
+
+    def heard(count: int) -> None:
+        nonlocal done
+        done += count
+        if tell is not None:
+            tell(done, len(tasks))
+
+    answers = np.array([values for values, _ in ordered(executor, respond, tasks, heard)])
+    shape = (len(parameters), len(QUANTITIES))
+    first, total, confidence = (np.full(shape, math.nan) for _ in range(3))
+    for q in range(len(QUANTITIES)):
+        column = answers[:, q]
+        if np.ptp(column) == 0.0:
+            continue
+        if method == "morris":
+            found = morris_analysis.analyze(problem, points, column, seed=seed)
+            names = ("sigma", "mu_star", "mu_star_conf")
+        else:
+            found = sobol_analysis.analyze(problem, column, calc_second_order=False, seed=seed)
+            names = ("S1", "ST", "ST_conf")
+        for table, name in zip((first, total, confidence), names, strict=True):
+            table[:, q] = np.asarray(found[name], dtype=float)
+    caught = float(np.mean(answers[:, -1]))
+    return Global(method, parameters, first, total, confidence, len(tasks), caught)

@@ -1,0 +1,194 @@
+"""Sensitivities: scaling laws of the physics, and models whose indices are known."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene, sensitivity, simulate
+from capture_sim.approach import approach_of
+from capture_sim.cli import main
+from capture_sim.errors import SceneError
+from capture_sim.executors import InProcess
+from capture_sim.sensitivity import (
+    QUANTITIES,
+    STEPS,
+    Parameter,
+    changed,
+    default_parameters,
+    global_sensitivity,
+    local_sensitivity,
+    value_of,
+)
+
+NAMES = [name for name, _ in QUANTITIES]
+
+
+@pytest.fixture(scope="module")
+def near():
+    parameters = (
+        Parameter("approach.speed", "m/s", 0.02),
+        Parameter("buffer.k_A", "N/m", 0.02),
+        Parameter("buffer.k_T", "N m/rad", 0.02),
+    )
+    return local_sensitivity(load_scene("paper_undamped"), parameters, InProcess())
+
+
+def elasticity(found, parameter, quantity):
+    """Percent of the quantity for a percent of the parameter."""
+    p = [one.name for one in found.parameters].index(parameter)
+    q = NAMES.index(quantity)
+    derivative = found.derivatives[p][q]
+    assert derivative.settled
+    return derivative.value / found.base[q] / found.parameters[p].spread
+
+
+def test_peak_force_goes_with_the_six_fifths_of_the_speed(near):
+    """Hertz: delta_max ~ v^(4/5), F ~ delta^1.5; the first touch is too short for the buffer."""
+    assert elasticity(near, "approach.speed", "peak_force") == pytest.approx(1.2, abs=0.01)
+    assert elasticity(near, "buffer.k_A", "peak_force") == pytest.approx(0.0, abs=1e-3)
+
+
+def test_strokes_go_with_speed_and_springs(near):
+    """A linear spring's stroke: with the speed, and with k^-1/2 along."""
+    assert elasticity(near, "approach.speed", "axial_stroke") == pytest.approx(1.0, abs=0.05)
+    assert elasticity(near, "buffer.k_A", "axial_stroke") == pytest.approx(-0.5, abs=0.06)
+    assert elasticity(near, "buffer.k_A", "duration") == pytest.approx(-0.45, abs=0.1)
+    assert elasticity(near, "buffer.k_T", "axial_stroke") == pytest.approx(0.0, abs=0.05)
+
+
+def test_the_tornado_agrees_with_the_derivative_over_a_small_spread(near):
+    for p in range(3):
+        for q in range(3):
+            d = near.derivatives[p][q]
+            middle = 0.5 * (near.high[p, q] - near.low[p, q])
+            assert middle == pytest.approx(d.value, rel=0.1, abs=2e-3 * near.base[q])
+
+
+def test_a_corner_is_flagged_and_a_smooth_curve_is_not():
+    steps = np.array(STEPS)[:, None] * [-1.0, 1.0]
+    touches = np.full(steps.shape, 5)
+    smooth = sensitivity._settle(np.exp(steps), touches, 1.0)
+    assert smooth.settled
+    assert smooth.value == pytest.approx(1.0, abs=1e-4)
+    jump = sensitivity._settle(np.where(steps > 0.0, 2.0, 1.0), touches, 1.0)
+    assert not jump.settled
+    touches[:, 1] = 6
+    assert not sensitivity._settle(np.exp(steps), touches, 1.0).settled
+
+
+def linear(task):
+    """An invented bench: force 3 a + 4 b of the parameters' shares of their spread, no captures."""
+    scene, parameters, values = task
+    share = [
+        (value - value_of(scene, p)) / (p.spread * value_of(scene, p))
+        for p, value in zip(parameters, values, strict=True)
+    ]
+    answer = np.zeros(len(QUANTITIES))
+    answer[0] = 3.0 * share[0] + 4.0 * share[1]
+    return answer, 1
+
+
+@pytest.fixture
+def invented(monkeypatch):
+    monkeypatch.setattr(sensitivity, "respond", linear)
+    return (
+        Parameter("buffer.k_A", "N/m", 0.1),
+        Parameter("buffer.k_T", "N m/rad", 0.1),
+        Parameter("buffer.c_A", "N s/m", 0.1),
+    )
+
+
+def test_sobol_of_a_linear_model(invented):
+    """Shares of the variance 9/25 and 16/25, none for what does not count."""
+    told = []
+    found = global_sensitivity(
+        load_scene("paper_designed"),
+        invented,
+        InProcess(),
+        "sobol",
+        128,
+        tell=lambda done, count: told.append((done, count)),
+    )
+    assert found.runs == 128 * 5
+    assert told[-1] == (found.runs, found.runs)
+    assert found.first[:, 0] == pytest.approx([0.36, 0.64, 0.0], abs=0.05)
+    assert found.total[:, 0] == pytest.approx([0.36, 0.64, 0.0], abs=0.05)
+    assert np.isnan(found.total[:, 1:]).all()
+
+
+def test_morris_of_a_linear_model(invented):
+    """Elementary effects over the whole range: 2 x 3, 2 x 4 and 0, without scatter."""
+    found = global_sensitivity(load_scene("paper_designed"), invented, InProcess(), "morris", 8)
+    assert found.runs == 8 * 4
+    assert found.total[:, 0] == pytest.approx([6.0, 8.0, 0.0], abs=1e-9)
+    assert found.first[:, 0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_the_same_seed_gives_the_same_indices():
+    parameters = default_parameters()[:3]
+    one, two = (
+        global_sensitivity(load_scene("tilt_0"), parameters, InProcess(), samples=4, seed=3)
+        for _ in range(2)
+    )
+    assert np.array_equal(one.total, two.total, equal_nan=True)
+    assert one.captured == two.captured > 0.0
+
+
+@pytest.mark.parametrize("name", ["paper_designed", "tilt_p10"])
+def test_nothing_changed_is_the_scene_itself(name):
+    scene = load_scene(name)
+    same = changed(scene, [], [])
+    assert approach_of(same) == pytest.approx(approach_of(scene), abs=1e-9)
+    one, two = simulate(scene).summary, simulate(same, t_end=4.0).summary
+    for key in ("first_contact_peak_force", "first_contact_duration"):
+        assert one[key] == pytest.approx(two[key], rel=2e-3)
+
+
+def test_a_changed_cone_is_still_met_just_so():
+    scene = load_scene("paper_designed")
+    beta = Parameter("cone.beta", "rad", 0.02, relative=False)
+    steeper = changed(scene, [beta], [scene.cone.beta + 0.02])
+    assert steeper.cone.beta == scene.cone.beta + 0.02
+    first = simulate(steeper, t_end=0.1).summary
+    assert first["first_contact_time"] == pytest.approx(0.01, rel=1e-6)
+    assert first["impact_speed"] == pytest.approx(0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--spread=0"], "spread = 0.0: allowed is > 0 and <= 0.5"),
+        (["--spread=90"], "spread = 0.9"),
+        (["--workers=-1"], "--workers -1"),
+        (["--samples=3"], "samples = 3: allowed is >= 4"),
+        (["--method=sobol", "--samples=20"], "with sobol a power of 2"),
+        (["--set", "friction.mu=-1"], "friction.mu = -1"),
+    ],
+)
+def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["sensitivity", *arguments]) == 2
+    answer = capsys.readouterr().err.strip().splitlines()
+    assert said in answer[-1]
+    assert len(answer) == 1
+
+
+def test_unknown_parameters_are_refused():
+    with pytest.raises(SceneError, match=r"supports\.c_rr: allowed is a number"):
+        value_of(load_scene("tilt_0"), Parameter("supports.c_rr", "1", 0.1))
+
+
+def test_the_command_leaves_numbers_and_pictures(tmp_path, capsys, monkeypatch):
+    few = default_parameters()[3:6]
+    monkeypatch.setattr(sensitivity, "default_parameters", lambda part: few)
+    arguments = ["sensitivity", "--samples=4", "--workers=1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    assert "buffer.k_A" in capsys.readouterr().out
+    kept = json.loads((tmp_path / "sensitivity.json").read_text())
+    assert len(kept["derivatives"]) == len(kept["parameters"]) == 3
+    assert kept["morris"]["runs"] == 4 * 4
+    assert math.isfinite(kept["base"][0])
+    for name in ("tornado.png", "morris.png"):
+        assert (tmp_path / name).stat().st_size > 20_000
