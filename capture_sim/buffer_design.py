@@ -30,7 +30,7 @@ from capture_sim.verdict import Outcome, run_to_verdict
 
 #: Dampers that are tried first: none, and these shares of the critical damping of both
 #: vehicles on the axial spring.
-SHARES = (0.0, *np.geomspace(3e-3, 3.0, 28).tolist())
+SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
 
 #: Ends of the range of dampers that capture are known to this part of themselves.
 _END = 0.01
@@ -135,21 +135,20 @@ class _Flow:
         return best
 
     def closer(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
-        """Return dampers between those tried, next to the most promising ones.
+        """Return dampers between those tried, next to the promising ones.
 
-        Promising are captures of little force; without any, dampers that bring the tip near.
+        Promising are all captures, as the force jumps from one touch sequence to the next;
+        without any, the dampers that bring the tip nearest.
         """
 
-        def promise(place: int) -> tuple[bool, float]:
+        def nearest(place: int) -> float:
             one = tried[place]
-            if one is None or one.outcome.failed:
-                return True, math.inf
-            if one.outcome.captured:
-                return False, one.outcome.peak_force
-            return True, one.outcome.nearest
+            return math.inf if one is None or one.outcome.failed else one.outcome.nearest
 
+        places = [n for n, one in enumerate(tried) if one is not None and one.outcome.captured]
+        places = places or sorted(range(len(grid)), key=nearest)[:_PROMISING]
         more: list[float] = []
-        for place in sorted(range(len(grid)), key=promise)[:_PROMISING]:
+        for place in places:
             for low, high in itertools.pairwise(grid[max(place - 1, 0) : place + 2]):
                 more += np.linspace(low, high, _CLOSER + 1)[1:-1].tolist()
         return more
@@ -244,8 +243,11 @@ def _choose(
     largest margin, the middle's neighbours first where several have the same.
     """
     spread = flow.wish.spread
-    # a damper is off by a part of itself: the middle of the logarithms, if none is not among them
-    middle = math.sqrt(low.c_A * high.c_A) if low.c_A > 0.0 else 0.5 * high.c_A
+    # a damper is off by a part of itself: the middle of the logarithms.  Stiffer than critical
+    # it hardly lets the probe move, and is taken only where nothing softer captures
+    critical = _critical_damping(flow.scene, low.match.k_A)
+    top = min(high.c_A, critical) if low.c_A < critical else high.c_A
+    middle = math.sqrt(max(low.c_A, SHARES[1] * critical) * top)
     if spread is None:
         one = flow.damper(middle, low.match)
         good = [d for d in (one, low, high, *between) if d is not None and flow.good(d)]
@@ -293,19 +295,21 @@ def _no_damper(flow: _Flow, judged: Sequence[_Damper], springs: Match) -> str:
     wish = flow.wish
     if not judged:
         return _no_springs(wish, springs)
+    top = max(one.c_A for one in judged)
     captures = [one for one in judged if one.outcome.captured and not one.outcome.failed]
     if captures:
         least = min(captures, key=lambda one: one.outcome.peak_force)
         return (
-            f"every damper that captures pushes too hard: at least "
+            f"every damper up to {top:.4g} N s/m that captures pushes too hard: at least "
             f"{least.outcome.peak_force:.4g} N (c_A = {least.c_A:.4g} N s/m), "
             f"{wish.peak_force:.4g} N are allowed"
         )
     best = min(judged, key=lambda one: one.outcome.nearest)
     below = [one for one in judged if one.c_A < best.c_A]
     said = (
-        f"no damper captures: the tip comes nearest, {best.outcome.nearest * 1e3:.3g} mm, with "
-        f"c_A = {best.c_A:.4g} N s/m ({best.outcome.verdict.label}: {best.outcome.reason})"
+        f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, "
+        f"{best.outcome.nearest * 1e3:.3g} mm, with c_A = {best.c_A:.4g} N s/m "
+        f"({best.outcome.verdict.label}: {best.outcome.reason})"
     )
     if below:
         said += f"; with less, too much energy is left ({_outcomes(below)})"

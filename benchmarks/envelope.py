@@ -1,0 +1,248 @@
+"""The capture envelope: how fast, the same everywhere, and how far its verdicts can be trusted.
+
+    .venv/bin/python benchmarks/envelope.py [--runs 10000]
+
+writes docs/envelope.md and docs/envelope/map.png.  The same map is made by two processes (timed),
+by one, by a Dask cluster of two workers, and by the command killed half-way and started again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from capture_sim import load_scene, simulate
+from capture_sim.bench import compile_kernels
+from capture_sim.commands.envelope import read_axis
+from capture_sim.detection import CaptureState
+from capture_sim.envelope import Envelope, Plan, evaluate
+from capture_sim.envelope_runs import CHUNK, map_envelope
+from capture_sim.executors import Executor, InProcess, open_executor, ordered
+from capture_sim.recording.envelope_file import write_envelope
+from capture_sim.viewing.envelope_map import save_envelope
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+ANGLE, OFFSET, SPEED = "-30:30:12", "-50:50:10", "0.05,0.1,0.2"
+LEVELS = 5
+CHECKS = 0.44  # of the map's points, about as many are run twice
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A map made in some way: how long it took, and the hash of its file."""
+
+    envelope: Envelope
+    seconds: float
+    digest: str
+
+    @property
+    def runs(self) -> int:
+        """Runs to a verdict: points that were not missed by far, and those run twice."""
+        rows = self.envelope.rows
+        return int((~np.isnan(rows["nearest"])).sum() + rows["checked"].sum())
+
+
+def the_plan(points: int) -> Plan:
+    return Plan(
+        load_scene("tilt_0"),
+        angle=read_axis("--angle", ANGLE, math.radians(1.0)),
+        offset=read_axis("--offset", OFFSET, 1e-3),
+        speed=read_axis("--speed", SPEED, 1.0),
+        levels=LEVELS,
+        runs=points,
+    )
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def timed(plan: Plan, executor: Executor, folder: Path) -> Timed:
+    began = time.perf_counter()
+    envelope = map_envelope(plan, executor, folder / "parts")
+    seconds = time.perf_counter() - began
+    return Timed(envelope, seconds, digest(write_envelope(envelope, folder / "e.parquet")))
+
+
+def by_processes(plan: Plan, count: int) -> Timed:
+    with tempfile.TemporaryDirectory() as folder, open_executor(count) as executor:
+        # workers load the kernels when they start: not part of the map
+        ordered(executor, math.sqrt, [1.0] * 4 * count)
+        return timed(plan, executor, Path(folder))
+
+
+def by_dask(plan: Plan) -> Timed | None:
+    try:
+        from distributed import LocalCluster
+    except ImportError:
+        return None
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        ) as cluster,
+        open_executor(scheduler=cluster.scheduler_address) as executor,
+    ):
+        ordered(executor, math.sqrt, [1.0] * 8)
+        return timed(plan, executor, Path(folder))
+
+
+def killed_and_resumed(plan: Plan, points: int) -> tuple[str, int]:
+    """Kill the command half-way and start it again; return its file's hash and the points kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "e.parquet"
+        command = [sys.executable, "-m", "capture_sim.cli", "envelope", f"--angle={ANGLE}"]
+        command += [f"--offset={OFFSET}", f"--speed={SPEED}", f"--levels={LEVELS}"]
+        command += [f"--runs={points}", "--workers=2", f"--out={out}", "--mark"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        first = subprocess.Popen(command, **quiet)
+        half = plan.runs * (1 + CHECKS) / CHUNK / 2
+        while len(list(out.with_suffix(".parts").glob("*.rows"))) < half:
+            if first.poll() is not None:
+                raise SystemExit("the command ended before it could be killed")
+            time.sleep(0.05)
+        os.kill(first.pid, signal.SIGKILL)
+        first.wait()
+        kept = len(list(out.with_suffix(".parts").glob("*.rows"))) * CHUNK
+        subprocess.run(command, check=True, **quiet)
+        return digest(out), kept
+
+
+def verdict_errors(envelope: Envelope) -> list[str]:
+    """Runs near the boundary at several tolerances, against a much finer one."""
+    checked = envelope.rows[envelope.rows["checked"]]
+    keys = [(int(r["slice"]), int(r["i"]), int(r["j"])) for r in checked]
+    keys = keys[:: max(1, len(keys) // 600)]
+    fine = evaluate(envelope.plan, keys, 1e-11)
+    own = envelope.rows[[envelope.places[key] for key in keys]]
+    wrong = own["verdict"] != fine["verdict"]
+    flagged = own["verdict"] != own["finer_verdict"]
+    lines = [
+        "| rtol | ms a run | other verdict | capture or not | nearest off: median, worst mm |",
+        "|---|---|---|---|---|",
+    ]
+    caught = fine["verdict"] == CaptureState.CAPTURED
+    for rtol in (1e-3, 1e-4, 1e-5, 1e-6, 1e-8):
+        began = time.perf_counter()
+        rows = evaluate(envelope.plan, keys, rtol)
+        each = (time.perf_counter() - began) / len(keys)
+        off = np.abs(rows["nearest"] - fine["nearest"]) * 1e3
+        other = int((rows["verdict"] != fine["verdict"]).sum())
+        flips = int(((rows["verdict"] == CaptureState.CAPTURED) != caught).sum())
+        lines.append(
+            f"| {rtol:.0e} | {each * 1e3:.1f} | {other} | {flips} | "
+            f"{np.median(off):.1e}, {off.max():.1e} |"
+        )
+    return [
+        f"{len(keys)} points next to the boundary, against rtol 1e-11:",
+        "",
+        *lines,
+        "",
+        f"So maps are made at rtol {envelope.plan.rtol:.0e}. Of the {int(wrong.sum())} verdicts "
+        f"that are other there, halving the tolerance flags {int((wrong & flagged).sum())}; it "
+        f"flags {int(flagged.sum())} in all.",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=10_000, help="to a verdict, about")
+    options = parser.parse_args()
+    compile_kernels()
+    points = round(options.runs / (1 + CHECKS))
+    plan = the_plan(points)
+    two = by_processes(plan, 2)
+    print(f"2 processes: {two.runs} runs in {two.seconds:.1f} s", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        one = timed(plan, InProcess(), Path(folder))
+    print(f"1 process: {one.seconds:.1f} s", flush=True)
+    dask = by_dask(plan)
+    print(f"Dask: {dask.seconds:.1f} s" if dask else "Dask: not installed", flush=True)
+    resumed, kept = killed_and_resumed(plan, points)
+    print(f"killed with {kept} points kept, resumed", flush=True)
+    envelope = two.envelope
+    marks = [simulate(load_scene(name)) for name in ("tilt_0", "tilt_p10", "tilt_m10")]
+    save_envelope(envelope, DOCS / "envelope" / "map.png", marks)
+    (_, across), (_, up) = plan.plane
+    grid = len(plan.slices) * ((across.cells << LEVELS) + 1) * ((up.cells << LEVELS) + 1)
+    command = (
+        f".venv/bin/capture-sim envelope --angle={ANGLE} --offset={OFFSET} --speed={SPEED} "
+        f"--levels {LEVELS} --runs {points}"
+    )
+    same = {
+        "1 process": one.digest == two.digest,
+        "a Dask cluster of 2 workers": None if dask is None else dask.digest == two.digest,
+        f"killed with {kept} points done, and resumed": resumed == two.digest,
+    }
+    words = {True: "the same bytes", False: "**another file**", None: "not installed"}
+    finest = 0.25**LEVELS / (across.cells * up.cells)
+    text = "\n".join(
+        [
+            "# The capture envelope",
+            "",
+            "Made by `.venv/bin/python benchmarks/envelope.py"
+            + (f" --runs {options.runs}`." if options.runs != 10_000 else "`."),
+            "",
+            "![Capture envelope of the bench](envelope/map.png)",
+            "",
+            f"    {command}",
+            "",
+            "The bench of the three experiments, without rail and string: each run starts 2 mm "
+            "before the touch, at the speed that is asked for there. Offset: of the chaser's path "
+            "from the target's centre of mass.",
+            "",
+            "## How sure",
+            "",
+            f"A cell of the finest level is {finest:.4%} of its plane. 'At least' are the cells "
+            "all of whose corners are captured, 'at most' those with one; a pocket smaller than a "
+            "coarse cell, no corner of which falls into it, is not seen. Ill-conditioned are cells "
+            "of the boundary where a corner's verdict changes when the tolerance is halved: there "
+            "a touch more or less decides, and no finer map would help.",
+            "",
+            "| speed m/s | captured at least | at most | ill-conditioned |",
+            "|---|---|---|---|",
+            *(
+                f"| {value:g} | {share['surely']:.2%} | {share['perhaps']:.2%} | "
+                f"{share['ill_conditioned']:.4%} |"
+                for value, share in zip(plan.slices, envelope.shares, strict=True)
+            ),
+            "",
+            *verdict_errors(envelope),
+            "",
+            "## How fast",
+            "",
+            f"{two.runs} runs to a verdict ({len(envelope.rows)} points, "
+            f"{int(envelope.rows['checked'].sum())} of them twice) in {two.seconds:.1f} s by 2 "
+            f"processes, {two.seconds / two.runs * 1e4:.0f} s for 10 000; by 1 process "
+            f"{one.seconds:.1f} s ({one.seconds / two.seconds:.2f} times that)"
+            + (f", by a Dask cluster of 2 workers {dask.seconds:.1f} s" if dask else "")
+            + ". A full grid as fine as the finest cells would take "
+            f"{grid} points, {grid / len(envelope.rows):.0f} times as many.",
+            "",
+            "## The same everywhere",
+            "",
+            "Beside the file of 2 processes: "
+            + "; ".join(f"{how}: {words[holds]}" for how, holds in same.items())
+            + ".",
+            "",
+        ]
+    )
+    (DOCS / "envelope.md").write_text(text, encoding="utf-8")
+    print(text)
+    if False in same.values():
+        raise SystemExit("the files differ")
+
+
+if __name__ == "__main__":
+    main()
