@@ -2,10 +2,10 @@
 
     .venv/bin/python benchmarks/design.py [--scenes 20] [--seed 7]
 
-writes docs/design.md with its figures.  A buffer is checked by whole runs at a tenth of the tolerance: captured,
-the force kept, the strokes of the first contact within 2 % of the wish.  A refusal is checked by
-a search that knows nothing of the flow: grids of springs, the best places of them refined, and a
-grid of dampers.
+writes docs/design.md with its figures.  A buffer is checked by whole runs at a tenth of the
+tolerance: captured, the force kept, the strokes of the first contact within 2 % of the wish.  A
+refusal is checked by a search that knows nothing of the flow: grids of springs, the best places of
+them refined, and a grid of dampers.
 """
 
 from __future__ import annotations
