@@ -43,3 +43,7 @@ class SimulationError(CaptureSimError):
 
 class RecordingError(CaptureSimError):
     """A recording could not be written or read."""
+
+
+class MissingPackageError(CaptureSimError):
+    """An optional package is asked for that is not installed; the message names it."""

@@ -116,7 +116,8 @@ class DaskCluster:
 
     def answers(self, function: Callable[[Any], Any], arguments: Sequence[Any]) -> Answers:
         """Yield (place in ``arguments``, answer) as they come."""
-        from distributed import as_completed
+        from distributed import CancelledError, KilledWorker, as_completed
+        from distributed.comm import CommClosedError
 
         # a run holds the interpreter's lock all along: a second one in a worker gains nothing
         futures = self._client.map(function, arguments, pure=False, batch_size=64)
@@ -124,6 +125,10 @@ class DaskCluster:
         try:
             for future, answer in as_completed(futures, loop=self._client.loop, with_results=True):
                 yield place[future.key], answer
+        except (CancelledError, KilledWorker, CommClosedError) as error:
+            raise ExecutorError(
+                f"the Dask cluster was lost ({error}); start again to go on from there"
+            ) from None
         finally:
             self._client.cancel(futures)
 

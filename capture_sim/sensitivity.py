@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.approach import approach_of, placed
-from capture_sim.errors import SceneError
+from capture_sim.errors import MissingPackageError, SceneError
 from capture_sim.executors import Executor, ordered
 from capture_sim.first_contact import run_first_contact
 from capture_sim.scene import Scene
@@ -254,11 +254,21 @@ def _settle(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
 
 
 def check_method(method: str, samples: int) -> None:
-    """Raise SceneError for a method or a number of samples that there is not."""
+    """Raise SceneError for a method or a number of samples that there is not.
+
+    Raises
+    ------
+    MissingPackageError
+        SALib is not installed.
+    """
     if method not in ("morris", "sobol"):
         raise SceneError(f"method = {method!r}: allowed is morris or sobol")
     if not 4 <= samples <= 65536 or (method == "sobol" and samples & (samples - 1)):
         raise SceneError(f"samples = {samples!r}: allowed is >= 4, with sobol a power of 2")
+    try:
+        import SALib  # noqa: F401
+    except ImportError:
+        raise MissingPackageError("Morris and Sobol need SALib: pip install SALib") from None
 
 
 def global_sensitivity(

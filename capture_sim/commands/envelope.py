@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     from capture_sim.envelope_runs import KeptRuns
     from capture_sim.errors import SceneError
     from capture_sim.executors import default_workers, open_executor
-    from capture_sim.recording.envelope_file import write_envelope
+    from capture_sim.recording.envelope_file import check_parquet, write_envelope
 
     if options.out.suffix != ".parquet":
         raise SceneError(f"--out {options.out}: allowed is a name that ends in .parquet")
@@ -82,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
         rtol=options.rtol,
     )
     marks = [load(name, ()) for name in options.mark]
+    check_parquet()
     prepare_folder(options.out.parent)
     compile_first()
     with (

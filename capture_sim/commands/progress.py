@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
+from typing import Any
 
-from tqdm import tqdm
+try:
+    from tqdm import tqdm
+except ImportError:  # an ordinary workstation may lack it: then without a bar
+    tqdm = None
 
 
 class Progress:
@@ -13,7 +17,7 @@ class Progress:
 
     def __init__(self, unit: str = "run") -> None:
         self._unit, self._name = unit, ""
-        self._bar: tqdm | None = None
+        self._bar: Any = None
 
     def __enter__(self) -> Progress:
         return self
@@ -33,6 +37,8 @@ class Progress:
 
     def at(self, name: str, done: int, count: int) -> None:
         """Show that ``done`` of ``count`` in the round ``name`` are done."""
+        if tqdm is None:
+            return
         if self._bar is None or name != self._name:
             self._close()
             self._name = name

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.showing import compile_first, say
-    from capture_sim.errors import RecordingError, SceneError
+    from capture_sim.errors import MissingPackageError, RecordingError, SceneError
     from capture_sim.executors import default_workers, open_executor
     from capture_sim.reproduction.everything import FIGURES, reproduce, reproduce_figure
     from capture_sim.reproduction.page import NAME, page, terminal_table
@@ -43,6 +43,10 @@ def run(options: argparse.Namespace) -> int:
         raise SceneError(f"--only {options.only}: allowed are {', '.join(FIGURES)}")
     if not 0 <= options.workers <= 1024:
         raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")
+    try:
+        import capture_sim.viewing.canvas  # noqa: F401
+    except ImportError as error:
+        raise MissingPackageError(f"the figures cannot be drawn: {error}") from None
     prepare_folder(options.out / NAME)
     compile_first()
     with open_executor(options.workers or default_workers()) as executor:

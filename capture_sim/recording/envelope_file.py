@@ -32,6 +32,11 @@ _UNITS = {
 _LABELS = ("verdict", "finer_verdict")
 
 
+def check_parquet() -> None:
+    """Raise RecordingError if Parquet cannot be written here."""
+    _arrow()
+
+
 def write_envelope(envelope: Envelope, path: Path | str) -> Path:
     """Write a map; the same map gives the same bytes.
 
