@@ -23,6 +23,7 @@ from capture_sim.approach import approach_of
 from capture_sim.buffer_energy import energy_of
 from capture_sim.buffer_wish import Design, Trial, Wish
 from capture_sim.capture_margin import Spread, margin_of
+from capture_sim.detection import CaptureState
 from capture_sim.first_contact import FirstContact, run_first_contact
 from capture_sim.scene import Scene
 from capture_sim.stroke_matching import ACCEPTED, Match, guess, match_strokes, with_buffer
@@ -305,6 +306,11 @@ def _no_damper(flow: _Flow, judged: Sequence[_Damper], springs: Match) -> str:
             f"{wish.peak_force:.4g} N are allowed"
         )
     best = min(judged, key=lambda one: one.outcome.nearest)
+    if best.outcome.nearest > flow.scene.cone.L_c:
+        return (
+            "no damper captures: the tip is turned away at the cone's outer lip, and comes no "
+            f"nearer than {best.outcome.nearest * 1e3:.3g} mm ({_outcomes(judged)})"
+        )
     below = [one for one in judged if one.c_A < best.c_A]
     said = (
         f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, "
@@ -312,7 +318,9 @@ def _no_damper(flow: _Flow, judged: Sequence[_Damper], springs: Match) -> str:
         f"({best.outcome.verdict.label}: {best.outcome.reason})"
     )
     if below:
-        said += f"; with less, too much energy is left ({_outcomes(below)})"
+        stuck = sum(one.outcome.verdict is CaptureState.STUCK for one in below)
+        why = "too little energy" if 2 * stuck > len(below) else "too much energy"
+        said += f"; with less, {why} is left ({_outcomes(below)})"
     above = [one for one in judged if one.c_A > best.c_A]
     if above:
         said += f"; with more, too little is left to reach BE ({_outcomes(above)})"

@@ -208,3 +208,14 @@ def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
     assert (tmp_path / "design.png").stat().st_size > 10_000
     assert main(["design", "--peak-force=50", "--out", str(tmp_path)]) == 1
     assert "pushes too hard" in capsys.readouterr().out
+
+
+def test_a_tip_that_meets_the_outer_lip_is_said_to(paper):
+    from capture_sim.approach import placed
+
+    lip = placed(paper, 0.0, 0.07, 0.1)
+    own = run_first_contact(lip)
+    found = design_buffer(lip, Wish(own.axial_stroke, own.torsion))
+    assert "outer lip" in found.refusal
+    # the lip lies further from BE than the generatrix is long
+    assert simulate(lip).samples["tip_distance"].min() > lip.cone.L_c

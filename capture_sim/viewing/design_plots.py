@@ -90,6 +90,10 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
         lowest = min((trial.c_A for trial in trials if trial.c_A > 0.0), default=1.0)
         axes.set_xscale("symlog", linthresh=lowest)
         axes.set_xlim(left=-0.3 * lowest)
+        highest = max(trial.c_A for trial in trials)
+        top = math.floor(math.log10(max(highest, lowest)))
+        decades = [10.0**n for n in range(math.ceil(math.log10(lowest)), top + 1)]
+        axes.set_xticks([0.0, *decades])
     if design.capturing is not None:
         axes.axvspan(*design.capturing, color=palette.GREEN, alpha=0.15, lw=0)
     if design.met and design.scene is not None:
