@@ -134,13 +134,13 @@ def _observations(samples: np.ndarray) -> Iterator[Observation]:
     columns = (samples[name].tolist() for name in ("t", "q", "v", "axial_stroke", "torsion"))
     for t, q, v, stroke, torsion in zip(*columns, strict=True):
         yield Observation(
-            t,
-            (q[0], q[1], q[2]),
-            (v[0], v[1], v[2]),
-            (q[5], q[6], q[7]),
-            (v[5], v[6], v[7]),
-            stroke,
-            v[4],
-            torsion,
-            v[3] - v[2],
+            t=t,
+            chaser=(q[0], q[1], q[2]),
+            target=(q[5], q[6], q[7]),
+            stroke=stroke,
+            torsion=torsion,
+            chaser_rate=(v[0], v[1], v[2]),
+            target_rate=(v[5], v[6], v[7]),
+            stroke_rate=v[4],
+            torsion_rate=v[3] - v[2],
         )

@@ -187,10 +187,10 @@ def test_live_offline_and_the_bag_agree_to_the_bit_on_sensed_poses(tmp_path, cap
     assert written.raw("capture/status") == live.raw("capture/status")
     capsys.readouterr()
     path = str(tmp_path / "tilt_p10.mcap")
-    assert main(["judge", path]) == 0
-    assert capsys.readouterr().out.startswith("tilt_p10: captured at ")
-    assert main(["judge", path, "--set", "detector.radius=1e-4"]) == 0
-    assert "captured" not in capsys.readouterr().out
+    assert main(["detect", path]) == 0
+    assert "verdict: captured" in capsys.readouterr().out
+    assert main(["detect", path, "--set", "detector.radius=1e-4"]) == 0
+    assert "verdict: captured" not in capsys.readouterr().out
 
 
 def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):

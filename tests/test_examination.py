@@ -17,12 +17,11 @@ from capture_sim.messages import EPOCH_NS
 from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
+from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import (
     characteristics,
     first_contact,
-    judge,
     measurements,
-    observations,
 )
 from capture_sim.resimulation import agreement
 
@@ -67,7 +66,7 @@ def bench_bag(path, tmp_path_factory):
 
 def test_detector_judges_a_bag_as_it_judged_the_run(path):
     run = read_run(path)
-    again = judge(observations(run), run.scene)
+    again = judge_recording(run)
     assert [(s.t, s.state, s.final, s.reason) for s in again] == [
         (s.t, s.state, s.final, s.reason) for s in run.statuses
     ]
@@ -106,7 +105,7 @@ def test_topic_that_the_detector_needs_is_named(path, tmp_path):
         )
         writer.write(connection, EPOCH_NS, run.raw("chaser/odom")[0])
     with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
-        observations(read_run(folder))
+        judge_recording(read_run(folder), run.scene)
 
 
 # simulated anew

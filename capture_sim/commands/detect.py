@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import OK, add_overrides
+from capture_sim.commands.arguments import FAILED, OK, add_overrides
 from capture_sim.commands.showing import say
 
 HELP = "judge a recorded run anew, with other limits if wanted"
 DESCRIPTION = (
-    "Judge a recorded run anew from its odometry and buffer topics, with the capture detector's "
-    "limits as recorded or changed (--set detector.radius=0.004)."
+    "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
+    "detector's limits as recorded or changed (--set detector.radius=0.004). Unchanged it must "
+    "come to the recorded verdict, else the exit status is 1."
 )
 
 
@@ -26,11 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.recording.measured import judge, observations
+    from capture_sim.recording.judging import judge_recording
 
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
-    statuses = judge(observations(recorded), scene)
+    statuses = judge_recording(recorded, scene)
     state = None
     for status in statuses:
         if status.state is not state:
@@ -49,4 +50,6 @@ def run(options: argparse.Namespace) -> int:
             f"recorded: {before.state.label} since {since:.3f} s ({before.reason})"
             + ("; the same" if same else "; DIFFERENT")
         )
+        if not same and not options.overrides and options.scene is None:
+            return FAILED
     return OK

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         paths = save_csv(recorded, folder)
     else:
         try:
-            from capture_sim.viewing.tables import save_parquet
+            from capture_sim.recording.tables import save_parquet
         except ImportError as error:
             raise RecordingError(f"--to parquet: needs pyarrow: {error}") from None
         paths = [

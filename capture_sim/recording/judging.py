@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from capture_sim.detection import CaptureStatus
+from capture_sim.errors import RecordingError
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.reader import Run
 from capture_sim.scene import Scene
@@ -27,9 +28,13 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
     Raises
     ------
     RecordingError
-        The file holds no scene, or none of the messages can be read.
+        The file holds no scene, lacks a topic that the detector needs, or a message cannot be
+        read.
     """
     scene = run.scene if scene is None else scene
+    for topic in watched(scene):
+        if not run.raw(topic.name):
+            raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
     store = typestore()
     watch = Watch(scene)
     stored = [

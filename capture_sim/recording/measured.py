@@ -7,13 +7,10 @@ the contact's wrench.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.detection import CaptureDetector, CaptureStatus, Observation
-from capture_sim.errors import RecordingError
 from capture_sim.identification import Touches
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.measurements import Measurements, Series
@@ -60,63 +57,6 @@ def measurements(run: Run) -> Measurements:
         force = np.hypot(columns["wrench.force.x"], columns["wrench.force.y"])
         found["force"] = Series(_times(columns), force)
     return Measurements(**found)
-
-
-def observations(run: Run) -> list[Observation]:
-    """Return what the capture detector judges: measurements that carry the same stamp.
-
-    The same numbers that the detector's node takes from the messages.
-
-    Raises
-    ------
-    RecordingError
-        A topic that the detector needs is not in the recording.
-    """
-    columns = {}
-    for topic in (CHASER_ODOMETRY, TARGET_ODOMETRY, BUFFER_STATE):
-        columns[topic] = run.columns(topic.name)
-        if not columns[topic]:
-            raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
-    stamps = {topic: stamps_of(its) for topic, its in columns.items()}
-    common = np.unique(stamps[CHASER_ODOMETRY])
-    for other in (TARGET_ODOMETRY, BUFFER_STATE):
-        common = np.intersect1d(common, stamps[other])
-    rows = {}
-    for topic, its in stamps.items():
-        order = np.argsort(its, kind="stable")
-        rows[topic] = order[np.searchsorted(its, common, sorter=order)]
-    chaser, target = (
-        [part[rows[topic]].tolist() for part in (*_pose(columns[topic]), *_rates(columns[topic]))]
-        for topic in (CHASER_ODOMETRY, TARGET_ODOMETRY)
-    )
-    names = ("axial_stroke", "axial_rate", "torsion", "torsion_rate")
-    buffer = [columns[BUFFER_STATE][name][rows[BUFFER_STATE]].tolist() for name in names]
-    times = ((common - EPOCH_NS) / 1e9).tolist()
-    found = []
-    for i, t in enumerate(times):
-        stroke, stroke_rate, torsion, torsion_rate = (part[i] for part in buffer)
-        found.append(
-            Observation(
-                t=t,
-                chaser=(chaser[0][i], chaser[1][i], chaser[2][i]),
-                chaser_rate=(chaser[3][i], chaser[4][i], chaser[5][i]),
-                target=(target[0][i], target[1][i], target[2][i]),
-                target_rate=(target[3][i], target[4][i], target[5][i]),
-                stroke=stroke,
-                stroke_rate=stroke_rate,
-                torsion=torsion,
-                torsion_rate=torsion_rate,
-            )
-        )
-    return found
-
-
-def judge(seen: Sequence[Observation], scene: Scene) -> list[CaptureStatus]:
-    """Return the capture detector's statuses of measurements, the final verdict last."""
-    detector = CaptureDetector(scene)
-    statuses = [detector.update(observation) for observation in seen]
-    statuses.append(detector.finish())
-    return statuses
 
 
 def first_contact(run: Run) -> float | None:
@@ -215,11 +155,3 @@ def _pose(columns: Columns, at: str = "pose.pose") -> tuple[np.ndarray, np.ndarr
     # by math, as the detector's node does it: NumPy's differ in the last bit
     theta = 2.0 * np.array(list(map(math.atan2, z, w)))
     return columns[f"{at}.position.x"], columns[f"{at}.position.y"], theta
-
-
-def _rates(columns: Columns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the twist, turned from the vehicle's frame into the world."""
-    theta = _pose(columns)[2].tolist()
-    vx, vy = columns["twist.twist.linear.x"], columns["twist.twist.linear.y"]
-    cos, sin = np.array(list(map(math.cos, theta))), np.array(list(map(math.sin, theta)))
-    return cos * vx - sin * vy, sin * vx + cos * vy, columns["twist.twist.angular.z"]

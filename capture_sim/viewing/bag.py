@@ -106,15 +106,15 @@ def judge(scene: Scene, measured: Measurements) -> list[CaptureStatus]:
     statuses = [
         detector.update(
             Observation(
-                t,
-                tuple(chaser),
-                tuple(chaser_rate),
-                tuple(target),
-                tuple(target_rate),
-                stroke,
-                stroke_rate,
-                torsion,
-                torsion_rate,
+                t=t,
+                chaser=(chaser[0], chaser[1], chaser[2]),
+                target=(target[0], target[1], target[2]),
+                stroke=stroke,
+                torsion=torsion,
+                chaser_rate=(chaser_rate[0], chaser_rate[1], chaser_rate[2]),
+                target_rate=(target_rate[0], target_rate[1], target_rate[2]),
+                stroke_rate=stroke_rate,
+                torsion_rate=torsion_rate,
             )
         )
         for t, chaser, chaser_rate, target, target_rate, (stroke, torsion), (
