@@ -16,7 +16,7 @@ from capture_sim.recording import read_run, write_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots
 from capture_sim.viewing.bag import run_from_bag
-from capture_sim.viewing.source import first_touch, verdict
+from capture_sim.viewing.source import decided_at, first_touch, verdict
 
 WALL = 1_790_000_000  # s, of a wall clock
 STANDARD = ("/chaser/odom", "/target/odom", "/joint_states", "/contact/wrench")
@@ -57,8 +57,9 @@ def recorded(run, tmp_path_factory):
     [
         STANDARD,
         (*STANDARD, "/bench/buffer", "/bench/contact", "/bench/string", "/launcher/command"),
+        (*STANDARD, "/capture/status"),
     ],
-    ids=["standard", "all of a bench"],
+    ids=["standard", "all of a bench", "judged"],
 )
 def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
     bag = read_run(of_a_bench(recorded, tmp_path / "trial_7.mcap", topics))
@@ -79,6 +80,7 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
     true = next(event.t for event in run.events if event.kind is EventKind.TOUCH)
     assert first_touch(seen).t == pytest.approx(true, abs=0.011)
     assert verdict(seen) == "captured"
+    assert decided_at(seen) == pytest.approx(decided_at(run), abs=1e-6)
     if "/bench/contact" in topics:
         assert seen.samples["walls"].tolist() == every["walls"].tolist()
         assert seen.touches["wall"][0] == run.touches["wall"][0] == 1

@@ -92,9 +92,9 @@ def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
     )
     statuses: Sequence[CaptureStatus] = bag.statuses
     if statuses:
-        # its stamps count from 1 s, the run's from the release
+        # a recording counts them from a stamp of 1 s, the run from the release
         late = statuses[0].t - _first_status(bag, stamps)
-        statuses = [_later(status, -late) for status in statuses] if abs(late) > 1e-6 else statuses
+        statuses = [dataclasses.replace(status, t=status.t - late) for status in statuses]
     else:
         statuses = judge(scene, measured)
     return measured_run(bag.name, scene, measured, statuses)
@@ -103,35 +103,28 @@ def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
 def judge(scene: Scene, measured: Measurements) -> list[CaptureStatus]:
     """Let the capture detector judge measurements."""
     detector = CaptureDetector(scene)
-    statuses = [
-        detector.update(
-            Observation(
-                t=t,
-                chaser=(chaser[0], chaser[1], chaser[2]),
-                target=(target[0], target[1], target[2]),
-                stroke=stroke,
-                torsion=torsion,
-                chaser_rate=(chaser_rate[0], chaser_rate[1], chaser_rate[2]),
-                target_rate=(target_rate[0], target_rate[1], target_rate[2]),
-                stroke_rate=stroke_rate,
-                torsion_rate=torsion_rate,
-            )
+    statuses = []
+    for i, t in enumerate(measured.t.tolist()):
+        stroke, torsion = measured.buffer[i].tolist()
+        stroke_rate, torsion_rate = measured.buffer_rate[i].tolist()
+        seen = Observation(
+            t=t,
+            chaser=_three(measured.chaser[i]),
+            chaser_rate=_three(measured.chaser_rate[i]),
+            target=_three(measured.target[i]),
+            target_rate=_three(measured.target_rate[i]),
+            stroke=stroke,
+            stroke_rate=stroke_rate,
+            torsion=torsion,
+            torsion_rate=torsion_rate,
         )
-        for t, chaser, chaser_rate, target, target_rate, (stroke, torsion), (
-            stroke_rate,
-            torsion_rate,
-        ) in zip(
-            measured.t.tolist(),
-            measured.chaser.tolist(),
-            measured.chaser_rate.tolist(),
-            measured.target.tolist(),
-            measured.target_rate.tolist(),
-            measured.buffer.tolist(),
-            measured.buffer_rate.tolist(),
-            strict=True,
-        )
-    ]
+        statuses.append(detector.update(seen))
     return [*statuses, detector.finish()]
+
+
+def _three(row: np.ndarray) -> tuple[float, float, float]:
+    x, y, theta = row.tolist()
+    return x, y, theta
 
 
 def _needed(bag: Bag, topic: Topic) -> Columns:
@@ -160,10 +153,6 @@ def _release(bag: Bag, stamps: np.ndarray) -> int:
 def _first_status(bag: Bag, stamps: np.ndarray) -> float:
     """Return when the detector's first judgement was, s since the release."""
     return float((_stamps(bag.columns(CAPTURE_STATUS.name))[0] - _release(bag, stamps)) * 1e-9)
-
-
-def _later(status: CaptureStatus, shift: float) -> CaptureStatus:
-    return dataclasses.replace(status, t=status.t + shift)
 
 
 def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
