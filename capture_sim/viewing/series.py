@@ -137,7 +137,7 @@ def label_runs(
     tone = shown[0].colour if len(shown) == 1 else palette.GREY
     if contact:
         axes.plot([], [], color=tone, lw=2.0, label="in contact")
-        axes.plot([], [], color=tone, lw=1.5, ls=_FREE, label="free")
+        axes.plot([], [], color=tone, lw=1.5, ls=_FREE, label="no contact")
     for i, trace in enumerate(traces):
         axes.plot([], [], color=trace_colour(i), lw=0, marker="o", ms=5, label=trace.label)
     if outside:
