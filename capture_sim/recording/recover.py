@@ -117,6 +117,8 @@ class _Saver:
         for part, data, found in parts:
             chunks += len(found.chunks)
             definitions = self._definitions(part, found)
+            for channel in sorted(definitions.channels):
+                self._channel(definitions, channel)  # also those without a message
             for channel, sequence, log_time, publish_time, message in _all_messages(found, data):
                 known = self._channel(definitions, channel)
                 if known is None:
