@@ -213,21 +213,22 @@ class Bench(BenchNode):
         self.listen(STREAM_ACK, self._heard)
 
     def _heard(self, ack):
-        if ack.run_id:
-            self.in_run.add(ack.consumer)
+        (self.in_run.add if ack.run_id else self.in_run.discard)(ack.consumer)
 
     def run(self, scene, measurements):
         publishers = [SIMULATOR, CAPTURE_DETECTOR]
         run = RunDescription.of(scene, "on the bench", publishers)
         self.send(RUN_INFO, self.messages.run_info(run))
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 90.0
         ours = (CHASER_POSE, TARGET_POSE)
         while self.in_run != self._consumers or any(self.matched(t) < 2 for t in ours):
             rclpy.spin_once(self, timeout_sec=0.05)
             assert time.monotonic() < deadline, self.in_run
         counts = {RUN_INFO.name: 1, **self.measure(measurements)}
         self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
-        self.linger(STREAM_COUNTS)
+        while self.in_run:  # until they have ended it too
+            rclpy.spin_once(self, timeout_sec=0.05)
+            assert time.monotonic() < deadline, self.in_run
 
     def measure(self, measurements):
         """Send measurements; return how many by topic."""
@@ -253,7 +254,10 @@ class Bench(BenchNode):
 def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name):
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
-    nodes = [start("capture_detector"), start("recorder", out=tmp_path, drain_timeout=2.0)]
+    nodes = [
+        start("capture_detector", drain_timeout=20.0),
+        start("recorder", out=tmp_path, drain_timeout=20.0),
+    ]
     rclpy.init()
     try:
         bench = Bench({"capture_detector", "recorder"})

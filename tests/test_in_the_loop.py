@@ -252,7 +252,7 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
     """A soft plate works; slowed down, so that a busy machine does not decide."""
     rig = start("contact_rig", lag=2)
     report = tmp_path / "report.json"
-    loop = start("loop_simulator", report=report, pace=0.2, timeout=0.1, mass=plate_mass(plate))
+    loop = start("loop_simulator", report=report, pace=0.2, timeout=1.0, mass=plate_mass(plate))
     assert loop.wait(60.0) == 0, loop.log.read_text()
     rig.send_signal(signal.SIGINT)
     assert rig.wait(10.0) == 0
@@ -260,10 +260,10 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
     assert found["steps"] == 1000
     # what the same delays give in one process
     ages = [round(age / 1e-3) for age in found["ages"]]
-    assert min(ages) >= 2 or min(ages[5:]) >= 2
+    assert min(ages[5:]) >= 2
     stage = LoopStage(plate, 1e-3, 40)
     watch, rules = BounceWatch(stage, plate_mass(plate)), ContactRig(plate, PLATE)
-    places = deque([stage.tip], maxlen=200)
+    places = deque([stage.tip], maxlen=1001)
     for age in ages:
         wrench = rules.wrench(places[-1 - age])
         watch.before(wrench)
@@ -287,6 +287,6 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     assert "Traceback" not in said
     stiffness = load_scene("paper_designed").contact_stiffness
     start("contact_rig", scene="paper_designed", stiffness=stiffness, exponent=1.5)
-    loop = start("loop_simulator", scene="paper_designed", pace=0.2)
+    loop = start("loop_simulator", scene="paper_designed", pace=0.2, timeout=1.0)
     assert loop.wait(60.0) == 1
     assert "N came: allowed is <= 500" in loop.log.read_text()
