@@ -296,6 +296,15 @@ class SimulationControl:
             self._fulfil_resets(_OK)
             self._update()
 
+    def close(self) -> None:
+        """Nothing will be done any more: answer all that wait."""
+        with self.changed:
+            self._state = State.QUITTING
+            self._fail_step("the simulator has ended")
+            self._fulfil_resets(Answer(Code.OPERATION_FAILED, "the simulator has ended"))
+            self._settle()
+            self._update()
+
     # under the lock
 
     def _end(self, reason: str, again: bool) -> None:

@@ -150,6 +150,14 @@ def test_nothing_is_possible_once_it_quits():
         assert request.wait(0.0).code is Code.INCORRECT_STATE
 
 
+def test_end_leaves_nobody_waiting():
+    control = SimulationControl(State.PAUSED)
+    control.begin()
+    step = control.step(3)
+    control.close()
+    assert step.wait(0.0).code is Code.OPERATION_FAILED
+
+
 # the robot description
 
 

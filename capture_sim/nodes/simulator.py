@@ -243,6 +243,7 @@ class SimulatorNode(BenchNode):
 
     def destroy_node(self) -> None:
         """End the services, then the node."""
+        self.control.close()
         self._served.close()
         super().destroy_node()
 
