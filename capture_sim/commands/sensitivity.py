@@ -99,6 +99,7 @@ def run(options: argparse.Namespace) -> int:
     if whole is not None:
         say(f"captured in {whole.captured:.1%} of {whole.runs} runs over the whole spread")
     _keep(near, whole, options.out)
+    _write(options.out / "sensitivity.md", _page(near, whole, options))
     try:
         from capture_sim.viewing.tornado import save_indices, save_tornado
 
@@ -139,8 +140,6 @@ def _keep(near: Local, whole: Global | None, folder: Path) -> None:
 
     import numpy as np
 
-    from capture_sim.commands.showing import say
-    from capture_sim.errors import RecordingError
     from capture_sim.sensitivity import QUANTITIES
 
     def plain(table: Any) -> Any:
@@ -162,9 +161,57 @@ def _keep(near: Local, whole: Global | None, folder: Path) -> None:
             "total": plain(whole.total),
             "confidence": plain(whole.confidence),
         }
-    path = folder / "sensitivity.json"
+    text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
+    _write(folder / "sensitivity.json", text)
+
+
+def _write(path: Path, text: str) -> None:
+    from capture_sim.commands.showing import say
+    from capture_sim.errors import RecordingError
+
     try:
-        path.write_text(json.dumps(kept, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
-    say(f"numbers in {path}")
+    say(f"written: {path}")
+
+
+def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str:
+    """Return derivatives and pictures as a page in Markdown."""
+    from capture_sim.sensitivity import QUANTITIES
+
+    smooth = QUANTITIES[:-1]
+    command = f"capture-sim sensitivity {options.scene} --method {options.method}"
+    command += f" --samples {options.samples} --seed {options.seed} --spread {options.spread:g}"
+    lines = [
+        f"# What {options.scene} hangs on",
+        "",
+        f"Made by `.venv/bin/{command}`, as are both figures. Force, strokes and duration are of "
+        "the first contact; nearest is until the verdict.",
+        "",
+        "Change of each quantity for a parameter that is off by its spread, by its derivative. "
+        "**!**: ill-conditioned, the difference quotient does not settle as its step shrinks. "
+        "**\\***: another verdict at an end of the spread.",
+        "",
+        "| parameter | spread | " + " | ".join(f"{n} {unit}" for n, unit in smooth) + " |",
+        "|---" * (2 + len(smooth)) + "|",
+        "| at the scene | | " + " | ".join(f"{v:.4g}" for v in near.base[:-1].tolist()) + " |",
+    ]
+    for parameter, row, low, high in zip(
+        near.parameters, near.derivatives, near.low, near.high, strict=True
+    ):
+        flips = " **\\***" if {low[-1], high[-1]} != {near.base[-1]} else ""
+        spread = f"{parameter.spread:.3g} {parameter.unit}"
+        if parameter.relative:
+            spread = f"{100 * parameter.spread:g} %"
+        cells = " | ".join(f"{d.value:.3g}{'' if d.settled else ' **!**'}" for d in row)
+        lines.append(f"| {parameter.name}{flips} | {spread} | {cells} |")
+    lines += ["", "![Tornado](tornado.png)", ""]
+    if whole is not None:
+        lines += [
+            f"All at once: captured in {whole.captured:.1%} of {whole.runs} runs.",
+            "",
+            f"![{whole.method.capitalize()}]({whole.method}.png)",
+            "",
+        ]
+    return "\n".join(lines)
