@@ -230,9 +230,9 @@ def main() -> None:
             "",
             f"{two.runs} runs to a verdict ({len(envelope.rows)} points, "
             f"{int(envelope.rows['checked'].sum())} of them twice) in {two.seconds:.1f} s by 2 "
-            f"processes, {two.seconds / two.runs * 1e4:.0f} s for 10 000. Their processors were busy for "
-            f"{two.busy:.1f} s, {two.busy / two.runs * 1e4:.0f} s for 10 000: half of that is what two "
-            f"cores that do nothing else need; more on the clock was others'. By 1 process "
+            f"processes, {two.seconds / two.runs * 1e4:.0f} s for 10 000. Their processors were "
+            f"busy for {two.busy:.1f} s, {two.busy / two.runs * 1e4:.0f} s for 10 000: half of "
+            "that is what two cores need that do nothing else. By 1 process "
             f"{one.seconds:.1f} s ({one.seconds / two.seconds:.2f} times that)"
             + (f", by a Dask cluster of 2 workers {dask.seconds:.1f} s" if dask else "")
             + ". A full grid as fine as the finest cells would take "
