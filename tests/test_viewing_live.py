@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -195,6 +196,27 @@ def test_server_ends_with_the_view():
     assert Path(f"/proc/{pid}").exists()
     live.close()
     assert not Path(f"/proc/{pid}").exists()
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv of util-linux")
+def test_server_ends_with_a_viewer_that_is_killed():
+    program = (
+        "import sys, time\n"
+        "from capture_sim.viewing.rerun_server import RecordingServer\n"
+        f"print(RecordingServer({free_port()}, 8).pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    server = Path("/proc", owner.stdout.readline().strip(), "cmdline")
+    deadline = time.monotonic() + 10.0
+    while "--serve-grpc" not in server.read_text() or "pdeathsig" in server.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    owner.kill()
+    owner.wait()
+    while server.exists() and server.read_text():
+        assert time.monotonic() < deadline + 10.0, "the server still runs"
+        time.sleep(0.05)
 
 
 # the node

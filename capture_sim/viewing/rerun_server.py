@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import socket
 import subprocess
 from pathlib import Path
@@ -56,8 +57,11 @@ class RecordingServer:
                 raise CaptureSimError(
                     f"port {port}: {error.strerror or error}; allowed is one that is free"
                 ) from None
+        # a killed viewer cannot end its server: then the system does, where util-linux is there
+        keeper = shutil.which("setpriv")
         self._process = subprocess.Popen(
             [
+                *((keeper, "--pdeathsig", "TERM") if keeper else ()),
                 *(str(program()), "--serve-grpc", "--bind", LOCALHOST, "--port", str(port)),
                 *("--server-memory-limit", f"{memory}MB"),
             ],
