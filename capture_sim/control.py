@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 #: Why runs end early that somebody asked to end.
 RESET, STOPPED, QUITTING = "reset", "stopped", "quitting"
@@ -101,6 +101,23 @@ class Request:
         if not self._done.is_set():
             self._answer = answer
             self._done.set()
+
+
+class Control(Protocol):
+    """What the services ask for, of a simulator or a player."""
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+
+    def set_state(self, target: int) -> Request:
+        """Ask for another state."""
+
+    def step(self, count: int) -> Request:
+        """Ask for so many steps."""
+
+    def reset(self, scope: int) -> Request:
+        """Ask for the start again."""
 
 
 class SimulationControl:

@@ -67,6 +67,11 @@ class Transport:
             self._changed.notify_all()
         return ""
 
+    def wait_for_steps(self, limit: float) -> bool:
+        """Wait until all steps asked for have been taken, ``limit`` s at most; tell whether."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._steps == 0, limit)
+
     def wait_until(self, stamp: int) -> None:
         """Wait until the message of this stamp, ns, is due."""
         with self._changed:
@@ -77,6 +82,7 @@ class Transport:
                     if self._steps:
                         self._steps -= 1
                         self._stepped = stamp
+                        self._changed.notify_all()
                         return
                     self._changed.wait(_POLL)
                     continue

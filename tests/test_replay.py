@@ -261,6 +261,57 @@ answer["more"] = spin(lambda: len(got["/bench/state"]) > 1000)
     }
 
 
+def test_services_of_simulation_interfaces(path, play, listen):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    play(bag=str(path), paused=True, rate=0.0, delay=0.5)
+    answer = listen(
+        """
+from importlib import import_module
+from capture_sim.nodes.simulation_services import definitions
+services = import_module(f"{definitions()}.srv")
+
+def ask(name, service, **fields):
+    kind = getattr(services, service)
+    client = node.create_client(kind, f"/player/{name}")
+    assert client.wait_for_service(30.0)
+    request = kind.Request()
+    for field, value in fields.items():
+        setattr(request, field, value)
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=40.0)
+    return future.result()
+
+def set_state(number):
+    request = services.SetSimulationState.Request()
+    request.state.state = number
+    return ask("set_simulation_state", "SetSimulationState", state=request.state).result.result
+
+listen("/bench/state", "capture_sim/msg/BenchState")
+answer = {"state": ask("get_simulation_state", "GetSimulationState").state.state}
+spin(lambda: False, 1.0)  # until the topics are connected
+answer["step"] = ask("step_simulation", "StepSimulation", steps=5).result.result
+answer["stepped"] = spin(lambda: len(got["/bench/state"]) >= 5) and len(got["/bench/state"])
+answer["pause"] = set_state(2)
+answer["stop"] = set_state(0)
+answer["reset"] = ask("reset_simulation", "ResetSimulation").result.result
+answer["features"] = list(ask("get_simulator_features", "GetSimulatorFeatures").features.features)
+answer["play"] = set_state(1)
+answer["step of a playing one"] = ask("step_simulation", "StepSimulation", steps=1).result.result
+"""
+    )()
+    assert answer == {
+        "state": 2,
+        "step": 1,
+        "stepped": 5,
+        "pause": 101,  # already
+        "stop": 103,
+        "reset": 0,
+        "features": [24, 25, 26, 31, 32],
+        "play": 1,
+        "step of a playing one": 4,
+    }
+
+
 def test_bag_of_others_is_played_with_a_clock(tmp_path, play, listen):
     pytest.importorskip("rclpy", reason="needs ROS")
     store = typestore()

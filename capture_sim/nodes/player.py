@@ -21,7 +21,9 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.nodes.flow_control import POLL, Followers
 from capture_sim.nodes.following import FOLLOWED
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.simulation_services import SimulationServices
 from capture_sim.playing import Transport
+from capture_sim.playing_control import FEATURES, INFO, PlayerControl
 from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
 from capture_sim.topics import (
     BENCH_STATE,
@@ -105,6 +107,9 @@ class PlayerNode(BenchNode):
             ("play_next", self._transport.step),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
+        self._control = SimulationServices(
+            self, PlayerControl(self._transport), FEATURES, "capture_sim's player: " + INFO
+        )
 
     # set-up
 
@@ -153,12 +158,15 @@ class PlayerNode(BenchNode):
         """Play; return the exit status."""
         status = OK
         turn = 0
-        while True:
-            if not self._play(f"/{turn + 1}" if turn else ""):
-                status = FAILED
-            turn += 1
-            if not self._loop:
-                return status
+        try:
+            while True:
+                if not self._play(f"/{turn + 1}" if turn else ""):
+                    status = FAILED
+                turn += 1
+                if not self._loop:
+                    return status
+        finally:
+            self._control.close()
 
     def _play(self, suffix: str) -> bool:
         """Play once; return whether all went well."""
@@ -192,6 +200,7 @@ class PlayerNode(BenchNode):
                 elif topic is RUN_INFO and self._consumers:
                     run_id = run_id_of(sent)
                     self._await(lambda run_id=run_id: self._all_ready(run_id), self._patience)
+                    self._followers.start(run_id)
                     time.sleep(SETTLING)
                     self._transport.start()
                     began = time.monotonic()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -17,7 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
-from capture_sim.control import Answer, Code, SimulationControl
+from capture_sim.control import Answer, Code, Control
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
 FEATURES = {
@@ -60,10 +60,20 @@ class SimulationServices:
         The simulator; the services carry its name.
     control
         Asked to do what is wanted.
+    features, info
+        What is answered to the question for features.
     """
 
-    def __init__(self, node: Node, control: SimulationControl) -> None:
+    def __init__(
+        self,
+        node: Node,
+        control: Control,
+        features: Mapping[str, int] = FEATURES,
+        info: str = INFO,
+    ) -> None:
         self._control = control
+        self._features_there = list(features.values())
+        self._info = info
         self._answered = 0.0  # wall, when the state was set last
         self._package = definitions()
         # arguments of the process, as a new name, are the simulator's own
@@ -104,8 +114,8 @@ class SimulationServices:
         self._node.destroy_node()
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = list(FEATURES.values())
-        response.features.custom_info = INFO
+        response.features.features = self._features_there
+        response.features.custom_info = self._info
         return response
 
     def _get_state(self, _: Any, response: Any) -> Any:
