@@ -380,7 +380,7 @@ class Kills:
             f"most the last {f['most_lost_ms']:.0f} ms of wall time.",
             "",
         ]
-        lines += [f"- {p}" for p in f["problems"]] or ["Nothing else was seen."]
+        lines += [f"- {' '.join(p.split())}" for p in f["problems"]] or ["Nothing else was seen."]
         return lines
 
 

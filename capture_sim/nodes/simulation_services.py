@@ -36,7 +36,7 @@ INFO = (
 #: Longest that a pause, stop or reset may take, s (wall).
 LIMIT = 120.0
 #: An answer arrives within this long, s (wall).
-GOOD_BYE = 0.3
+GOOD_BYE = 0.5
 
 
 def definitions() -> str:
@@ -123,6 +123,7 @@ class SimulationServices:
         return _answered(response, Answer(Code.OK))
 
     def _set_state(self, request: Any, response: Any) -> Any:
+        self._answered = time.monotonic()  # will be: the node must not end before
         answer = self._control.set_state(request.state.state).wait(LIMIT)
         self._answered = time.monotonic()
         return _answered(response, answer)
