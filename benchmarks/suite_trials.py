@@ -467,7 +467,9 @@ class _LastingBench:
             return
         said = "".join(self.nodes["recorder"].lines[mark:])
         if "messages, complete" not in said:
-            problems.append("the run after it is not complete: " + said[-300:])
+            # what was said last, without where and when
+            last = [line.split(": ", 2)[-1] for line in said.splitlines() if "[ERROR]" in line]
+            problems.append(f"the run after it is not complete: {'; '.join(last[-2:])}")
             return
         run = read_run(self._newest())
         if run.samples.tobytes() != offline.tobytes():

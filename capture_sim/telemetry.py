@@ -7,7 +7,7 @@ messages in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,6 +89,11 @@ class _Stream:
     def counts(self) -> dict[str, int]:
         """Messages sent so far, by topic name."""
         return {topic.name: count for topic, count in self._counts.items()}
+
+    @property
+    def by_topic(self) -> dict[Topic, int]:
+        """Messages made so far, by topic."""
+        return dict(self._counts)
 
     def _sent(self, topic: Topic, message: Message) -> Sent:
         self._counts[topic] += 1
@@ -172,6 +177,19 @@ class BenchTelemetry(_Stream):
             if self._sensors is not None:
                 yield from self._sensed(samples[i], self._sensors)
         self._interval.add_samples(samples[unseen:])
+
+    def cut(self, made: Mapping[Topic, int], sent: Mapping[Topic, int]) -> None:
+        """Forget what was made ahead when a run is cut: nobody is to wait for it.
+
+        Parameters
+        ----------
+        made
+            The counts when sending began.
+        sent
+            How many of each topic have been sent since.
+        """
+        self._pending.clear()
+        self._counts = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
 
     def end(self, *, complete: bool = True, reason: str = "") -> Iterator[Sent]:
         """Yield the events after the last sample and the counts of all streams."""

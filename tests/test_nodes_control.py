@@ -358,3 +358,14 @@ def test_description_of_the_bench_is_there_for_latecomers(stopped):
     wait_until(lambda: found)
     links = {link.get("name") for link in ET.fromstring(found[-1].data).iter("link")}
     assert {"chaser/base_link", "target/cone", "chaser/tip"} <= links
+
+
+@pytest.mark.parametrize("steps", [1, 9, 10, 11, 20])
+def test_nobody_waits_for_what_was_made_ahead_of_a_reset(nodes, paused, steps):
+    """A tick's messages are made before it is due; those of one that never comes do not count."""
+    launcher = nodes["launcher"]
+    mark = len(launcher.lines)
+    assert paused.step(steps)[0] == Code.OK
+    assert paused.reset()[0] == Code.OK
+    launcher.wait_for("ended early: reset", since=mark)
+    assert "missing" not in "".join(launcher.lines[mark:])

@@ -141,10 +141,11 @@ def _evaluation(scene: Scene, touching: bool, repeats: int) -> Spread:
     return Spread.of(seconds)
 
 
-def _timed(job: Callable[[], object]) -> float:
+def _timed(job: Callable[[], object], warm: Callable[[], object] = lambda: None) -> float:
     gc.collect()
     gc.disable()
     try:
+        warm()
         began = time.perf_counter()
         job()
         return time.perf_counter() - began
@@ -156,8 +157,10 @@ def _run(scene: Scene, repeats: int) -> tuple[Bench, Spread]:
     """Run a scene to its end some times; return the last bench and the wall times."""
     times, seconds = np.array([scene.run.t_end]), []
     for _ in range(repeats):
-        bench = Bench(scene)
-        seconds.append(_timed(lambda b=bench: b.advance(times)))  # type: ignore[misc]
+        warm, bench = Bench(scene), Bench(scene)
+        seconds.append(
+            _timed(lambda b=bench: b.advance(times), lambda b=warm: b.advance(times))  # type: ignore[misc]
+        )
     return bench, Spread.of(seconds)
 
 

@@ -93,7 +93,7 @@ def measure(
         families = work_precision.families(theirs)
         comparisons = [
             work_precision.compare(
-                own, family, plan.t_end, max(_ENOUGH, min(t.errors.position for t in family))
+                own, family, plan.t_end, max(_ENOUGH, 1.02 * min(t.errors.position for t in family))
             )
             for family in families
         ]

@@ -130,7 +130,9 @@ def _method(results: Results) -> str:
   {uncertain}.
 - Median wall time of {plan.rounds} rounds. In a round every setting runs once, in turn, so what
   disturbs disturbs all alike. What is slow and far from any target runs once. Ratios are taken
-  within a round; their median and quartiles are shown.
+  within a round; their median and quartiles are shown. What takes less than 0.1 s, whoever's it
+  is, runs once untimed just before, so that the processor's caches are its own; ours would take
+  about 0.1 ms more right after other work.
 - An error may pass through zero by luck: a setting counts with its own error or that of a
   tighter one of its kind, whichever is larger, for ours and for others.
 - SciPy has gap events for either wall, latches the approach speed at each touch and restarts;

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from capture_sim.bench import Bench
-from capture_sim.control import SimulationControl
+from capture_sim.control import RunCut, SimulationControl
 from capture_sim.errors import SimulationError
 from capture_sim.pacing import Pacer
 from capture_sim.telemetry import BenchTelemetry, Sent
@@ -82,6 +83,24 @@ class Stepping:
         RunCut
             The run is to end before its time.
         """
+        made, sent = self._telemetry.by_topic, Counter[Topic]()
+
+        def send_counted(topic: Topic, message: Any) -> None:
+            send(topic, message)
+            sent[topic] += 1
+
+        try:
+            return self._run(send_counted, leave_room, show)
+        except RunCut:
+            self._telemetry.cut(made, sent)
+            raise
+
+    def _run(
+        self,
+        send: Callable[[Topic, Any], None],
+        leave_room: Callable[[int], None],
+        show: Callable[[np.void], None],
+    ) -> str:
         failure = ""
         self._pacer.restart(0.0)
         self._resume()
