@@ -23,6 +23,7 @@ from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene
 
 _EVENT_ROOM = 256
+_TRACE_ROOM = 1024
 
 _CAUSES = {
     engine.NOT_FINITE: "the state is not finite any more",
@@ -71,6 +72,8 @@ class Bench:
         What is on the bench.
     plan
         How it is launched; None lets :func:`capture_sim.launching.plan_launch` decide.
+    trace
+        Keep the contact at the integrator's own resolution, see :attr:`trace`.
 
     Examples
     --------
@@ -81,7 +84,9 @@ class Bench:
     (100, 8)
     """
 
-    def __init__(self, scene: Scene, plan: LaunchPlan | None = None) -> None:
+    def __init__(
+        self, scene: Scene, plan: LaunchPlan | None = None, *, trace: bool = False
+    ) -> None:
         self.scene = scene
         self.plan = plan_launch(scene) if plan is None else plan
         self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
@@ -97,6 +102,8 @@ class Bench:
         self._mode = np.zeros(1, MODE)
         self._run = np.zeros(1, engine.RUN)
         self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
+        self._trace_room = np.zeros(_TRACE_ROOM if trace else 0, SAMPLE)
+        self._traced: list[np.ndarray] = []
         self._begin()
         self._touches: list[np.void] = []
         self._events: list[Event] = []
@@ -137,6 +144,14 @@ class Bench:
         """All touches that have ended so far, (n,) of dtype TOUCH."""
         self._read_events()
         return np.array(self._touches, dtype=TOUCH)
+
+    @property
+    def trace(self) -> np.ndarray:
+        """The contact so far at the ends of the integrator's steps, (n,) of dtype SAMPLE.
+
+        Empty unless asked for.  A touch's own start, with no force yet, is an event.
+        """
+        return np.concatenate([np.zeros(0, SAMPLE), *self._traced])
 
     @property
     def events(self) -> list[Event]:
@@ -184,6 +199,7 @@ class Bench:
         y_new, y_stage, y_at, y_end, e_5, e_3 = self._work
         while True:
             self._run[0]["n_events"] = 0
+            self._run[0]["n_trace"] = 0
             status, count = engine.advance(
                 self._par,
                 self._mode,
@@ -204,11 +220,15 @@ class Bench:
                 times[served:],
                 samples[served:],
                 self._event_room,
+                self._trace_room,
             )
             served += count
             happened = int(self._run[0]["n_events"])
             if happened:
                 self._unread.append(self._event_room[:happened].copy())
+            traced = int(self._run[0]["n_trace"])
+            if traced:
+                self._traced.append(self._trace_room[:traced].copy())
             if status == engine.EVENTS_FULL:
                 continue
             if status != engine.SERVED:

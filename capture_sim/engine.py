@@ -104,6 +104,7 @@ RUN = np.dtype(
         ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
         ("substeps", "i8"),  # events located within one fixed step
         ("n_events", "i8"),
+        ("n_trace", "i8"),
     ],
     align=True,
 )
@@ -1046,8 +1047,11 @@ def latch_tip(par, run, mode, events, t, y):
 
 
 @kernel
-def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch):
-    """Move to the end of an integrator's stretch and draw the consequences."""
+def close_step(par, run, mode, pair, events, trace, y, y_new, y_s, y_x, y_end, K, F, scratch):
+    """Move to the end of an integrator's stretch and draw the consequences.
+
+    In contact the state there goes into ``trace``, if that has room at all.
+    """
     rows = pair[4].shape[0]
     x_end = 1.0
     if run.h > 0.0:
@@ -1069,6 +1073,9 @@ def close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, sc
         run.pile += 1
     t = run.t1
     run.t0 = t
+    if trace.shape[0] > 0 and (mode.touching[0] or mode.touching[1]):
+        observe(t, y, par, mode, run, scratch, trace[run.n_trace])
+        run.n_trace += 1
     which = run.pending_wall
     if par.has_supports:
         for vehicle in range(2):
@@ -1134,8 +1141,12 @@ def advance(
     times,
     samples,
     events,
+    trace,
 ):
-    """Run until all ``times`` are sampled, the run is over, or the events' room is used up.
+    """Run until all ``times`` are sampled, the run is over, or the room for events is used up.
+
+    ``trace`` takes samples as well, at the ends of the steps in contact; without any room it
+    takes none and costs nothing.
 
     Returns
     -------
@@ -1165,10 +1176,14 @@ def advance(
             break
         if run.n_events + _EVENT_ROOM > events.shape[0]:
             return EVENTS_FULL, k
+        if trace.shape[0] > 0 and run.n_trace == trace.shape[0]:
+            return EVENTS_FULL, k
         if run.stretch == RAIL:
             close_rail_stretch(par, run, mode, events, y, y_x)
         elif run.stretch == STEP:
-            close_step(par, run, mode, pair, events, y, y_new, y_s, y_x, y_end, K, F, scratch)
+            close_step(
+                par, run, mode, pair, events, trace, y, y_new, y_s, y_x, y_end, K, F, scratch
+            )
         if run.stretch != NONE and run.pending == END:
             for i in range(2):
                 if mode.touching[i]:

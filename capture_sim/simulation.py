@@ -70,6 +70,9 @@ class Result:
         Why the run had to stop; empty if it did not.
     check : Check or None
         How far the run can be trusted, if that was asked for.
+    trace : ndarray (k,) of dtype SAMPLE or None
+        The contact at the integrator's own resolution, if that was asked for: samples at the
+        ends of its steps while a wall is touched.
     """
 
     scene: Scene
@@ -82,6 +85,7 @@ class Result:
     wall_time: float
     failure: str = ""
     check: Check | None = None
+    trace: np.ndarray | None = None
 
     @property
     def t(self) -> np.ndarray:
@@ -138,6 +142,7 @@ def simulate(
     t_eval: np.ndarray | None = None,
     rtol: float | None = None,
     check: bool = False,
+    trace: bool = False,
 ) -> Result:
     """Run a scene from the release to its end.
 
@@ -153,6 +158,8 @@ def simulate(
         None takes ``scene.run.rtol``.
     check
         Run a second time, finer (see :class:`Check`), and tell how far the two agree.
+    trace
+        Keep the contact at the integrator's own resolution.
 
     Returns
     -------
@@ -174,7 +181,7 @@ def simulate(
     scene = dataclasses.replace(scene, run=run)
     compile_kernels()
     began = time.perf_counter()
-    bench = Bench(scene)
+    bench = Bench(scene, trace=trace)
     blocks: list[np.ndarray] = []
     statuses: list[CaptureStatus] = []
     extra = None if t_eval is None else np.asarray(t_eval, dtype=float)
@@ -195,6 +202,7 @@ def simulate(
         statistics=bench.statistics,
         wall_time=time.perf_counter() - began,
         failure="" if failure is None else str(failure),
+        trace=bench.trace if trace else None,
     )
     if failure is not None:
         failure.result = result

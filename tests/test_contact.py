@@ -117,3 +117,27 @@ def test_peak_between_steps_is_no_less_than_any_sample():
 
 def test_stiffness_is_that_of_aluminium():
     assert load_scene("paper_designed").contact_stiffness == pytest.approx(6.43e9, rel=1e-3)
+
+
+def test_trace_has_the_contact_at_the_integrators_resolution():
+    """Exact: the force over the time of a touch is its impulse, and no step is above its peak."""
+    scene = load_scene("paper_designed")
+    result = simulate(scene, t_end=0.06, trace=True)
+    trace = result.trace
+    assert (np.diff(trace["t"]) > 0.0).all()
+    seen = 0
+    for touch in result.touches:
+        inside = (trace["t"] > touch["start"]) & (trace["t"] <= touch["end"])
+        seen += inside.sum()
+        assert inside.sum() >= 8
+        t = np.concatenate([[touch["start"]], trace["t"][inside]])
+        force = np.concatenate([[0.0], trace["normal_force"][inside].sum(axis=1)])
+        impulse = (0.5 * (force[1:] + force[:-1]) * np.diff(t)).sum()
+        assert impulse == pytest.approx(touch["impulse"], rel=0.02)
+        assert 0.95 * touch["peak_force"] < force.max() <= touch["peak_force"] * (1 + 1e-9)
+    assert seen == trace.size
+    # looking changes nothing
+    plain = simulate(scene, t_end=0.06)
+    assert plain.trace is None
+    assert plain.samples.tobytes() == result.samples.tobytes()
+    assert plain.statistics == result.statistics
