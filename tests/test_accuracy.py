@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from random_scenes import random_scenes
 
-from capture_sim import load_scene, simulate
+from capture_sim import load_scene, scene_names, simulate
 from capture_sim.samples import EventKind
 
 SCENES = 200
@@ -180,3 +180,9 @@ def test_check_never_compares_a_run_with_itself(overrides):
     error = difference(checked, exact).max()
     assert checked.check.error[-1] > error / TRUST - 1e-12
     assert checked.check.error[-1] > 0.0
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_energy_ledger_closes_at_a_tight_tolerance(name):
+    """To 1e-9 of the largest kinetic energy, over the whole run, at rtol 1e-10."""
+    assert residual(simulate(load_scene(name, ["run.rtol=1e-10"]))) < 1e-9

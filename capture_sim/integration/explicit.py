@@ -64,12 +64,14 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
         ``rhs(t, y, f, par, mode, scratch)``, compiled; reads the first places of ``y``, the
         states, and writes dy/dt of all into ``f``; those beyond the states are integrals.
 
+    states, total, watched
+        Lengths: of the states, of all of ``y``, and of what the error control looks at.
+
     Notes
     -----
-    The right-hand side is bound here and not passed at run time: Numba keeps no compiled
-    code on disk that takes functions as arguments.  The lengths are those of the work
-    arrays: with lengths known to the compiler it would unroll the loops and not vectorise
-    them.
+    Right-hand side and lengths are bound here and not passed at run time: Numba keeps no
+    compiled code on disk that takes functions as arguments, and with lengths known the sums
+    stay in registers (:mod:`capture_sim.integration.rows`).
     """
 
     @inline_kernel
@@ -85,7 +87,7 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
         Writes the result into ``y_new`` and its derivative into K[stages]; returns the
         weighted error, 1 being just good enough: ``weights`` (watched,) are the inverse of
         what each place of ``y`` may be wrong by.  ``y_s`` (states,), ``e_5`` and ``e_3``
-        (watched,) are scratch; e_5 and e_3 must be zero.
+        (watched,) are scratch.
         """
         A, C, E5, E3, _, stages, _, _ = pair
         for s in range(1, stages):
