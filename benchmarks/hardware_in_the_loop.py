@@ -22,7 +22,7 @@ import numpy as np
 
 from capture_sim import load_scene
 from capture_sim.benchmarking.machine import processor
-from capture_sim.contact_rig import ContactRig, bounce_with_delay, gain_rate
+from capture_sim.hardware.contact_rig import ContactRig, bounce_with_delay, gain_rate
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE, PICTURE = DOCS / "hardware_in_the_loop.md", DOCS / "hardware_in_the_loop.svg"

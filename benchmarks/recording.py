@@ -25,10 +25,10 @@ import numpy as np
 import yaml
 
 import capture_sim
+from capture_sim.analysis.identification import identify, is_explained
 from capture_sim.benchmarking.machine import clock_rate, describe, load
 from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run
-from capture_sim.identification import identify, is_explained
-from capture_sim.messages import RunDescription
+from capture_sim.messaging.messages import RunDescription
 from capture_sim.nodes.discovery import hasten
 from capture_sim.recording import LiveRecorder, RunWriter, read_run, write_run
 from capture_sim.recording.damage import cuts, expected, flips, saved_rightly

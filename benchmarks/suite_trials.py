@@ -15,7 +15,7 @@ from bench_processes import Client, Simulation, processes, wait_until
 
 from capture_sim import load_scene, simulate
 from capture_sim.benchmarking.machine import load
-from capture_sim.control import Code, State
+from capture_sim.control.simulation_control import Code, State
 from capture_sim.nodes.places import claim_place
 from capture_sim.recording import read_run
 
@@ -263,7 +263,7 @@ class Latency:
     TITLE = "Latency from simulator to detector"
     SENDER = """
         import atexit, time
-        from capture_sim.topics import BUFFER_STATE, TARGET_ODOMETRY, CAPTURE_STATUS
+        from capture_sim.messaging.topics import BUFFER_STATE, TARGET_ODOMETRY, CAPTURE_STATUS
         watched = {{BUFFER_STATE: [], TARGET_ODOMETRY: [], CAPTURE_STATUS: []}}
         send = node.{cls}.send
         def timed(self, topic, message):

@@ -10,10 +10,10 @@ import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
-from capture_sim.control import State
+from capture_sim.control.simulation_control import State
+from capture_sim.messaging.topics import BENCH_STATE, CLOCK, RUN_INFO
 from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.simulation_services import definitions
-from capture_sim.topics import BENCH_STATE, CLOCK, RUN_INFO
 
 
 @dataclass

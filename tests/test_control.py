@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.control import Code, RunCut, SimulationControl, State
-from capture_sim.pacing import MOST_BEHIND, Pacer
-from capture_sim.robot_description import moving_transforms, static_transforms, urdf
+from capture_sim.control.pacing import MOST_BEHIND, Pacer
+from capture_sim.control.simulation_control import Code, RunCut, SimulationControl, State
+from capture_sim.messaging.robot_description import moving_transforms, static_transforms, urdf
 from capture_sim.scene_files import load_scene_text
 
 

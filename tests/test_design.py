@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.buffer_design import Wish, design_buffer, trade_off
-from capture_sim.buffer_energy import energy_of
-from capture_sim.capture_margin import Spread, captures, corners, margin_of
 from capture_sim.cli import main
+from capture_sim.design.energy import energy_of
+from capture_sim.design.first_contact import largest, run_first_contact
+from capture_sim.design.flow import Wish, design_buffer, trade_off
+from capture_sim.design.stroke_matching import match_strokes, with_buffer
 from capture_sim.errors import SceneError
-from capture_sim.first_contact import largest, run_first_contact
 from capture_sim.results import first_cluster
-from capture_sim.stroke_matching import match_strokes, with_buffer
+from capture_sim.studies.capture_margin import Spread, captures, corners, margin_of
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +211,7 @@ def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
 
 
 def test_a_tip_that_meets_the_outer_lip_is_said_to(paper):
-    from capture_sim.approach import placed
+    from capture_sim.studies.approach import placed
 
     lip = placed(paper, 0.0, 0.07, 0.1)
     own = run_first_contact(lip)

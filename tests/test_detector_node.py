@@ -17,18 +17,13 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from capture_sim import load_scene, simulate
-from capture_sim.alignment import Source
 from capture_sim.bench import compile_kernels
 from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.cli import main
-from capture_sim.detection import CaptureState
-from capture_sim.messages import RunDescription
-from capture_sim.nodes.running import BenchNode
-from capture_sim.nodes.suite import run_suite
-from capture_sim.recording import read_run, write_run
-from capture_sim.recording.judging import judge_recording
-from capture_sim.scene import Detector
-from capture_sim.topics import (
+from capture_sim.detection.alignment import Source
+from capture_sim.detection.decisions import CaptureState
+from capture_sim.messaging.messages import RunDescription
+from capture_sim.messaging.topics import (
     BUFFER_STATE,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
@@ -39,6 +34,11 @@ from capture_sim.topics import (
     STREAM_COUNTS,
     TARGET_POSE,
 )
+from capture_sim.nodes.running import BenchNode
+from capture_sim.nodes.suite import run_suite
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.judging import judge_recording
+from capture_sim.scene import Detector
 
 SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]
 

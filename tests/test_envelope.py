@@ -13,15 +13,20 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.approach import approach_of, placed
 from capture_sim.cli import main
-from capture_sim.detection import CaptureState
-from capture_sim.envelope import ROW, Plan, Slices, Span, evaluate, explore, replay
-from capture_sim.envelope_runs import KeptRuns, map_envelope, plan_from_mapping, plan_to_mapping
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.errors import SceneError
-from capture_sim.executors import ExecutorError, InProcess, open_executor, ordered
 from capture_sim.recording.envelope_file import read_envelope, write_envelope
-from capture_sim.verdict import run_to_verdict
+from capture_sim.studies.approach import approach_of, placed
+from capture_sim.studies.envelope import ROW, Plan, Slices, Span, evaluate, explore, replay
+from capture_sim.studies.envelope_runs import (
+    KeptRuns,
+    map_envelope,
+    plan_from_mapping,
+    plan_to_mapping,
+)
+from capture_sim.studies.executors import ExecutorError, InProcess, open_executor, ordered
+from capture_sim.studies.verdict import run_to_verdict
 
 
 def plan(levels=1, runs=10_000, cells=3):

@@ -9,11 +9,12 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
+from capture_sim.analysis.comparison import gaps
+from capture_sim.analysis.measurements import Measurements, Series, measured_in
+from capture_sim.analysis.resimulation import agreement
 from capture_sim.cli import main
-from capture_sim.comparison import gaps
 from capture_sim.errors import RecordingError
-from capture_sim.measurements import Measurements, Series, measured_in
-from capture_sim.messages import EPOCH_NS
+from capture_sim.messaging.messages import EPOCH_NS
 from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
@@ -23,7 +24,6 @@ from capture_sim.recording.measured import (
     first_contact,
     measurements,
 )
-from capture_sim.resimulation import agreement
 
 
 @pytest.fixture(scope="module")

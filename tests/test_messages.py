@@ -13,10 +13,10 @@ import pytest
 from rosbags.interfaces import Nodetype
 
 import capture_sim
-from capture_sim import topics
 from capture_sim.errors import CaptureSimError
 from capture_sim.launching import Launcher
-from capture_sim.messages import (
+from capture_sim.messaging import topics
+from capture_sim.messaging.messages import (
     EPOCH_NS,
     ContactInterval,
     LaunchAction,
@@ -25,13 +25,8 @@ from capture_sim.messages import (
     stamp_ns,
     stamp_seconds,
 )
-from capture_sim.recording.cdr import PaddingCleaner
-from capture_sim.recording.definitions import offline_messages, typestore
-from capture_sim.recording.offline import PUBLISHERS, run_stream
-from capture_sim.resources import message_dir
-from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
-from capture_sim.telemetry import BenchTelemetry, samples_per_message
-from capture_sim.topics import (
+from capture_sim.messaging.telemetry import BenchTelemetry, samples_per_message
+from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CHASER_ODOMETRY,
@@ -47,6 +42,11 @@ from capture_sim.topics import (
     Rate,
     Stamp,
 )
+from capture_sim.recording.cdr import PaddingCleaner
+from capture_sim.recording.definitions import offline_messages, typestore
+from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.resources import message_dir
+from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 
 
 @pytest.fixture(scope="module")

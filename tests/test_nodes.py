@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.control import Code, State
+from capture_sim.control.simulation_control import Code, State
 from capture_sim.nodes.flow_control import Followers
 from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class
@@ -175,7 +175,7 @@ def test_launcher_is_heard_and_delivers(suites):
 def test_dropped_messages_are_named(start_all):
     """The simulator counts a message and does not send it: all who need it must notice."""
     drop = """
-        from capture_sim.topics import BENCH_STATE, TARGET_ODOMETRY
+        from capture_sim.messaging.topics import BENCH_STATE, TARGET_ODOMETRY
         left = {BENCH_STATE: 1234, TARGET_ODOMETRY: 56}
         send = node.SimulatorNode.send
         def leaky(self, topic, message):

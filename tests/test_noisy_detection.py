@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.alignment import Aligner, Source
 from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
-from capture_sim.detection import CaptureDetector, CaptureState, Observation
+from capture_sim.detection.alignment import Aligner, Source
+from capture_sim.detection.decisions import CaptureDetector, CaptureState, Observation
+from capture_sim.detection.tip_path import NoiseEstimate, TipPath, third_difference
 from capture_sim.simulation import observation
-from capture_sim.tip_path import NoiseEstimate, TipPath, third_difference
 
 MISS = ("initial.target.x=0.55", "initial.target.y=-0.085")
 RUNS = {

@@ -27,7 +27,16 @@ from rosbags.rosbag2 import Reader
 
 import capture_sim
 from capture_sim.errors import RecordingError
-from capture_sim.messages import RunDescription
+from capture_sim.messaging.messages import RunDescription
+from capture_sim.messaging.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    JOINT_STATES,
+    RECORDED,
+    RUN_INFO,
+    STREAM_COUNTS,
+)
 from capture_sim.recording import LiveRecorder, RunWriter, Split, Tally, read_run, write_run
 from capture_sim.recording import live as live_module
 from capture_sim.recording.cdr import columns, sequence_of, stamp_of
@@ -39,15 +48,6 @@ from capture_sim.recording.definitions import (
 from capture_sim.recording.offline import PUBLISHERS, run_stream
 from capture_sim.samples import SAMPLE
 from capture_sim.scene_files import load_scene_text
-from capture_sim.topics import (
-    BENCH_EVENT,
-    BENCH_STATE,
-    CAPTURE_STATUS,
-    JOINT_STATES,
-    RECORDED,
-    RUN_INFO,
-    STREAM_COUNTS,
-)
 
 NAME = "tilt_m10"
 

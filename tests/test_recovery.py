@@ -154,7 +154,7 @@ def test_split_recording_is_saved_into_one_file(path, tmp_path):
 
 
 def in_order(path):
-    from capture_sim.topics import topic_named
+    from capture_sim.messaging.topics import topic_named
 
     topics = {}
     with path.open("rb") as file:

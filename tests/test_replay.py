@@ -13,13 +13,13 @@ import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
+from capture_sim.control.playing import Transport
 from capture_sim.errors import RecordingError
+from capture_sim.messaging.topics import RECORDED, topic_named
 from capture_sim.nodes.discovery import hasten
-from capture_sim.playing import Transport
 from capture_sim.recording import LiveRecorder, Split, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.playback import Playback
-from capture_sim.topics import RECORDED, topic_named
 
 NAME = "tilt_m10"
 

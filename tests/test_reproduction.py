@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from capture_sim.cli import main
-from capture_sim.executors import InProcess
 from capture_sim.reproduction import claims, second_engine
 from capture_sim.reproduction.cases import DOCKING, run_cases
 from capture_sim.reproduction.everything import FIGURES, reproduce_figure
@@ -20,6 +19,7 @@ from capture_sim.reproduction.readings import (
     scan_readings,
     vary_together,
 )
+from capture_sim.studies.executors import InProcess
 
 
 @pytest.fixture(scope="module")
@@ -101,9 +101,9 @@ def test_readings_as_taken_give_the_cases_verdict(runs, case):
 def test_the_first_touch_is_where_b_says():
     import math
 
-    from capture_sim.approach import placed
     from capture_sim.scene_files import load_scene
     from capture_sim.simulation import simulate
+    from capture_sim.studies.approach import placed
 
     scene = load_scene("paper_designed", ["initial.target.x=2.0"])
     cone = scene.cone

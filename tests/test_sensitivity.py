@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from capture_sim import load_scene, sensitivity, simulate
-from capture_sim.approach import approach_of
+from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.errors import SceneError
-from capture_sim.executors import InProcess
-from capture_sim.sensitivity import (
+from capture_sim.studies import sensitivity
+from capture_sim.studies.approach import approach_of
+from capture_sim.studies.executors import InProcess
+from capture_sim.studies.sensitivity import (
     QUANTITIES,
     STEPS,
     Parameter,

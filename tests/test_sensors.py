@@ -7,12 +7,12 @@ import pytest
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.bench import Bench
-from capture_sim.messages import RunDescription
+from capture_sim.hardware.sensors import Sensors, low_pass
+from capture_sim.messaging.messages import RunDescription
+from capture_sim.messaging.telemetry import BenchTelemetry
+from capture_sim.messaging.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
 from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.offline import PUBLISHERS
-from capture_sim.sensors import Sensors, low_pass
-from capture_sim.telemetry import BenchTelemetry
-from capture_sim.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
 
 BOTH = ["sensors.motion_capture={}", "sensors.load_cell={}", "sensors.seed=7"]
 QUIET = ["sensors.load_cell={bandwidth: 1e+5}"]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capture_sim.analysis.identification import Touches
+from capture_sim.analysis.measurements import Measurements, Series, measured_in
 from capture_sim.bench import Bench
-from capture_sim.identification import Touches
 from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.measurements import Measurements, Series, measured_in
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene
 

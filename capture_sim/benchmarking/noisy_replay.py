@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.alignment import Aligner, Source
-from capture_sim.detection import CaptureDetector, CaptureStatus
+from capture_sim.detection.alignment import Aligner, Source
+from capture_sim.detection.decisions import CaptureDetector, CaptureStatus
 from capture_sim.scene import Scene
 from capture_sim.simulation import Result
 

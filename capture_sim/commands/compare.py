@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
+    from capture_sim.analysis.comparison import gaps
     from capture_sim.commands.recorded import open_run
-    from capture_sim.comparison import gaps
     from capture_sim.recording.measured import characteristics, first_contact, measurements
 
     prepare_folder(options.out)

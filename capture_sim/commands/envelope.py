@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from capture_sim.commands.arguments import OK, add_overrides, load, prepare_folder
 
 if TYPE_CHECKING:
-    from capture_sim.envelope import Envelope, Slices, Span
+    from capture_sim.studies.envelope import Envelope, Slices, Span
 
 HELP = "map which approaches end in a capture"
 DESCRIPTION = (
@@ -62,11 +62,11 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.progress import Progress
     from capture_sim.commands.showing import compile_first, say
-    from capture_sim.envelope import Plan, explore
-    from capture_sim.envelope_runs import KeptRuns
     from capture_sim.errors import SceneError
-    from capture_sim.executors import default_workers, open_executor
     from capture_sim.recording.envelope_file import check_parquet, write_envelope
+    from capture_sim.studies.envelope import Plan, explore
+    from capture_sim.studies.envelope_runs import KeptRuns
+    from capture_sim.studies.executors import default_workers, open_executor
 
     if options.out.suffix != ".parquet":
         raise SceneError(f"--out {options.out}: allowed is a name that ends in .parquet")
@@ -115,8 +115,8 @@ def read_axis(flag: str, text: str, unit: float) -> Span | Slices:
     SceneError
         It is neither.
     """
-    from capture_sim.envelope import Slices, Span
     from capture_sim.errors import SceneError
+    from capture_sim.studies.envelope import Slices, Span
 
     try:
         if ":" in text:
@@ -130,7 +130,7 @@ def read_axis(flag: str, text: str, unit: float) -> Span | Slices:
 def report(envelope: Envelope) -> None:
     """Print what share of each slice is captured, and how sure that is."""
     from capture_sim.commands.showing import say
-    from capture_sim.envelope import AXES
+    from capture_sim.studies.envelope import AXES
 
     plan, rows = envelope.plan, envelope.rows
     name, unit = AXES[plan.sliced]

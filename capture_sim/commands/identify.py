@@ -49,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
+    from capture_sim.analysis.identification import ALIASES, identify, is_explained, value_of
     from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.identification import ALIASES, identify, is_explained, value_of
     from capture_sim.recording.measured import first_touches, launch_of, measurements
 
     recorded = open_run(options.recording)

@@ -100,7 +100,7 @@ def _open_recording(path: str, scene: str | None) -> Opened:
 
 def _run_now(name: str) -> Opened:
     from capture_sim.commands.showing import compile_first
-    from capture_sim.messages import software_versions
+    from capture_sim.messaging.messages import software_versions
     from capture_sim.scene_files import load_scene
     from capture_sim.simulation import simulate
 

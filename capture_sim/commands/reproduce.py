@@ -35,9 +35,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.showing import compile_first, say
     from capture_sim.errors import MissingPackageError, RecordingError, SceneError
-    from capture_sim.executors import default_workers, open_executor
     from capture_sim.reproduction.everything import FIGURES, reproduce, reproduce_figure
     from capture_sim.reproduction.page import NAME, page, terminal_table
+    from capture_sim.studies.executors import default_workers, open_executor
 
     if options.only is not None and options.only not in FIGURES:
         raise SceneError(f"--only {options.only}: allowed are {', '.join(FIGURES)}")

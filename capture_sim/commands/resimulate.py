@@ -28,9 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
+    from capture_sim.analysis.resimulation import agreement
     from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.messages import software_versions
-    from capture_sim.resimulation import agreement
+    from capture_sim.messaging.messages import software_versions
     from capture_sim.simulation import simulate
 
     recorded = open_run(options.recording)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from capture_sim.commands.arguments import OK, add_overrides, load, prepare_folder
 
 if TYPE_CHECKING:
-    from capture_sim.sensitivity import Global, Local
+    from capture_sim.studies.sensitivity import Global, Local
 
 HELP = "find what force, strokes and verdict hang on"
 DESCRIPTION = (
@@ -55,8 +55,8 @@ def run(options: argparse.Namespace) -> int:
     from capture_sim.commands.progress import Progress
     from capture_sim.commands.showing import compile_first, say
     from capture_sim.errors import SceneError
-    from capture_sim.executors import default_workers, open_executor
-    from capture_sim.sensitivity import (
+    from capture_sim.studies.executors import default_workers, open_executor
+    from capture_sim.studies.sensitivity import (
         STEPS,
         check_method,
         default_parameters,
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
 def _report(near: Local) -> None:
     """Print what a parameter off by its spread would do, were it linear; ! where that is not so."""
     from capture_sim.commands.showing import say
-    from capture_sim.sensitivity import QUANTITIES
+    from capture_sim.studies.sensitivity import QUANTITIES
 
     smooth = QUANTITIES[:-1]
     say("change of each quantity for a parameter that is off by its spread, by its derivative")
@@ -140,7 +140,7 @@ def _keep(near: Local, whole: Global | None, folder: Path) -> None:
 
     import numpy as np
 
-    from capture_sim.sensitivity import QUANTITIES
+    from capture_sim.studies.sensitivity import QUANTITIES
 
     def plain(table: Any) -> Any:
         return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
@@ -178,7 +178,7 @@ def _write(path: Path, text: str) -> None:
 
 def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str:
     """Return derivatives and pictures as a page in Markdown."""
-    from capture_sim.sensitivity import QUANTITIES
+    from capture_sim.studies.sensitivity import QUANTITIES
 
     smooth = QUANTITIES[:-1]
     command = f"capture-sim sensitivity {options.scene} --method {options.method}"

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from capture_sim.detection import CaptureStatus
-from capture_sim.messages import RunDescription
+from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.watching import Watch
+from capture_sim.messaging.messages import RunDescription
+from capture_sim.messaging.telemetry import DetectorTelemetry
+from capture_sim.messaging.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
 from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.running import run
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene, load_scene_text
-from capture_sim.telemetry import DetectorTelemetry
-from capture_sim.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
-from capture_sim.watching import Watch
 
 #: A source that has fallen behind the others by this much is warned of, s of their stamps;
 #: topics of an unpaced run may be apart by the simulator's window.
@@ -26,7 +26,7 @@ STALE = 2.0
 class CaptureDetectorNode(RunFollower):
     """Sends its judgement of every instant that the poses were measured at.
 
-    What it decides stands in :class:`capture_sim.detection.CaptureDetector`.
+    What it decides stands in :class:`capture_sim.detection.decisions.CaptureDetector`.
     """
 
     # of the run that is on

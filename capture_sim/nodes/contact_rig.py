@@ -8,15 +8,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from capture_sim.contact_rig import ContactRig
-from capture_sim.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
-from capture_sim.loop_messages import LoopMessages, tip_of
+from capture_sim.hardware.contact_rig import ContactRig
+from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
+from capture_sim.hardware.loop_messages import LoopMessages, tip_of
 from capture_sim.nodes.running import BenchNode, message_class, run
 from capture_sim.scene_files import load_scene
 
 
 class ContactRigNode(BenchNode):
-    """Elastic walls, see :class:`capture_sim.contact_rig.ContactRig`."""
+    """Elastic walls, see :class:`capture_sim.hardware.contact_rig.ContactRig`."""
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)

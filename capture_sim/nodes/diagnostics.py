@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from capture_sim.control import SimulationControl, State
+from capture_sim.control.pacing import Pacer
+from capture_sim.control.simulation_control import SimulationControl, State
 from capture_sim.nodes.running import BenchNode, message_class
 from capture_sim.nodes.stepping import Stepping
-from capture_sim.pacing import Pacer
 
 if TYPE_CHECKING:
     from builtin_interfaces.msg import Time

@@ -8,8 +8,8 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
+from capture_sim.messaging.topics import LAUNCH_COMMAND, STREAM_COUNTS, Topic
 from capture_sim.nodes.running import message_class
-from capture_sim.topics import LAUNCH_COMMAND, STREAM_COUNTS, Topic
 
 _NAMED = (LAUNCH_COMMAND, STREAM_COUNTS)  # these say which run they belong to
 

@@ -17,10 +17,9 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 
-from capture_sim.control import QUITTING, RESET, STOPPED
-from capture_sim.nodes.running import FAILED, OK, BenchNode
-from capture_sim.telemetry import samples_per_message
-from capture_sim.topics import (
+from capture_sim.control.simulation_control import QUITTING, RESET, STOPPED
+from capture_sim.messaging.telemetry import samples_per_message
+from capture_sim.messaging.topics import (
     BENCH_STATE,
     BUFFER_STATE,
     CAPTURE_DETECTOR,
@@ -40,6 +39,7 @@ from capture_sim.topics import (
     Topic,
     topics_of,
 )
+from capture_sim.nodes.running import FAILED, OK, BenchNode
 
 RECORDER = "recorder"
 

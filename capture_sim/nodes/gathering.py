@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from capture_sim.control import SimulationControl
+from capture_sim.control.simulation_control import SimulationControl
 from capture_sim.errors import CaptureSimError
+from capture_sim.messaging.topics import SIMULATOR, topics_of
 from capture_sim.nodes.flow_control import POLL, Followers
 from capture_sim.nodes.following import connections
 from capture_sim.nodes.running import BenchNode
-from capture_sim.topics import SIMULATOR, topics_of
 
 #: What is waited for is said after this long, then ever more seldom, s (wall).
 REPORT_PERIOD = 2.0

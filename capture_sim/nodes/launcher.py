@@ -10,14 +10,20 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from capture_sim.launching import Launcher, LauncherPhase
-from capture_sim.messages import LaunchAction, StringPhase, stamp_seconds
+from capture_sim.messaging.messages import LaunchAction, StringPhase, stamp_seconds
+from capture_sim.messaging.telemetry import LauncherTelemetry
+from capture_sim.messaging.topics import (
+    CHASER_ODOMETRY,
+    CONTACT_STATE,
+    LAUNCHER,
+    STRING_STATE,
+    topics_of,
+)
 from capture_sim.nodes.actuator import KINDS, check_kind, make_actuator
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.receiving import StampMatcher, stamp_ns_of
 from capture_sim.nodes.running import run
 from capture_sim.scene_files import load_scene_text
-from capture_sim.telemetry import LauncherTelemetry
-from capture_sim.topics import CHASER_ODOMETRY, CONTACT_STATE, LAUNCHER, STRING_STATE, topics_of
 
 
 class LauncherNode(RunFollower):

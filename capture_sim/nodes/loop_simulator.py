@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from capture_sim.contact_rig import BounceWatch
 from capture_sim.errors import CaptureSimError
-from capture_sim.in_the_loop import (
+from capture_sim.hardware.contact_rig import BounceWatch
+from capture_sim.hardware.in_the_loop import (
     LOOP_SIMULATOR,
     TIP,
     TIP_WRENCH,
@@ -20,7 +20,7 @@ from capture_sim.in_the_loop import (
     SafeStopError,
     WrenchHold,
 )
-from capture_sim.loop_messages import LoopMessages, stamp_of, wrench_of
+from capture_sim.hardware.loop_messages import LoopMessages, stamp_of, wrench_of
 from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, run
 from capture_sim.scene_files import load_scene
 

@@ -17,15 +17,10 @@ from rclpy.qos import (
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from capture_sim.control.playing import Transport
+from capture_sim.control.playing_control import FEATURES, INFO, PlayerControl
 from capture_sim.errors import CaptureSimError
-from capture_sim.nodes.flow_control import POLL, Followers
-from capture_sim.nodes.following import FOLLOWED
-from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
-from capture_sim.nodes.simulation_services import SimulationServices
-from capture_sim.playing import Transport
-from capture_sim.playing_control import FEATURES, INFO, PlayerControl
-from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
-from capture_sim.topics import (
+from capture_sim.messaging.topics import (
     BENCH_STATE,
     CLOCK,
     RUN_INFO,
@@ -34,6 +29,11 @@ from capture_sim.topics import (
     topic_named,
     topics_of,
 )
+from capture_sim.nodes.flow_control import POLL, Followers
+from capture_sim.nodes.following import FOLLOWED
+from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
 
 PLAYER = "player"
 #: Readers that a writer has found may need this long to find it too, s (wall).

@@ -10,13 +10,13 @@ from typing import Any
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from capture_sim.messaging.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
 from capture_sim.nodes.early import EarlyMessages
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
 from capture_sim.nodes.running import ParameterError, run
 from capture_sim.recording.cdr import sequence_of
 from capture_sim.recording.files import Split
 from capture_sim.recording.live import LiveRecorder
-from capture_sim.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
 
 
 class RecorderNode(RunFollower):

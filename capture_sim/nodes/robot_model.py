@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from capture_sim.messaging.robot_description import (
+    Transform,
+    moving_transforms,
+    static_transforms,
+    urdf,
+)
 from capture_sim.nodes.running import BenchNode, message_class
-from capture_sim.robot_description import Transform, moving_transforms, static_transforms, urdf
 from capture_sim.scene import Scene
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -34,8 +34,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.messages import Messages
-from capture_sim.topics import Topic
+from capture_sim.messaging.messages import Messages
+from capture_sim.messaging.topics import Topic
 
 try:
     # a quarter of the plain executor's cost per message, but not in every rclpy

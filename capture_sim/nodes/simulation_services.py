@@ -17,7 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
-from capture_sim.control import Answer, Code, Control
+from capture_sim.control.simulation_control import Answer, Code, Control
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
 FEATURES = {

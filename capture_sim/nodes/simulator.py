@@ -14,25 +14,14 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
-from capture_sim.control import RunCut, SimulationControl, State
+from capture_sim.control.pacing import Pacer
+from capture_sim.control.simulation_control import RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.kernels import is_compiled
 from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.messages import LaunchAction, RunDescription
-from capture_sim.nodes.diagnostics import SimulatorDiagnostics
-from capture_sim.nodes.flow_control import Followers
-from capture_sim.nodes.following import INTERRUPTED, RECORDER
-from capture_sim.nodes.gathering import Gathering
-from capture_sim.nodes.robot_model import RobotModel
-from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
-from capture_sim.nodes.simulation_services import SimulationServices
-from capture_sim.nodes.state_stream import StateStream
-from capture_sim.nodes.stepping import Stepping
-from capture_sim.pacing import Pacer
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene
-from capture_sim.telemetry import BenchTelemetry
-from capture_sim.topics import (
+from capture_sim.messaging.messages import LaunchAction, RunDescription
+from capture_sim.messaging.telemetry import BenchTelemetry
+from capture_sim.messaging.topics import (
     CAPTURE_DETECTOR,
     LAUNCH_COMMAND,
     LAUNCHER,
@@ -42,6 +31,17 @@ from capture_sim.topics import (
     STREAM_COUNTS,
     topics_of,
 )
+from capture_sim.nodes.diagnostics import SimulatorDiagnostics
+from capture_sim.nodes.flow_control import Followers
+from capture_sim.nodes.following import INTERRUPTED, RECORDER
+from capture_sim.nodes.gathering import Gathering
+from capture_sim.nodes.robot_model import RobotModel
+from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
+from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.nodes.state_stream import StateStream
+from capture_sim.nodes.stepping import Stepping
+from capture_sim.scene import Scene
+from capture_sim.scene_files import load_scene
 
 #: After a run its followers get this long to close their files, s (wall).
 CLOSING_TIME = 60.0

@@ -14,10 +14,10 @@ import numpy as np
 from rclpy.serialization import serialize_message
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.messages import WORLD, Messages, stamp_ns
+from capture_sim.messaging.messages import WORLD, Messages, stamp_ns
+from capture_sim.messaging.topics import BENCH_STATE
 from capture_sim.nodes.running import message_class
 from capture_sim.samples import SAMPLE
-from capture_sim.topics import BENCH_STATE
 
 _NUMBERS = {"uint8": "u1", "uint32": "<u4", "uint64": "<u8", "double": "<f8"}
 _FIELD = re.compile(r"(\w+)(?:\[(\d+)\])?$")

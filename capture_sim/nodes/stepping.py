@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from capture_sim.bench import Bench
-from capture_sim.control import RunCut, SimulationControl
+from capture_sim.control.pacing import Pacer
+from capture_sim.control.simulation_control import RunCut, SimulationControl
 from capture_sim.errors import SimulationError
-from capture_sim.pacing import Pacer
-from capture_sim.telemetry import BenchTelemetry, Sent
-from capture_sim.topics import BENCH_EVENT, BENCH_STATE, Topic
+from capture_sim.messaging.telemetry import BenchTelemetry, Sent
+from capture_sim.messaging.topics import BENCH_EVENT, BENCH_STATE, Topic
 
 #: Samples that the core computes at a time.
 BLOCK = 100

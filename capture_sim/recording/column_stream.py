@@ -13,21 +13,17 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from capture_sim import message_columns as columns_of
 from capture_sim.launching import Launcher
-from capture_sim.messages import (
+from capture_sim.messaging import message_columns as columns_of
+from capture_sim.messaging.messages import (
     LaunchAction,
     Message,
     RunDescription,
     SinceLastMessage,
     StringPhase,
 )
-from capture_sim.recording.definitions import offline_messages, typestore
-from capture_sim.recording.template import Template
-from capture_sim.recording.writer import Rows
-from capture_sim.samples import EventKind
-from capture_sim.telemetry import LauncherTelemetry, Sent, samples_per_message
-from capture_sim.topics import (
+from capture_sim.messaging.telemetry import LauncherTelemetry, Sent, samples_per_message
+from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     BUFFER_STATE,
@@ -51,9 +47,13 @@ from capture_sim.topics import (
     Topic,
     topics_of,
 )
+from capture_sim.recording.definitions import offline_messages, typestore
+from capture_sim.recording.template import Template
+from capture_sim.recording.writer import Rows
+from capture_sim.samples import EventKind
 
 if TYPE_CHECKING:
-    from capture_sim.detection import CaptureStatus
+    from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus
     from capture_sim.simulation import Result
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.detection import CaptureState
-from capture_sim.envelope import ROW, Envelope, replay
-from capture_sim.envelope_runs import plan_from_mapping, plan_to_mapping
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.studies.envelope import ROW, Envelope, replay
+from capture_sim.studies.envelope_runs import plan_from_mapping, plan_to_mapping
 
 _PLAN = b"capture_sim.envelope"
 _UNITS = {

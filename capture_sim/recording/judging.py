@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from capture_sim.detection import CaptureStatus
+from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.watching import Watch, watched
 from capture_sim.errors import RecordingError
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.reader import Run
 from capture_sim.scene import Scene
-from capture_sim.watching import Watch, watched
 
 
 def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:

@@ -11,15 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.identification import Touches
+from capture_sim.analysis.identification import Touches
+from capture_sim.analysis.measurements import Measurements, Series
 from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.measurements import Measurements, Series
-from capture_sim.messages import EPOCH_NS
-from capture_sim.recording.reader import Columns, Run
-from capture_sim.results import first_cluster
-from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
-from capture_sim.topics import (
+from capture_sim.messaging.messages import EPOCH_NS
+from capture_sim.messaging.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CONTACT_STATE,
@@ -28,6 +24,10 @@ from capture_sim.topics import (
     LAUNCH_COMMAND,
     TARGET_ODOMETRY,
 )
+from capture_sim.recording.reader import Columns, Run
+from capture_sim.results import first_cluster
+from capture_sim.samples import EventKind
+from capture_sim.scene import Scene
 
 #: Force on the tip that counts as contact where no topic tells of it, N.
 CONTACT_FORCE = 1.0

@@ -13,24 +13,24 @@ import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.launching import Launcher
-from capture_sim.messages import (
+from capture_sim.messaging.messages import (
     LaunchAction,
     RunDescription,
     StringPhase,
     speed_along,
     string_phase,
 )
-from capture_sim.recording.column_stream import ColumnStream
-from capture_sim.recording.definitions import offline_messages
-from capture_sim.recording.writer import RunWriter, free_path
-from capture_sim.telemetry import (
+from capture_sim.messaging.telemetry import (
     BenchTelemetry,
     DetectorTelemetry,
     LauncherTelemetry,
     Sent,
     samples_per_message,
 )
-from capture_sim.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.messaging.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.recording.column_stream import ColumnStream
+from capture_sim.recording.definitions import offline_messages
+from capture_sim.recording.writer import RunWriter, free_path
 
 if TYPE_CHECKING:
     from capture_sim.simulation import Result

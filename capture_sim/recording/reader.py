@@ -12,9 +12,16 @@ import numpy as np
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from capture_sim.detection import CaptureState, CaptureStatus
+from capture_sim.detection.decisions import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
-from capture_sim.messages import stamp_seconds
+from capture_sim.messaging.messages import stamp_seconds
+from capture_sim.messaging.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    STREAM_COUNTS,
+    topic_named,
+)
 from capture_sim.recording.cdr import columns, sequence_of
 from capture_sim.recording.definitions import schema_text, typestore
 from capture_sim.recording.records import Contents, read_contents
@@ -23,13 +30,6 @@ from capture_sim.recording.tally import Tally
 from capture_sim.recording.writer import END_METADATA, RUN_METADATA, SCENE_ATTACHMENT
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind
 from capture_sim.scene_files import load_scene_text
-from capture_sim.topics import (
-    BENCH_EVENT,
-    BENCH_STATE,
-    CAPTURE_STATUS,
-    STREAM_COUNTS,
-    topic_named,
-)
 
 if TYPE_CHECKING:
     from capture_sim.scene import Scene

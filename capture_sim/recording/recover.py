@@ -13,7 +13,8 @@ from mcap.records import Channel
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages import EPOCH_NS, RunDescription
+from capture_sim.messaging.messages import EPOCH_NS, RunDescription
+from capture_sim.messaging.topics import RUN_INFO
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
 from capture_sim.recording.container import Container
 from capture_sim.recording.definitions import type_hash, typestore
@@ -31,7 +32,6 @@ from capture_sim.recording.writer import (
     describing,
     free_path,
 )
-from capture_sim.topics import RUN_INFO
 
 #: Name of the metadata record that tells what a recovered file lacks.
 RECOVERY_METADATA = "capture_sim_recovery"

@@ -11,7 +11,8 @@ from typing import IO, NamedTuple, Self
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages import EPOCH_NS, Message, RunDescription
+from capture_sim.messaging.messages import EPOCH_NS, Message, RunDescription
+from capture_sim.messaging.topics import RECORDED, Topic
 from capture_sim.recording.bag_metadata import (
     FileEntry,
     TopicEntry,
@@ -22,7 +23,6 @@ from capture_sim.recording.bag_metadata import (
 from capture_sim.recording.cdr import stamp_of
 from capture_sim.recording.container import MESSAGE_HEAD, Container
 from capture_sim.recording.definitions import schema_text, type_hash, typestore
-from capture_sim.topics import RECORDED, Topic
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from capture_sim.buffer_design import Design
+from capture_sim.design.flow import Design
 from capture_sim.reproduction.cases import DOCKING
 from capture_sim.reproduction.readings import Scan, Together
 from capture_sim.reproduction.second_engine import Comparison

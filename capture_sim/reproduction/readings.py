@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from capture_sim.approach import placed
-from capture_sim.detection import CaptureState
-from capture_sim.executors import Executor, ordered
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.scene import CONTACT_LAWS, Scene
 from capture_sim.scene_files import load_scene
-from capture_sim.verdict import run_to_verdict
+from capture_sim.studies.approach import placed
+from capture_sim.studies.executors import Executor, ordered
+from capture_sim.studies.verdict import run_to_verdict
 
 #: The cases with a verdict in the paper: whether it says captured.
 CASES = {

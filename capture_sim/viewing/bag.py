@@ -11,11 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from capture_sim.detection import CaptureDetector, CaptureStatus, Observation
+from capture_sim.detection.decisions import CaptureDetector, CaptureStatus, Observation
 from capture_sim.errors import RecordingError
-from capture_sim.messages import HINGE_JOINT, SLIDE_JOINT, LaunchAction
-from capture_sim.scene import Scene
-from capture_sim.topics import (
+from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT, LaunchAction
+from capture_sim.messaging.topics import (
     BUFFER_STATE,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
@@ -27,6 +26,7 @@ from capture_sim.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
+from capture_sim.scene import Scene
 from capture_sim.viewing.measured import MeasuredRun, Measurements, measured_run
 
 Columns = Mapping[str, np.ndarray]

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from capture_sim.analysis.measurements import Measurements
 from capture_sim.errors import RecordingError
-from capture_sim.measurements import Measurements
 from capture_sim.viewing import palette
 
 _COLOURS = (palette.BLUE, palette.VERMILION)

@@ -12,9 +12,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from capture_sim.approach import approach_of
-from capture_sim.detection import CaptureState
-from capture_sim.envelope import Cell, Envelope
+from capture_sim.detection.decisions import CaptureState
+from capture_sim.studies.approach import approach_of
+from capture_sim.studies.envelope import Cell, Envelope
 from capture_sim.viewing import palette
 from capture_sim.viewing.canvas import new_figure, save, set_fonts
 from capture_sim.viewing.source import ViewableRun, verdict

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.detection import CaptureStatus
+from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.errors import SceneError
-from capture_sim.messages import StringPhase
+from capture_sim.messaging.messages import StringPhase
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene import PlanarState, Scene
 from capture_sim.viewing.geometry import tip_in_world, wall

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from capture_sim.detection import CaptureStatus
+from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.samples import Event, EventKind
 from capture_sim.scene import Scene
 

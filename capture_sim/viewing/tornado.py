@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from capture_sim.sensitivity import QUANTITIES, Global, Local, Parameter
+from capture_sim.studies.sensitivity import QUANTITIES, Global, Local, Parameter
 from capture_sim.viewing import palette
 from capture_sim.viewing.canvas import new_figure, save, set_fonts
 

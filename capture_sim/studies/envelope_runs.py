@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from capture_sim import __version__
-from capture_sim.envelope import ROW, Envelope, Key, Plan, Slices, Span, evaluate, explore
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.executors import Executor
 from capture_sim.kernels import source_hash
 from capture_sim.scene_files import load_scene_text
+from capture_sim.studies.envelope import ROW, Envelope, Key, Plan, Slices, Span, evaluate, explore
+from capture_sim.studies.executors import Executor
 
 #: Points in a chunk: some tenths of a second of work.
 CHUNK = 32

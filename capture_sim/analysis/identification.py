@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from capture_sim.analysis.measurements import Measurements, Series, measured_in
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.launching import LaunchPlan
-from capture_sim.measurements import Measurements, Series, measured_in
 from capture_sim.scene import Scene
 
 #: Short names, and where the value stands in a scene.

@@ -11,7 +11,7 @@ import math
 from bisect import bisect_left
 from enum import Enum
 
-from capture_sim.detection import Observation
+from capture_sim.detection.decisions import Observation
 
 Values = tuple[float, ...]
 

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.alignment import Aligner, Source, Values
-from capture_sim.detection import CaptureDetector, CaptureStatus
-from capture_sim.messages import stamp_ns, stamp_seconds
-from capture_sim.scene import Scene
-from capture_sim.sensors import Sensors
-from capture_sim.topics import (
+from capture_sim.detection.alignment import Aligner, Source, Values
+from capture_sim.detection.decisions import CaptureDetector, CaptureStatus
+from capture_sim.hardware.sensors import Sensors
+from capture_sim.messaging.messages import stamp_ns, stamp_seconds
+from capture_sim.messaging.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CHASER_POSE,
@@ -24,6 +23,7 @@ from capture_sim.topics import (
     TARGET_POSE,
     Topic,
 )
+from capture_sim.scene import Scene
 
 
 def watched(scene: Scene) -> dict[Topic, Source]:
@@ -68,7 +68,7 @@ class Watch:
         return self.measure(source, t, measured(source, message))
 
     def measure(self, source: Source, t: float, values: Values) -> list[CaptureStatus]:
-        """Take in a measurement, see :class:`capture_sim.alignment.Source`."""
+        """Take in a measurement, see :class:`capture_sim.detection.alignment.Source`."""
         return [self.detector.update(seen) for seen in self.aligner.add(source, t, values)]
 
     def finish(self) -> list[CaptureStatus]:
@@ -78,7 +78,7 @@ class Watch:
 
 
 def measured(source: Source, message: Any) -> Values:
-    """Return what a message says, see :class:`capture_sim.alignment.Source`."""
+    """Return what a message says, see :class:`capture_sim.detection.alignment.Source`."""
     if source is Source.BUFFER:
         return (message.axial_stroke, message.torsion, message.axial_rate, message.torsion_rate)
     if not hasattr(message, "twist"):

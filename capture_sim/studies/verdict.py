@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_sim.bench import Bench
-from capture_sim.detection import CaptureDetector, CaptureState, Observation
+from capture_sim.detection.decisions import CaptureDetector, CaptureState, Observation
 from capture_sim.errors import SimulationError
 from capture_sim.samples import EventKind
 from capture_sim.scene import Scene

@@ -1,7 +1,7 @@
 """The numbers of a run's periodic messages by columns, for all samples at once.
 
-Every function gives, bit for bit, what :class:`capture_sim.messages.Messages` puts into the
-messages one by one; fields that are the same in every message (frames, names, zeros) are
+Every function gives, bit for bit, what :class:`.messages.Messages` puts into the messages one
+by one; fields that are the same in every message (frames, names, zeros) are
 left out.  A recording of a long run is written so.
 """
 
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from capture_sim.messages import EPOCH_NS, StringPhase
+from capture_sim.messaging.messages import EPOCH_NS, StringPhase
 from capture_sim.samples import SAMPLE, Event, Phase
 
 if TYPE_CHECKING:
-    from capture_sim.detection import CaptureStatus
+    from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus
 
 #: Field's path to its values, (n, ...).
@@ -140,7 +140,7 @@ def launcher_states(statuses: Sequence[LauncherStatus]) -> Columns:
 def since_last_message(samples: np.ndarray, events: Iterable[Event], every: int) -> Columns:
     """Return what the contact did between ContactState messages.
 
-    The whole run at once; the same as :class:`capture_sim.messages.ContactInterval`.
+    The whole run at once; the same as :class:`capture_sim.messaging.messages.ContactInterval`.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from capture_sim.first_contact import FirstContact, run_first_contact
+from capture_sim.design.first_contact import FirstContact, run_first_contact
 from capture_sim.scene import Scene
 
 #: Springs that are tried, N/m and N m/rad.

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from statistics import mean
 
+from capture_sim.detection.tip_path import NoiseEstimate, Place, TipPath, third_difference
 from capture_sim.dynamics.cone import nearest_on_wall
 from capture_sim.scene import Scene
-from capture_sim.tip_path import NoiseEstimate, Place, TipPath, third_difference
 
 # the detector works on measurements, a few hundred a second: no compiled code needed
 _nearest_on_wall = nearest_on_wall.py_func  # type: ignore[attr-defined]
@@ -112,7 +112,7 @@ class CaptureDetector:
     when it stands still for ``detector.still_time`` outside the radius.
 
     Measurements may scatter, be missing and come late or in any order.  Where they scatter
-    the path is smoothed (:mod:`capture_sim.tip_path`): then the judgement comes up to
+    the path is smoothed (:mod:`capture_sim.detection.tip_path`): then the judgement comes up to
     ``detector.delay`` after the instant it is about, and allows for what is left of the
     noise.
 

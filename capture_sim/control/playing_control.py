@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 
-from capture_sim.control import Answer, Code, Request, State
-from capture_sim.playing import Transport
+from capture_sim.control.playing import Transport
+from capture_sim.control.simulation_control import Answer, Code, Request, State
 
 #: What SimulatorFeatures.msg lists and a player has, by its numbers there.
 FEATURES = {

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from capture_sim.approach import approach_of, placed
 from capture_sim.errors import SceneError
 from capture_sim.scene import Scene
-from capture_sim.verdict import run_to_verdict
+from capture_sim.studies.approach import approach_of, placed
+from capture_sim.studies.verdict import run_to_verdict
 
 #: Multiples of the spread that are tried, in order.
 SCALES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)

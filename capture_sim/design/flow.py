@@ -1,7 +1,7 @@
 """The paper's design flow: strokes wished for in, buffer out, or why there is none.
 
 Steps as in the paper's section 4: springs for the wished strokes of the first contact
-(1 to 5, :mod:`capture_sim.stroke_matching`), the damper by the energy it takes (6) and the
+(1 to 5, :mod:`capture_sim.design.stroke_matching`), the damper by the energy it takes (6) and the
 verdict (7).  The damper is looked for over the whole of its range first, as the captures
 need not lie in one piece; then both ends of the widest piece are bracketed by bisection.
 
@@ -19,15 +19,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_sim.approach import approach_of
-from capture_sim.buffer_energy import energy_of
-from capture_sim.buffer_wish import Design, Trial, Wish
-from capture_sim.capture_margin import Spread, margin_of
-from capture_sim.detection import CaptureState
-from capture_sim.first_contact import FirstContact, run_first_contact
+from capture_sim.design.energy import energy_of
+from capture_sim.design.first_contact import FirstContact, run_first_contact
+from capture_sim.design.stroke_matching import ACCEPTED, Match, guess, match_strokes, with_buffer
+from capture_sim.design.wish import Design, Trial, Wish
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.scene import Scene
-from capture_sim.stroke_matching import ACCEPTED, Match, guess, match_strokes, with_buffer
-from capture_sim.verdict import Outcome, run_to_verdict
+from capture_sim.studies.approach import approach_of
+from capture_sim.studies.capture_margin import Spread, margin_of
+from capture_sim.studies.verdict import Outcome, run_to_verdict
 
 #: Dampers that are tried first: none, and these shares of the critical damping of both
 #: vehicles on the axial spring.

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from capture_sim.messages import (
+from capture_sim.messaging.messages import (
     CHASER_FRAME,
     CONE_FRAME,
     HINGE_JOINT,

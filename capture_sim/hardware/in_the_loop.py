@@ -22,8 +22,8 @@ from capture_sim.dynamics.tip_wrench import (
     tip_state,
 )
 from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.messaging.topics import Rate, Topic
 from capture_sim.scene import Scene
-from capture_sim.topics import Rate, Topic
 
 CONTACT_RIG = "contact_rig"
 LOOP_SIMULATOR = "loop_simulator"

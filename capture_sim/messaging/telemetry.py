@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.messages import (
+from capture_sim.hardware.sensors import Sensors
+from capture_sim.messaging.messages import (
     ContactInterval,
     LaunchAction,
     Message,
     Messages,
     RunDescription,
 )
-from capture_sim.samples import Event, EventKind
-from capture_sim.sensors import Sensors
-from capture_sim.topics import (
+from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     BUFFER_STATE,
@@ -47,9 +46,10 @@ from capture_sim.topics import (
     Topic,
     topics_of,
 )
+from capture_sim.samples import Event, EventKind
 
 if TYPE_CHECKING:
-    from capture_sim.detection import CaptureStatus
+    from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus, LaunchPlan
     from capture_sim.scene import Scene
 

@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.approach import placed
-from capture_sim.detection import CaptureState
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.errors import SceneError
 from capture_sim.scene import Scene
-from capture_sim.verdict import run_to_verdict
+from capture_sim.studies.approach import placed
+from capture_sim.studies.verdict import run_to_verdict
 
 #: The axes, in the order of a row's columns: name, unit.
 AXES = (("angle", "rad"), ("offset", "m"), ("speed", "m/s"))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.measurements import Measurements
+from capture_sim.analysis.measurements import Measurements
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Gap:
     Attributes
     ----------
     name
-        Field of :class:`~capture_sim.measurements.Measurements`, a pose's part behind a dot.
+        Field of :class:`~.measurements.Measurements`, a pose's part behind a dot.
     rms, largest
         SI units.
     at

@@ -27,7 +27,7 @@ import numpy as np
 from capture_sim.samples import SAMPLE, Event, Phase
 
 if TYPE_CHECKING:
-    from capture_sim.detection import CaptureStatus
+    from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus
     from capture_sim.scene import Scene
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from capture_sim.buffer_energy import Energy
-from capture_sim.capture_margin import Spread
-from capture_sim.detection import CaptureState
+from capture_sim.design.energy import Energy
+from capture_sim.design.first_contact import FirstContact
+from capture_sim.detection.decisions import CaptureState
 from capture_sim.errors import SceneError
-from capture_sim.first_contact import FirstContact
 from capture_sim.scene import Scene
-from capture_sim.verdict import Outcome
+from capture_sim.studies.capture_margin import Spread
+from capture_sim.studies.verdict import Outcome
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Recorded runs examined again: measured, compared, resimulated, identified."""

@@ -1,0 +1,1 @@
+"""The paper's design flow: wanted strokes in, buffer out, or why there is none."""

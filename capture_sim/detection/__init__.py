@@ -1,0 +1,1 @@
+"""The capture detector: from poses and buffer state to a verdict."""
