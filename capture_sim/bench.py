@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim import engine
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
 from capture_sim.dynamics.parameters import pack
+from capture_sim.engine import loop, notebook
+from capture_sim.engine.steps import N_WATCHED
 from capture_sim.errors import SimulationError
 from capture_sim.integration.implicit import make_work
 from capture_sim.integration.pairs import PAIRS, padded
@@ -26,16 +27,16 @@ _EVENT_ROOM = 256
 _TRACE_ROOM = 1024
 
 _CAUSES = {
-    engine.NOT_FINITE: "the state is not finite any more",
-    engine.STEP_TOO_SMALL: "the step fell below 1e-15 s: run.rtol is too small for this scene",
-    engine.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
-    engine.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
+    notebook.NOT_FINITE: "the state is not finite any more",
+    notebook.STEP_TOO_SMALL: "the step fell below 1e-15 s: run.rtol is too small for this scene",
+    notebook.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
+    notebook.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
     "the contact is too soft for this impact",
-    engine.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
+    notebook.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
-    engine.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
+    notebook.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
     "or the contact is not resolved",
-    engine.PILE_UP: "more than 100 events fell on one instant",
+    notebook.PILE_UP: "more than 100 events fell on one instant",
 }
 
 
@@ -93,15 +94,15 @@ class Bench:
         self._pair = padded(PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
-        sizes = (N_TOTAL, N_STATE, N_TOTAL, N_TOTAL, engine.N_WATCHED, engine.N_WATCHED)
+        sizes = (N_TOTAL, N_STATE, N_TOTAL, N_TOTAL, N_WATCHED, N_WATCHED)
         self._work = [np.zeros(size) for size in sizes]
         self._K = np.zeros((self._pair.A.shape[1], N_TOTAL))
         self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
         self._scratch = np.zeros(N_SCRATCH)
         self._implicit = make_work(8, N_TOTAL)
         self._mode = np.zeros(1, MODE)
-        self._run = np.zeros(1, engine.RUN)
-        self._event_room = np.zeros(_EVENT_ROOM, engine.EVENT)
+        self._run = np.zeros(1, notebook.RUN)
+        self._event_room = np.zeros(_EVENT_ROOM, notebook.EVENT)
         self._trace_room = np.zeros(_TRACE_ROOM if trace else 0, SAMPLE)
         self._traced: list[np.ndarray] = []
         self._begin()
@@ -124,7 +125,7 @@ class Bench:
             mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
             still = not np.any(self._y[8:11]) and not run["on_rail"]
             mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
-        run["energy_0"] = engine.energy_at_release(
+        run["energy_0"] = loop.energy_at_release(
             self._par, self._mode, self._run, self._y, self._scratch, np.zeros(1, SAMPLE)
         )
         self._weights = 1.0 / error_scale(self._par, float(run["energy_0"]))
@@ -200,7 +201,7 @@ class Bench:
         while True:
             self._run[0]["n_events"] = 0
             self._run[0]["n_trace"] = 0
-            status, count = engine.advance(
+            status, count = loop.advance(
                 self._par,
                 self._mode,
                 self._run,
@@ -229,16 +230,16 @@ class Bench:
             traced = int(self._run[0]["n_trace"])
             if traced:
                 self._traced.append(self._trace_room[:traced].copy())
-            if status == engine.EVENTS_FULL:
+            if status == notebook.EVENTS_FULL:
                 continue
-            if status != engine.SERVED:
+            if status != notebook.SERVED:
                 raise self._failure(int(status), samples[:served])
             return samples[:served]
 
     def _failure(self, status: int, partial: np.ndarray) -> SimulationError:
         run = self._run[0]
         sample = np.zeros(1, SAMPLE)
-        engine.energy_at_release(self._par, self._mode, self._run, self._y, self._scratch, sample)
+        loop.energy_at_release(self._par, self._mode, self._run, self._y, self._scratch, sample)
         phase = Phase(int(sample[0]["phase"])).name.lower()
         return SimulationError(
             f"{self.scene.name}: stopped at t = {run['t0']:.9g} s in phase {phase}: "
@@ -315,6 +316,6 @@ def error_scale(par: np.ndarray, kinetic: float = 0.0) -> np.ndarray:
     places[7], rates[7] = length / float(p["L_T"] + p["R_c"]), speed / float(p["L_T"] + p["R_c"])
     energy = float(p["rtol"] * p["m_P"]) * speed**2
     # rounding of what is dissipated in all must not be taken for an error
-    energies = np.full(engine.N_WATCHED - 16, max(energy, 1e-15 * kinetic))
+    energies = np.full(N_WATCHED - 16, max(energy, 1e-15 * kinetic))
     scale = np.concatenate([float(p["rtol"]) * np.concatenate([places, rates]), energies])
     return scale

@@ -19,8 +19,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent
 _SOURCES = sorted(
-    [*(_PACKAGE / "dynamics").glob("*.py"), *(_PACKAGE / "integration").glob("*.py")]
-) + [_PACKAGE / name for name in ("kernels.py", "engine.py", "samples.py")]
+    path
+    for folder in ("dynamics", "engine", "integration")
+    for path in (_PACKAGE / folder).glob("*.py")
+) + [_PACKAGE / name for name in ("kernels.py", "samples.py")]
 
 
 def source_hash() -> str:
@@ -28,7 +30,7 @@ def source_hash() -> str:
     # Numba finds compiled code again by the path of its source, so another checkout has its own
     digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
     for path in _SOURCES:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -41,7 +43,7 @@ def cache_folder() -> Path:
 
 def is_compiled() -> bool:
     """Tell whether the kernels of this source have been compiled here before."""
-    return any(cache_folder().rglob("engine.advance*.nbc"))
+    return any(cache_folder().rglob("loop.advance*.nbc"))
 
 
 def kernel(function: F) -> F:

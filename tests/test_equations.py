@@ -11,8 +11,9 @@ from independent_model import (
     tip,
 )
 
-from capture_sim import Bench, engine, load_scene, simulate
+from capture_sim import Bench, load_scene, simulate
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
+from capture_sim.engine import loop
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def accelerations(scene, q, v):
     bench = Bench(scene)
     y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
     f = np.zeros(N_TOTAL)
-    engine.evaluate(bench._par, np.zeros(1, MODE), y, f, np.zeros(N_SCRATCH))
+    loop.evaluate(bench._par, np.zeros(1, MODE), y, f, np.zeros(N_SCRATCH))
     return f[8:16]
 
 
@@ -77,7 +78,7 @@ def test_contact_force_acts_as_a_force_on_both_bodies(scene):
                 par = bench._par[0]
                 mode["chi"][0][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
         y, f = np.concatenate([q, v, np.zeros(N_TOTAL - 16)]), np.zeros(N_TOTAL)
-        engine.evaluate(bench._par, mode, y, f, np.zeros(N_SCRATCH))
+        loop.evaluate(bench._par, mode, y, f, np.zeros(N_SCRATCH))
         Q = mass_matrix(scene, q) @ f[8:16] + bias(scene, q, v) - buffer_forces(scene, q, v)
         force = sample["contact_force"]
         scale = max(np.hypot(*force), 1.0)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import RK45, solve_ivp
 
-from capture_sim import Bench, engine, load_scene, simulate
+from capture_sim import Bench, load_scene, simulate
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
+from capture_sim.engine import loop
 from capture_sim.integration.explicit import dense, make_stepper
 from capture_sim.integration.pairs import PAIRS, padded
 from capture_sim.integration.roots import cubic_minimum, may_cross
@@ -122,7 +123,7 @@ def test_first_touches_agree_with_scipy_touch_by_touch():
     cone, R = scene.cone, scene.probe.tip_radius
 
     def motion(t, y):
-        engine.evaluate(bench._par, mode, np.ascontiguousarray(y), f, scratch)
+        loop.evaluate(bench._par, mode, np.ascontiguousarray(y), f, scratch)
         return f.copy()
 
     def gap(t, y):

@@ -167,10 +167,17 @@ def listen(tmp_path):
         process = subprocess.Popen(
             [sys.executable, "-c", LISTENER + program + "\nprint(json.dumps(answer))"],
             stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
         )
         started.append(process)
-        return lambda: json.loads(process.communicate(timeout=90)[0].splitlines()[-1])
+
+        def answer():
+            out, err = process.communicate(timeout=90)
+            assert process.returncode == 0, err
+            return json.loads(out.splitlines()[-1])
+
+        return answer
 
     yield listen
     for process in started:

@@ -6,11 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from capture_sim import engine
 from capture_sim.benchmarking.numpy_model import NumpyModel
 from capture_sim.benchmarking.python_model import PythonModel
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL, tip_in_cone, wall_gap
 from capture_sim.dynamics.parameters import pack
+from capture_sim.engine import loop
 from capture_sim.kernels import entry_kernel
 from capture_sim.launching import plan_launch
 from capture_sim.scene import Scene
@@ -64,7 +64,7 @@ def into_wall(scene: Scene, depth: float = 3e-6) -> float:
 
 
 class CompiledProblem:
-    """The engine's own right-hand side, :func:`capture_sim.engine.evaluate`."""
+    """The engine's own right-hand side, :func:`capture_sim.engine.loop.evaluate`."""
 
     def __init__(self, scene: Scene) -> None:
         self.parameters = packed(scene)
@@ -82,7 +82,7 @@ class CompiledProblem:
     def rate_of_change(self, _: float, y: np.ndarray) -> np.ndarray:
         """Return dy/dt (16,)."""
         self.evaluations += 1
-        engine.evaluate(self.parameters, self.mode, y, self._f, self._scratch)
+        loop.evaluate(self.parameters, self.mode, y, self._f, self._scratch)
         return self._f[:N_STATE].copy()
 
     def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
