@@ -3,21 +3,29 @@
 A part that is ``None`` is not on the bench and costs nothing.  Symbols are those of
 the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
 
-Every number is declared with :func:`quantity`, which holds its unit and allowed range;
-:mod:`capture_sim.scene_files` reads the declarations to check a YAML file, so a range
-stands in one place only.
+Every number is declared as a :func:`~capture_sim.quantities.quantity`, which holds its unit
+and allowed range; :mod:`capture_sim.scene_files` reads the declarations to check a YAML file,
+so a range stands in one place only.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from capture_sim.errors import SceneError
+from capture_sim.quantities import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Checked,
+    Range,
+    choice,
+    quantity,
+    refuse,
+)
 
 CONTACT_LAWS = (
     "lankarani_nikravesh",
@@ -37,81 +45,7 @@ FILTERS = ("first", "second")
 
 
 @dataclass(frozen=True)
-class Range:
-    """Allowed values of a number: bounds, and whether a bound itself is allowed."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    low_open: bool = False
-    high_open: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        if not math.isfinite(value):
-            return False
-        above = value > self.low if self.low_open else value >= self.low
-        below = value < self.high if self.high_open else value <= self.high
-        return above and below
-
-    def __str__(self) -> str:
-        if self.low == -math.inf and self.high == math.inf:
-            return "any finite number"
-        if self.high == math.inf:
-            return f"{'>' if self.low_open else '>='} {self.low:g}"
-        if self.low == -math.inf:
-            return f"{'<' if self.high_open else '<='} {self.high:g}"
-        return (
-            f"{'>' if self.low_open else '>='} {self.low:g} and "
-            f"{'<' if self.high_open else '<='} {self.high:g}"
-        )
-
-
-ANY = Range()
-POSITIVE = Range(low=0.0, low_open=True)
-NOT_NEGATIVE = Range(low=0.0)
-
-
-def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: str = "") -> Any:
-    """Declare a number with its unit, allowed range and meaning."""
-    metadata = {"unit": unit, "allowed": allowed, "doc": doc}
-    if default is MISSING:
-        return field(metadata=metadata)
-    return field(default=default, metadata=metadata)
-
-
-def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
-    """Declare a name out of a fixed list."""
-    return field(default=default, metadata={"options": options, "doc": doc})
-
-
-def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
-    """Make the one-line error for a value that is not allowed."""
-    shown = f"{value!r} {unit}".rstrip() if unit not in ("", "1") else repr(value)
-    return SceneError(f"{where} = {shown}: allowed is {allowed}")
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """Checks every declared number and name on construction."""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            allowed = f.metadata.get("allowed")
-            if allowed is not None and value is not None:
-                number = isinstance(value, (int, float)) and not isinstance(value, bool)
-                if not number or value not in allowed:
-                    raise refuse(
-                        f"{type(self).__name__}.{f.name}", value, f.metadata["unit"], allowed
-                    )
-            options = f.metadata.get("options")
-            if options is not None and value not in options:
-                raise refuse(
-                    f"{type(self).__name__}.{f.name}", value, "", "one of " + ", ".join(options)
-                )
-
-
-@dataclass(frozen=True)
-class Vehicle(_Checked):
+class Vehicle(Checked):
     """A vehicle's main body, without the buffer (Table 2)."""
 
     mass: float = quantity("kg", POSITIVE, doc="mass m_S or m_T")
@@ -119,7 +53,7 @@ class Vehicle(_Checked):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Checked):
+class Cylinder(Checked):
     """The cylinder hinged to the chaser; a slender rod behind the hinge (eq. 6)."""
 
     mass: float = quantity("kg", NOT_NEGATIVE, doc="m_C")
@@ -132,7 +66,7 @@ class Cylinder(_Checked):
 
 
 @dataclass(frozen=True)
-class Probe(_Checked):
+class Probe(Checked):
     """The probe: a solid rod that ends in a solid sphere, the tip mass."""
 
     radius: float = quantity("m", POSITIVE, doc="r_p, of the rod")
@@ -170,7 +104,7 @@ class Probe(_Checked):
 
 
 @dataclass(frozen=True)
-class Buffer(_Checked):
+class Buffer(Checked):
     """The 2-DOF buffer: axial spring-damper and torsional spring (eq. 9)."""
 
     a: float = quantity("m", NOT_NEGATIVE, doc="chaser's centre of mass to the hinge")
@@ -184,7 +118,7 @@ class Buffer(_Checked):
 
 
 @dataclass(frozen=True)
-class Cone(_Checked):
+class Cone(Checked):
     """The target's cone: inner edge BE, and a wall on each side of the axis."""
 
     L_T: float = quantity("m", NOT_NEGATIVE, doc="target's centre of mass to BE")
@@ -198,7 +132,7 @@ class Cone(_Checked):
 
 
 @dataclass(frozen=True)
-class Material(_Checked):
+class Material(Checked):
     """An isotropic elastic material (eq. 3)."""
 
     E: float = quantity("N/m^2", POSITIVE, doc="Young's modulus")
@@ -211,7 +145,7 @@ class Material(_Checked):
 
 
 @dataclass(frozen=True)
-class Contact(_Checked):
+class Contact(Checked):
     """Normal contact of tip and cone wall (eq. 1 to 4)."""
 
     tip: Material
@@ -226,7 +160,7 @@ class Contact(_Checked):
 
 
 @dataclass(frozen=True)
-class Friction(_Checked):
+class Friction(Checked):
     """Coulomb friction of the tip on the wall."""
 
     mu: float = quantity("1", NOT_NEGATIVE, doc="coefficient of friction")
@@ -243,7 +177,7 @@ class Friction(_Checked):
 
 
 @dataclass(frozen=True)
-class BallSupport(_Checked):
+class BallSupport(Checked):
     """Three ball-shaped supports under a vehicle."""
 
     balls: tuple[tuple[float, float], ...] = field(
@@ -258,7 +192,7 @@ class BallSupport(_Checked):
 
 
 @dataclass(frozen=True)
-class Supports(_Checked):
+class Supports(Checked):
     """How both vehicles stand on the floor."""
 
     chaser: BallSupport
@@ -272,14 +206,14 @@ class Supports(_Checked):
 
 
 @dataclass(frozen=True)
-class Rail(_Checked):
+class Rail(Checked):
     """Straight rail that guides the chaser along its initial heading."""
 
     length: float = quantity("m", POSITIVE, doc="travel of the chaser until it leaves the rail")
 
 
 @dataclass(frozen=True)
-class String(_Checked):
+class String(Checked):
     """String, pulley and hanging mass.
 
     Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third
@@ -298,7 +232,7 @@ class String(_Checked):
 
 
 @dataclass(frozen=True)
-class Latch(_Checked):
+class Latch(Checked):
     """Spring-loaded latches that hold the tip once it has come to BE.
 
     They hold it where it was caught, by a spring and a damper in each direction, in
@@ -311,7 +245,7 @@ class Latch(_Checked):
 
 
 @dataclass(frozen=True)
-class Stops(_Checked):
+class Stops(Checked):
     """Ends of the probe's stroke: springs with dampers that push but never pull."""
 
     compression: float = quantity("m", POSITIVE, doc="stroke inwards at which the stop is met")
@@ -321,7 +255,7 @@ class Stops(_Checked):
 
 
 @dataclass(frozen=True)
-class PlanarState(_Checked):
+class PlanarState(Checked):
     """Pose and velocity of a vehicle's centre of mass in the world."""
 
     x: float = quantity("m", default=0.0)
@@ -333,7 +267,7 @@ class PlanarState(_Checked):
 
 
 @dataclass(frozen=True)
-class Initial(_Checked):
+class Initial(Checked):
     """Where both vehicles start; the buffer starts at rest."""
 
     chaser: PlanarState
@@ -341,7 +275,7 @@ class Initial(_Checked):
 
 
 @dataclass(frozen=True)
-class Run(_Checked):
+class Run(Checked):
     """How long, how fine, how exact."""
 
     t_end: float = quantity("s", POSITIVE, doc="longest run, from the release")
@@ -369,7 +303,7 @@ class Run(_Checked):
 
 
 @dataclass(frozen=True)
-class Detector(_Checked):
+class Detector(Checked):
     """What counts as captured, rebounding, missed and stuck."""
 
     radius: float = quantity("m", POSITIVE, default=0.005, doc="of the capture zone round BE")
@@ -398,7 +332,7 @@ class Detector(_Checked):
 
 
 @dataclass(frozen=True)
-class MotionCapture(_Checked):
+class MotionCapture(Checked):
     """Cameras that see the poses of both vehicles."""
 
     rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of the poses")
@@ -411,7 +345,7 @@ class MotionCapture(_Checked):
 
 
 @dataclass(frozen=True)
-class LoadCell(_Checked):
+class LoadCell(Checked):
     """Load cell between the cone and the target."""
 
     rate: float = quantity("Hz", Range(0.1, 1e6), default=1000.0, doc="of the readings")
@@ -428,7 +362,7 @@ class LoadCell(_Checked):
 
 
 @dataclass(frozen=True)
-class Sensors(_Checked):
+class Sensors(Checked):
     """What measures the bench, beside the truth that the simulator knows."""
 
     motion_capture: MotionCapture | None = None
@@ -437,7 +371,7 @@ class Sensors(_Checked):
 
 
 @dataclass(frozen=True)
-class Scene(_Checked):
+class Scene(Checked):
     """Everything on the bench, and how to run it."""
 
     name: str

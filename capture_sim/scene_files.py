@@ -20,8 +20,9 @@ from typing import Any
 import yaml
 
 from capture_sim.errors import SceneError
+from capture_sim.quantities import refuse
 from capture_sim.resources import config_dir
-from capture_sim.scene import Scene, as_mapping, refuse
+from capture_sim.scene import Scene, as_mapping
 
 
 class _Loader(yaml.SafeLoader):
