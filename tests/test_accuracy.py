@@ -5,85 +5,22 @@ engine at rtol 1e-12; the order-5 pair at 1e-12 confirms that reference, and
 test_second_formulation.py the equations.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import pytest
+from random_accuracy import GRID, difference, measure, residual, residual_ratios, run, sequence
 from random_scenes import random_scenes
 
 from capture_sim import load_scene, scene_names, simulate
-from capture_sim.samples import EventKind
 
 SCENES = 200
-DEFAULT = 1e-8
 #: m: what the default promises, up to 0.35 s after the first touch (measured: 2e-8).
 PROMISED = 1e-6
-#: The check, a run at rtol / 100, tells the error to this factor (measured over 1000 benches:
-#: 1.0 in half of them, 1.5 in 99 %, 12 at worst), down to the floor below.
+#: The check, a run at rtol / 100, tells the error to this factor (docs/random_scenes.md), down
+#: to the floor below.
 TRUST = 20.0
 #: m: a vehicle on its supports that creeps about the limit of rest may stop or not; each time
 #: up to 5 v_eps of its speed are in doubt.
 FLOOR = 5e-8
-#: s after the first touch at which errors are looked at; estimates look at all times before.
-AFTER = np.array([0.1, 0.35, 1.0])
-GRID = np.arange(0.0, 1.0001, 5e-3)
-
-
-def arms(scene):
-    """Metres per unit of each coordinate."""
-    front = scene.buffer.a + scene.rest_length
-    return np.array([1.0, 1.0, front, front, 1.0, 1.0, 1.0, scene.cone.L_T + scene.cone.R_c])
-
-
-def run(scene, times, rtol, method="dop853", check=False):
-    settings = replace(scene.run, rtol=rtol, method=method, t_end=float(times[-1]) + 1e-3)
-    return simulate(replace(scene, run=settings), t_eval=times, check=check)
-
-
-def difference(one, other):
-    """Largest difference of two runs at each time (n,), m."""
-    return (np.abs(one.q - other.q) * arms(one.scene)).max(axis=1)
-
-
-def sequence(result):
-    """Kind and wall of every touch and lift-off, in order."""
-    kinds = (EventKind.TOUCH, EventKind.LIFT_OFF)
-    return [(event.kind, event.wall) for event in result.events if event.kind in kinds]
-
-
-def residual(result):
-    """Largest energy residual of a run, of its largest kinetic energy."""
-    energy = result.energy
-    return float(np.abs(energy["energy_residual"]).max() / energy["kinetic"].max())
-
-
-@dataclass
-class Measured:
-    """One bench: what is true of the default run, and what its check says."""
-
-    error: np.ndarray  # largest up to each of AFTER, m
-    estimate: np.ndarray  # likewise, as the check has it
-    peak: float  # relative error of the largest force
-    wrong: bool  # the touch sequence is not the reference's
-    flagged: bool  # the check says that the touch sequence is in doubt
-    on_floor: bool
-
-
-def measure(scene):
-    start = simulate(replace(scene, run=replace(scene.run, t_end=1.0, state_rate=100.0)))
-    touch = next(event.t for event in start.events if event.kind is EventKind.TOUCH)
-    default = run(scene, touch + GRID, DEFAULT, check=True)
-    exact = run(scene, touch + GRID, 1e-12)
-    at = np.searchsorted(GRID, AFTER - 1e-9)
-    forces = [result.touches["peak_force"].max() for result in (default, exact)]
-    return Measured(
-        error=np.maximum.accumulate(difference(default, exact))[at],
-        estimate=default.check.error[at],
-        peak=abs(forces[0] / forces[1] - 1.0),
-        wrong=sequence(default) != sequence(exact),
-        flagged=not default.check.same_touches,
-        on_floor=scene.supports is not None,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -151,14 +88,8 @@ def test_energy_residual_tracks_the_error(method):
 
 def test_energy_residual_tracks_the_error_of_random_benches():
     """In all but a few; it does not see how bouncing makes an error grow."""
-    ratios = []
-    for scene in [s for s in random_scenes(60) if s.supports is None]:
-        times = np.arange(0.0, 0.4, 5e-3)
-        exact = run(scene, times, 1e-12)
-        for rtol in (1e-6, 1e-8, 1e-10):
-            found = run(scene, times, rtol)
-            error = difference(found, exact).max() / scene.probe.tip_radius
-            ratios.append(3.0 * residual(found) / error)
+    scenes = [scene for scene in random_scenes(60) if scene.supports is None]
+    ratios = [ratio for scene in scenes for ratio in residual_ratios(scene)]
     inside = [0.01 < ratio < 100.0 for ratio in ratios]
     assert np.mean(inside) > 0.95
     assert np.median(ratios) == pytest.approx(1.0, rel=0.6)
