@@ -17,7 +17,7 @@ from capture_sim.engine import loop, notebook
 from capture_sim.engine.steps import N_WATCHED
 from capture_sim.errors import SimulationError
 from capture_sim.integration.implicit import make_work
-from capture_sim.integration.pairs import PAIRS, padded
+from capture_sim.integration.pairs import PAIRS
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene import Scene
@@ -91,12 +91,12 @@ class Bench:
         self.scene = scene
         self.plan = plan_launch(scene) if plan is None else plan
         self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
-        self._pair = padded(PAIRS[scene.run.method]())
+        self._pair = PAIRS[scene.run.method]()
         q, v = scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
         sizes = (N_TOTAL, N_STATE, N_TOTAL, N_TOTAL, N_WATCHED, N_WATCHED)
         self._work = [np.zeros(size) for size in sizes]
-        self._K = np.zeros((self._pair.A.shape[1], N_TOTAL))
+        self._K = np.zeros((len(self._pair.C), N_TOTAL))
         self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
         self._scratch = np.zeros(N_SCRATCH)
         self._implicit = make_work(8, N_TOTAL)

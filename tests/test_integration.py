@@ -10,7 +10,7 @@ from capture_sim import Bench, load_scene, simulate
 from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
 from capture_sim.engine import loop
 from capture_sim.integration.explicit import dense, make_stepper
-from capture_sim.integration.pairs import PAIRS, padded
+from capture_sim.integration.pairs import PAIRS
 from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import kernel
 
@@ -28,7 +28,7 @@ STEPPER = make_stepper(pendulum, 2, 3, 2)
 
 def fixed_steps(name, n, t_end=2.0, fractions=()):
     """Integrate with n equal steps; dense values at fractions of the last step."""
-    pair = padded(PAIRS[name]())
+    pair = PAIRS[name]()
     y, weights = np.array([1.0, 0.3, 0.0]), np.ones(2)
     K, F = np.zeros((pair.A.shape[1], 3)), np.zeros((pair.G.shape[0], 3))
     y_s, y_new, out = np.zeros(2), np.zeros(3), np.zeros(3)

@@ -137,20 +137,5 @@ def runge_kutta_4() -> Pair:
     )
 
 
-def padded(pair: Pair) -> Pair:
-    """Return a pair with its columns filled up with zeros to a multiple of four.
-
-    The compiled loops take stages four at a time; K needs as many rows as ``A`` columns.
-    """
-
-    def wide(values: np.ndarray) -> np.ndarray:
-        columns = 4 * (-(-pair.A.shape[1] // 4))
-        out = np.zeros((*values.shape[:-1], columns))
-        out[..., : values.shape[-1]] = values
-        return out
-
-    return pair._replace(A=wide(pair.A), E5=wide(pair.E5), E3=wide(pair.E3), G=wide(pair.G))
-
-
 #: Pairs by the name of the method; "rk4" runs with fixed steps.
 PAIRS = {"dopri5": dormand_prince_5, "dop853": dormand_prince_853, "rk4": runge_kutta_4}
