@@ -3,6 +3,7 @@
 import fcntl
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -20,6 +21,9 @@ def _claim_domain():
             return domain, lock
     raise RuntimeError("all ROS domains from 1 to 101 are taken by other test sessions")
 
+
+# A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()
