@@ -74,7 +74,8 @@ class Bench:
     plan
         How it is launched; None lets :func:`capture_sim.launching.plan_launch` decide.
     trace
-        Keep the contact at the integrator's own resolution, see :attr:`trace`.
+        Keep the contact at the integrator's own resolution, see :attr:`trace`; also where
+        ``scene.run.trace`` asks for it.
 
     Examples
     --------
@@ -103,7 +104,7 @@ class Bench:
         self._mode = np.zeros(1, MODE)
         self._run = np.zeros(1, notebook.RUN)
         self._event_room = np.zeros(_EVENT_ROOM, notebook.EVENT)
-        self._trace_room = np.zeros(_TRACE_ROOM if trace else 0, SAMPLE)
+        self._trace_room = np.zeros(_TRACE_ROOM if trace or scene.run.trace else 0, SAMPLE)
         self._traced: list[np.ndarray] = []
         self._begin()
         self._touches: list[np.void] = []
@@ -152,7 +153,9 @@ class Bench:
 
         Empty unless asked for.  A touch's own start, with no force yet, is an event.
         """
-        return np.concatenate([np.zeros(0, SAMPLE), *self._traced])
+        if len(self._traced) != 1:
+            self._traced = [np.concatenate([np.zeros(0, SAMPLE), *self._traced])]
+        return self._traced[0]
 
     @property
     def events(self) -> list[Event]:

@@ -96,6 +96,18 @@ SAMPLE = np.dtype(
     ]
 )
 
+#: The contact at the end of one of the integrator's steps; as in msg/ContactTrace.msg.
+TRACE = np.dtype(
+    [
+        (name, SAMPLE[name])
+        for name in (
+            *("t", "walls", "q", "v", "tip_axial", "tip_lateral"),
+            *("penetration", "penetration_rate", "normal_force", "friction_force", "impulse"),
+            *("elastic_contact", "dissipated_contact", "dissipated_friction"),
+        )
+    ]
+)
+
 #: One touch of a wall, from located start to located end.
 TOUCH = np.dtype(
     [

@@ -294,6 +294,10 @@ class Run(Checked):
         default=False,
         metadata={"doc": "Radau IIA in sustained contact, where stability alone limits the step"},
     )
+    trace: bool = field(
+        default=False,
+        metadata={"doc": "the contact at the integrator's own steps as well (ContactTrace)"},
+    )
     step: float = quantity(
         "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
     )

@@ -77,7 +77,7 @@ class Result:
         How far the run can be trusted, if that was asked for.
     trace : ndarray (k,) of dtype SAMPLE or None
         The contact at the integrator's own resolution, if that was asked for: samples at the
-        ends of its steps while a wall is touched.
+        ends of its steps while a wall is touched.  It is recorded with the run.
     """
 
     scene: Scene
@@ -164,7 +164,7 @@ def simulate(
     check
         Run a second time, finer (see :class:`Check`), and tell how far the two agree.
     trace
-        Keep the contact at the integrator's own resolution.
+        Keep the contact at the integrator's own resolution, as with ``scene.run.trace``.
 
     Returns
     -------
@@ -183,10 +183,12 @@ def simulate(
         run = dataclasses.replace(run, t_end=t_end)
     if rtol is not None:
         run = dataclasses.replace(run, rtol=rtol)
+    if trace:
+        run = dataclasses.replace(run, trace=True)
     scene = dataclasses.replace(scene, run=run)
     compile_kernels()
     began = time.perf_counter()
-    bench = Bench(scene, trace=trace)
+    bench = Bench(scene)
     blocks: list[np.ndarray] = []
     statuses: list[CaptureStatus] = []
     extra = None if t_eval is None else np.asarray(t_eval, dtype=float)
@@ -207,7 +209,7 @@ def simulate(
         statistics=bench.statistics,
         wall_time=time.perf_counter() - began,
         failure="" if failure is None else str(failure),
-        trace=bench.trace if trace else None,
+        trace=bench.trace if run.trace else None,
     )
     if failure is not None:
         failure.result = result

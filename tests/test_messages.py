@@ -51,8 +51,8 @@ from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 
 @pytest.fixture(scope="module")
 def result():
-    sensors = ["sensors.motion_capture={}", "sensors.load_cell={}"]
-    return capture_sim.simulate(capture_sim.load_scene("tilt_p10", sensors))
+    everything = ["sensors.motion_capture={}", "sensors.load_cell={}", "run.trace=true"]
+    return capture_sim.simulate(capture_sim.load_scene("tilt_p10", everything))
 
 
 @pytest.fixture(scope="module")
@@ -259,11 +259,11 @@ def test_stream_does_not_depend_on_how_the_run_is_cut(result, run, cut):
         bench = capture_sim.Bench(result.scene)
         telemetry = BenchTelemetry(offline_messages(), result.scene, run)
         sent = list(telemetry.begin())
-        k = seen = 0
+        k = seen = traced = 0
         while not bench.done:
             samples = bench.advance(bench.times(k, size))
-            sent += telemetry.block(samples, bench.events[seen:])
-            k, seen = k + size, len(bench.events)
+            sent += telemetry.block(samples, bench.events[seen:], bench.trace[traced:])
+            k, seen, traced = k + size, len(bench.events), len(bench.trace)
         return serialised([*sent, *telemetry.end()])
 
     assert bench_stream(cut) == bench_stream(2500)
@@ -377,6 +377,7 @@ def test_every_message_is_the_same_bytes_from_rclpy_and_from_rosbags(result, str
         both.joint_states(sample)
         both.sensed_pose(sample["t"], (0.1, -0.2, 3.0))
         both.sensed_wrench(sample["t"], (1.5, -2.5, 0.5))
+    both.contact_trace(3, 0.5, result.trace[:7])
     for k, event in enumerate(result.events):
         both.bench_event(k, event)
     for k, status in enumerate(result.statuses[::50]):

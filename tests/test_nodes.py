@@ -39,7 +39,8 @@ def kernels():
 
 @pytest.fixture(scope="module")
 def scenes():
-    return [load_scene(name) for name in NAMES]
+    # one of them with its contact at the integrator's own steps
+    return [load_scene("tilt_0"), load_scene("tilt_p10", ["run.trace=true"])]
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +106,16 @@ def test_suite_and_offline_run_record_the_same_messages(name, suites, scenes, tm
     assert live.topics == offline.topics
     for topic in {key.lstrip("/") for key in live.topics} - OF_THE_RUN - JUDGED:
         assert live.raw(topic) == offline.raw(topic), topic
+
+
+def test_trace_of_the_contact_is_sent_where_it_is_asked_for_and_changes_nothing(suites):
+    assert suites[0]["tilt_0"].topics["/bench/contact_trace"] == 0
+    live = suites[0]["tilt_p10"]
+    assert live.topics["/bench/contact_trace"] > 100
+    # the offline run has it as well, see above; this one has not
+    assert same_bits(live.samples, simulate(load_scene("tilt_p10")).samples)
+    offline = simulate(load_scene("tilt_p10"), trace=True)
+    assert same_bits(live.trace["normal_force"], offline.trace["normal_force"])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -54,8 +54,8 @@ NAME = "tilt_m10"
 
 @pytest.fixture(scope="module")
 def result():
-    sensors = ["sensors.motion_capture={}", "sensors.load_cell={}"]
-    return capture_sim.simulate(capture_sim.load_scene(NAME, sensors))
+    everything = ["sensors.motion_capture={}", "sensors.load_cell={}", "run.trace=true"]
+    return capture_sim.simulate(capture_sim.load_scene(NAME, everything))
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +106,9 @@ def test_messages_written_by_columns_are_those_of_the_nodes(path, sent):
     [
         ("paper_designed", ["run.t_end=1.5"]),
         ("tilt_p10", ["run.state_rate=900", "run.rate=100"]),
+        ("tilt_p10", ["run.trace=true"]),
+        # ends within a touch; some samples and steps fall on one instant
+        ("paper_designed", ["run.trace=true", "run.t_end=0.1", "run.method=rk4"]),
         ("tilt_0", ["run.rate=1000", "run.t_end=3.1"]),
         ("tilt_0", ["latch=null", "run.t_end=11.0", "run.rate=7.8125", "run.state_rate=1000"]),
     ],

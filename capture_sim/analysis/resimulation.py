@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.samples import SAMPLE, Event
+from capture_sim.samples import SAMPLE, TRACE, Event
 
 
 @dataclass(frozen=True)
@@ -43,21 +43,28 @@ class Agreement:
         Fields that differ; empty when the runs are bit for bit the same.
     same_events
         Both have the same events at the same times, as far as both go.
+    same_trace
+        Both have the same trace of the contact, bit for bit, as far as both go.
     """
 
     compared: int
     only: int
     differences: tuple[Difference, ...]
     same_events: bool
+    same_trace: bool
 
     @property
     def identical(self) -> bool:
         """Bit for bit the same, as far as both go."""
-        return not self.differences and self.same_events
+        return not self.differences and self.same_events and self.same_trace
 
 
 def agreement(
-    a: np.ndarray, b: np.ndarray, events_a: Sequence[Event], events_b: Sequence[Event]
+    a: np.ndarray,
+    b: np.ndarray,
+    events_a: Sequence[Event],
+    events_b: Sequence[Event],
+    traces: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Agreement:
     """Compare samples at the times that both runs have.
 
@@ -67,6 +74,9 @@ def agreement(
         (n,) and (m,) of dtype SAMPLE.
     events_a, events_b
         In order.
+    traces
+        Both runs' contact at the integrator's own steps, with the fields of TRACE, where they
+        have one.
     """
     times, in_a, in_b = np.intersect1d(a["t"], b["t"], return_indices=True)
     a_there, b_there = a[in_a], b[in_b]
@@ -84,4 +94,11 @@ def agreement(
         for events in (events_a, events_b)
     )
     only = len(a) + len(b) - 2 * len(times)
-    return Agreement(len(times), only, tuple(found), told_a == told_b)
+    same_trace = traces is None or _same_points(*traces, until)
+    return Agreement(len(times), only, tuple(found), told_a == told_b, same_trace)
+
+
+def _same_points(a: np.ndarray, b: np.ndarray, until: float) -> bool:
+    # what was cut off may lack the points behind its last sample
+    a, b = a[a["t"] < until], b[b["t"] < until]
+    return len(a) == len(b) and all(np.array_equal(a[n], b[n]) for n in TRACE.names or ())

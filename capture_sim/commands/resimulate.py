@@ -39,7 +39,8 @@ def run(options: argparse.Namespace) -> int:
         raise RecordingError(f"{options.recording}: holds no bench/state to compare with")
     compile_first()
     again = simulate(scene)
-    found = agreement(recorded.samples, again.samples, recorded.events, again.events)
+    traces = None if again.trace is None else (recorded.trace, again.trace)
+    found = agreement(recorded.samples, again.samples, recorded.events, again.events, traces)
     say(f"{found.compared} samples compared, {found.only} in one run alone")
     if found.identical:
         say("identical, bit for bit, events included")
@@ -50,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if not found.same_events:
         say("  the events differ")
+    if not found.same_trace:
+        say("  the traces of the contact differ")
     before = recorded.metadata.get("software", "").split("\n")
     for line in sorted(set(before) ^ set(software_versions())):
         if line:

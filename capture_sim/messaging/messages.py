@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture_sim.samples import SAMPLE, Event, Phase
+from capture_sim.samples import SAMPLE, TRACE, Event, Phase
 
 if TYPE_CHECKING:
     from capture_sim.detection.decisions import CaptureStatus
@@ -237,6 +237,7 @@ class Messages:
         self._bench_state = ours("BenchState")
         self._buffer_state = ours("BufferState")
         self._contact_state = ours("ContactState")
+        self._contact_trace = ours("ContactTrace")
         self._string_state = ours("StringState")
         self._bench_event = ours("BenchEvent")
         self._capture_status = ours("CaptureStatus")
@@ -323,6 +324,18 @@ class Messages:
             peak_force=since.peak_force,
             impulse=since.impulse,
             touches=since.touches,
+        )
+
+    def contact_trace(self, seq: int, t: float, points: np.ndarray) -> Message:
+        """Return ContactTrace of points, (n,) with the fields of TRACE, told at a time, s."""
+        fields = {name: points[name].ravel().tolist() for name in TRACE.names or ()}
+        return self._contact_trace(
+            header=self.header(t, CONE_FRAME),
+            seq=seq,
+            **{
+                name: self._sequence("B" if name == "walls" else "d", values)
+                for name, values in fields.items()
+            },
         )
 
     def string_state(

@@ -31,6 +31,7 @@ from capture_sim.messaging.topics import (
     CHASER_POSE,
     CLOCK,
     CONTACT_STATE,
+    CONTACT_TRACE,
     CONTACT_WRENCH,
     JOINT_STATES,
     LAUNCH_COMMAND,
@@ -46,7 +47,7 @@ from capture_sim.messaging.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.samples import Event, EventKind
+from capture_sim.samples import SAMPLE, Event, EventKind
 
 if TYPE_CHECKING:
     from capture_sim.detection.decisions import CaptureStatus
@@ -108,9 +109,9 @@ class _Stream:
 class BenchTelemetry(_Stream):
     """What the simulator sends: begin, any number of blocks, end.
 
-    For every sample k come, in this order, the events before its time, BenchState, and when
-    k is a multiple of ``state_rate / rate`` the clock and the periodic messages.  Nothing
-    depends on how the run is cut into blocks.
+    For every sample k come, in this order, the events before its time, BenchState, the trace
+    of the contact before its time, and when k is a multiple of ``state_rate / rate`` the clock
+    and the periodic messages.  Nothing depends on how the run is cut into blocks.
 
     Parameters
     ----------
@@ -145,12 +146,18 @@ class BenchTelemetry(_Stream):
         self._interval = ContactInterval()
         self._sensors = None if scene.sensors is None else Sensors(scene)
         self._pending: list[Event] = []
+        self._trace = np.zeros(0, SAMPLE)  # points that wait for a later sample
 
     def begin(self) -> Iterator[Sent]:
         """Yield what comes before the first sample."""
         yield self._sent(RUN_INFO, self._messages.run_info(self._run))
 
-    def block(self, samples: np.ndarray, events: Iterable[Event] = ()) -> Iterator[Sent]:
+    def block(
+        self,
+        samples: np.ndarray,
+        events: Iterable[Event] = (),
+        trace: np.ndarray | None = None,
+    ) -> Iterator[Sent]:
         """Yield the messages of the next samples and of new events.
 
         Parameters
@@ -160,8 +167,12 @@ class BenchTelemetry(_Stream):
         events
             Events since the last block, in order; those later than the last
             sample wait for the next block.
+        trace
+            The contact since the last block, (m,) of dtype SAMPLE, in order; likewise.
         """
         self._pending.extend(events)
+        if trace is not None and len(trace):
+            self._trace = np.concatenate([self._trace, trace])
         first = self._counts[BENCH_STATE]
         times = samples["t"].tolist()
         states = self._states(first, samples)
@@ -170,6 +181,9 @@ class BenchTelemetry(_Stream):
             while self._pending and _precedes(self._pending[0], times[i]):
                 yield self._event(self._pending.pop(0))
             yield self._sent(BENCH_STATE, state)
+            if len(self._trace):
+                # a step that ends with the sample itself may be known only later
+                yield from self._traced(times[i], self._trace["t"].searchsorted(times[i]))
             if (first + i) % self._every == 0:
                 self._interval.add_samples(samples[unseen : i + 1])
                 unseen = i + 1
@@ -189,18 +203,27 @@ class BenchTelemetry(_Stream):
             How many of each topic have been sent since.
         """
         self._pending.clear()
+        self._trace = self._trace[:0]
         self._counts = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
 
     def end(self, *, complete: bool = True, reason: str = "") -> Iterator[Sent]:
-        """Yield the events after the last sample and the counts of all streams."""
+        """Yield the events and trace after the last sample, and the counts of all streams."""
         while self._pending:
             yield self._event(self._pending.pop(0))
+        yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
         yield self._end(complete=complete, reason=reason)
 
     def _event(self, event: Event) -> Sent:
         self._interval.add_event(event)
         seq = self._counts[BENCH_EVENT]
         return self._sent(BENCH_EVENT, self._messages.bench_event(seq, event))
+
+    def _traced(self, t: float, count: int) -> Iterator[Sent]:
+        """Yield the first ``count`` points that wait, told at time ``t``."""
+        if count:
+            points, self._trace = self._trace[:count], self._trace[count:]
+            seq = self._counts[CONTACT_TRACE]
+            yield self._sent(CONTACT_TRACE, self._messages.contact_trace(seq, t, points))
 
     def _periodic(self, sample: np.void, seq: int) -> Iterator[Sent]:
         make = self._messages

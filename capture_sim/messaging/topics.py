@@ -84,6 +84,10 @@ RUN_INFO = Topic(
 BENCH_STATE = Topic(
     "bench/state", "capture_sim/msg/BenchState", (SIMULATOR,), Rate.STATE, sequenced=True
 )
+# where the scene asks for it; never more than one message a sample, so no queue overflows
+CONTACT_TRACE = Topic(
+    "bench/contact_trace", "capture_sim/msg/ContactTrace", (SIMULATOR,), Rate.EVENT, sequenced=True
+)
 BUFFER_STATE = Topic(
     "bench/buffer", "capture_sim/msg/BufferState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
 )
@@ -164,6 +168,7 @@ TOPICS: tuple[Topic, ...] = (
     LAUNCH_COMMAND,
     BENCH_EVENT,
     BENCH_STATE,
+    CONTACT_TRACE,
     CLOCK,
     BUFFER_STATE,
     CONTACT_STATE,

@@ -55,7 +55,7 @@ class Stepping:
         self._telemetry = telemetry
         self._control = control
         self._pacer = pacer
-        self._events = 0  # of the bench that are handed on
+        self._events = self._traced = 0  # of the bench that are handed on
         self._spent = 0.0  # wall, s, running
         self._since: float | None = None  # wall, since when it runs
         self._simulated = 0.0  # s, while running
@@ -111,7 +111,8 @@ class Stepping:
                 samples, failure = error.partial, str(error)
             leave_room(self.count + len(samples))
             events, self._events = self.bench.events[self._events :], len(self.bench.events)
-            block = self._telemetry.block(samples, events)
+            trace, self._traced = self.bench.trace[self._traced :], len(self.bench.trace)
+            block = self._telemetry.block(samples, events, trace)
             for sample, due in zip(samples, _by_sample(block), strict=True):
                 self._send(due, float(sample["t"]), send)
                 self.residual = float(sample["energy_residual"])

@@ -32,6 +32,7 @@ from capture_sim.messaging.topics import (
     CHASER_ODOMETRY,
     CLOCK,
     CONTACT_STATE,
+    CONTACT_TRACE,
     CONTACT_WRENCH,
     JOINT_STATES,
     LAUNCH_COMMAND,
@@ -87,6 +88,10 @@ class ColumnStream:
         at = [-1 if event.kind is EventKind.RELEASE else event.t for event in result.events]
         places = np.searchsorted(result.samples["t"], at, side="right")
         self._event_places = np.maximum.accumulate(places) if len(places) else places
+        # the trace is told with the first sample that is later
+        self._trace = result.samples[:0] if result.trace is None else result.trace
+        places = np.searchsorted(result.samples["t"], self._trace["t"], side="right")
+        self._trace_places, self._trace_starts = np.unique(places, return_index=True)
         since = columns_of.since_last_message(result.samples, result.events, self._every)
         self._since = since
         # a judgement follows the first periodic sample that is not earlier; the verdict all
@@ -124,6 +129,9 @@ class ColumnStream:
         for seq, event in enumerate(result.events):
             if self._event_places[seq] == count:
                 yield BENCH_EVENT, make.bench_event(seq, event)
+        for seq in np.flatnonzero(self._trace_places == count).tolist():
+            points = self._points(seq)
+            yield CONTACT_TRACE, make.contact_trace(seq, float(points["t"][-1]), points)
         told = -(-count // self._every)
 
         def counts(publisher: str, sent: dict[str, int]) -> Sent:
@@ -137,6 +145,7 @@ class ColumnStream:
             if topic is not STREAM_COUNTS
         }
         sent[BENCH_EVENT.name] = len(result.events)
+        sent[CONTACT_TRACE.name] = len(self._trace_places)
         yield counts(SIMULATOR, sent)
         # two commands and two states at the release
         sent = {LAUNCH_COMMAND.name: 2, LAUNCHER_STATE.name: told + 2}
@@ -171,7 +180,11 @@ class ColumnStream:
         )
         add(self._events(chosen), self._event_places[chosen], 0)
         add([self._rows(BENCH_STATE, samples, first, columns_of.bench_states)], every_sample, 1)
-        for rank, rows in enumerate(self._periodic(told, begin), 2):
+        chosen = np.flatnonzero(
+            (self._trace_places >= first) & (self._trace_places < first + len(samples))
+        )
+        add(self._traced(chosen), self._trace_places[chosen], 2)
+        for rank, rows in enumerate(self._periodic(told, begin), 3):
             add([rows], every_set, rank)
         add(self._launcher_states(told, begin), every_set, 98)
         if judged.size:
@@ -256,6 +269,21 @@ class ColumnStream:
             )
             time = columns_of.stamps_ns(np.array([event.t]))
             yield Rows(BENCH_EVENT, time, np.frombuffer(data, dtype=np.uint8)[np.newaxis])
+
+    def _traced(self, chosen: np.ndarray) -> Iterator[Rows]:
+        times = self._result.samples["t"][self._trace_places[chosen]]
+        stamps = columns_of.stamps_ns(times)
+        for i, (seq, t) in enumerate(zip(chosen.tolist(), times.tolist(), strict=True)):
+            data = self._store.serialize_cdr(
+                self._messages.contact_trace(seq, t, self._points(seq)), CONTACT_TRACE.type_name
+            )
+            row = np.frombuffer(data, dtype=np.uint8)[np.newaxis]
+            yield Rows(CONTACT_TRACE, stamps[i : i + 1], row)
+
+    def _points(self, seq: int) -> np.ndarray:
+        """Return the points of the trace's message of that number."""
+        starts = [*self._trace_starts.tolist(), len(self._trace)]
+        return self._trace[starts[seq] : starts[seq + 1]]
 
     def _launcher_states(self, told: np.ndarray, begin: int) -> Iterator[Rows]:
         scene = self._result.scene

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from capture_sim.errors import RecordingError
+from capture_sim.messaging.topics import CONTACT_TRACE
 from capture_sim.recording.reader import Run
+from capture_sim.samples import TRACE
 
 #: Column of the log times.
 LOG_TIME = "log_time_ns"
@@ -17,16 +19,26 @@ LOG_TIME = "log_time_ns"
 def flat_columns(run: Run, topic: str) -> dict[str, np.ndarray]:
     """Return a topic's fields with the log time first; (n, m) ones as m columns ``name.i``.
 
-    Sequences whose length differs stay one column of objects.
+    Sequences whose length differs stay one column of objects.  The contact's trace has a row
+    for every point.
     """
-    found: dict[str, np.ndarray] = {LOG_TIME: run.log_times(topic)}
-    for name, column in run.columns(topic).items():
+    found: dict[str, np.ndarray] = {}
+    for name, column in _table(run, topic).items():
         if column.ndim == 1:
             found[name] = column
         else:
             for i in range(column.shape[1]):
                 found[f"{name}.{i}"] = column[:, i]
     return found
+
+
+def _table(run: Run, topic: str) -> dict[str, np.ndarray]:
+    """Return the log times and a topic's fields, (n,) or (n, m)."""
+    columns, times = run.columns(topic), run.log_times(topic)
+    if topic.strip("/") == CONTACT_TRACE.name:
+        times = np.repeat(times, [len(t) for t in columns["t"]])
+        columns = {name: run.trace[name] for name in TRACE.names or ()}
+    return {LOG_TIME: times, **columns}
 
 
 def table_name(topic: str) -> str:
@@ -72,7 +84,7 @@ def save_npz(run: Run, path: Path) -> Path:
     """
     arrays: dict[str, np.ndarray] = {}
     for topic in _told(run):
-        for name, column in {LOG_TIME: run.log_times(topic), **run.columns(topic)}.items():
+        for name, column in _table(run, topic).items():
             arrays[f"{topic.strip('/')}/{name}"] = (
                 np.array([str(_cell(x)) for x in column]) if column.dtype == object else column
             )

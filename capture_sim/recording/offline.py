@@ -128,7 +128,7 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     *judged, verdict = result.statuses
     waiting = deque(judged)
     periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])
-    for topic, message in bench.block(samples, result.events):
+    for topic, message in bench.block(samples, result.events, result.trace):
         yield topic, message
         if topic is bench.LAST_PERIODIC:
             sample = next(periodic)

@@ -19,6 +19,7 @@ from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_STATUS,
+    CONTACT_TRACE,
     STREAM_COUNTS,
     topic_named,
 )
@@ -28,7 +29,7 @@ from capture_sim.recording.records import Contents, read_contents
 from capture_sim.recording.recover import RECOVERY_METADATA
 from capture_sim.recording.tally import Tally
 from capture_sim.recording.writer import END_METADATA, RUN_METADATA, SCENE_ATTACHMENT
-from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind
+from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
 from capture_sim.scene_files import load_scene_text
 
 if TYPE_CHECKING:
@@ -237,6 +238,20 @@ class Run:
         for i, touch in enumerate(ended):
             touches[i] = touch
         return touches
+
+    @cached_property
+    def trace(self) -> np.ndarray:
+        """The contact at the integrator's own resolution, (n,) of dtype TRACE.
+
+        Empty where the scene did not ask for it (``run.trace``).
+        """
+        recorded = self.columns(CONTACT_TRACE.name)
+        counts = [len(t) for t in recorded.get("t", ())]
+        trace = np.zeros(sum(counts), dtype=TRACE)
+        for name in (TRACE.names or ()) if counts else ():
+            trace[name] = np.concatenate(list(recorded[name])).reshape(trace[name].shape)
+        trace.flags.writeable = False
+        return trace
 
     @cached_property
     def statuses(self) -> tuple[CaptureStatus, ...]:

@@ -76,6 +76,7 @@ class MeasuredRun:
     touches: np.ndarray
     events: Sequence[Event]
     statuses: Sequence[CaptureStatus]
+    trace: np.ndarray | None = None
 
 
 def samples_of(scene: Scene, measured: Measurements) -> np.ndarray:

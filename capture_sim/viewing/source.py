@@ -34,6 +34,10 @@ class ViewableRun(Protocol):
         """By time."""
 
     @property
+    def trace(self) -> np.ndarray | None:
+        """(k,) with the fields of TRACE, by time: the contact, where it was asked for."""
+
+    @property
     def statuses(self) -> Sequence[CaptureStatus]:
         """The detector's judgements, by time."""
 
@@ -95,14 +99,17 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,), s, and normal force of both walls (n,), N, with every touch in it.
 
     Start, located peak and end of each touch are put in between the samples: most touches are
-    shorter than the distance of two samples and would not be seen.
+    shorter than the distance of two samples and would not be seen.  So is the trace, where the
+    run has one.
     """
     touches, samples = run.touches, run.samples
+    trace = samples[:0] if run.trace is None else run.trace
     nothing = np.zeros(len(touches))
-    t = np.concatenate([samples["t"], touches["start"], touches["peak_time"], touches["end"]])
-    force = np.concatenate(
-        [samples["normal_force"].sum(axis=1), nothing, touches["peak_force"], nothing]
+    sampled = [samples["normal_force"].sum(axis=1), trace["normal_force"].sum(axis=1)]
+    t = np.concatenate(
+        [samples["t"], trace["t"], touches["start"], touches["peak_time"], touches["end"]]
     )
+    force = np.concatenate([*sampled, nothing, touches["peak_force"], nothing])
     t, first = np.unique(t, return_index=True)
     return t, force[first]
 
