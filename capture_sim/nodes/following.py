@@ -39,6 +39,7 @@ from capture_sim.messaging.topics import (
     Topic,
     topics_of,
 )
+from capture_sim.nodes.memory import set_memory_aside, sweep_memory
 from capture_sim.nodes.running import FAILED, OK, BenchNode
 
 RECORDER = "recorder"
@@ -192,6 +193,7 @@ class RunFollower(BenchNode):
 
     def work(self) -> int:
         """Greet the simulator until the process is to end; return the exit status."""
+        set_memory_aside()
         self._settled.wait()
         self.get_logger().info("ready, waiting for a run")
         # Sent by this thread and not by a timer: a callback may compile for a minute, and
@@ -319,5 +321,6 @@ class RunFollower(BenchNode):
         self.run = None
         self._deadline = float("inf")
         self._runs += 1
+        sweep_memory()
         self._acknowledge()
         self._leave_if_alone()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import itertools
 import sys
 import uuid
@@ -35,6 +34,7 @@ from capture_sim.nodes.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.flow_control import Followers
 from capture_sim.nodes.following import INTERRUPTED, RECORDER
 from capture_sim.nodes.gathering import Gathering
+from capture_sim.nodes.memory import set_memory_aside, sweep_memory
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
 from capture_sim.nodes.simulation_services import SimulationServices
@@ -222,8 +222,7 @@ class SimulatorNode(BenchNode):
             self.get_logger().info("compiling the kernels, once: some ten seconds")
         compile_kernels()
         sys.setswitchinterval(SWITCH_INTERVAL)
-        gc.collect()
-        gc.freeze()  # a sweep over all that was imported takes longer than a tick
+        set_memory_aside()
         status = OK
         while self.control.await_start() is not State.QUITTING:
             done, failed = self._go_through_all()
@@ -268,6 +267,7 @@ class SimulatorNode(BenchNode):
 
     def _go_through(self, announced: _Run) -> tuple[str, bool, bool]:
         """Go through a run; return why it failed, whether it begins anew, and was stopped."""
+        sweep_memory()
         with self._followers.changed:
             self._run = announced
         self.control.begin()
