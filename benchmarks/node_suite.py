@@ -29,7 +29,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="default: all")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the paced run (60)")
-    parser.add_argument("--resets", type=int, default=1000, help="(1000)")
+    parser.add_argument("--resets", type=int, default=3000, help="(3000)")
     parser.add_argument("--kills", type=int, default=30, help="(30)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments (1)")
     options = parser.parse_args()

@@ -201,22 +201,27 @@ class Resets:
 
     TITLE = "Resets"
     STEPS = 20
+    NODES = ("simulator", "launcher", "capture_detector")
+    #: Until then the latched histories fill up: 1000 messages each of log and events.
+    FILLED = 1000
 
     @staticmethod
     def run(folder, options):
         with processes(folder) as start, Client() as client:
             node = start(
                 "simulator",
-                consumers="[launcher]",
+                consumers="[launcher,capture_detector]",
                 initial_state="stopped",
                 exit_when_done="false",
                 scenes="[paper_designed]",
             )
-            start("launcher", exit_when_done="false")
+            nodes = [node, *(start(name, exit_when_done="false") for name in Resets.NODES[1:])]
             simulation = Simulation(client)
-            process = psutil.Process(node.process.pid)
+            watched = [psutil.Process(node.process.pid) for node in nodes]
+            for follower in nodes[1:]:
+                follower.wait_for("ready")
             assert simulation.set(State.PAUSED)[0] == Code.OK
-            memory, differing = [], 0
+            memory, files, differing = [], [], 0
             reference = None
             began = time.monotonic()
             for i in range(options.resets):
@@ -229,31 +234,50 @@ class Resets:
                 )
                 reference = got if reference is None else reference
                 differing += got != reference
+                for kept in (simulation.runs, simulation.clock):
+                    kept.clear()
                 assert simulation.reset()[0] == Code.OK
                 if i % 50 == 49:
-                    memory.append((process.memory_info().rss, process.num_fds()))
+                    memory.append([p.memory_info().rss / 2**20 for p in watched])
+                    files.append(watched[0].num_fds())
             spent = time.monotonic() - began
             simulation.set(State.QUITTING)
             node.status(20.0)
-        half = memory[len(memory) // 2 :]
+        by_node = dict(zip(Resets.NODES, zip(*memory, strict=True), strict=True))
         return {
             "resets": options.resets,
             "differing": differing,
             "each_ms": 1e3 * spent / options.resets,
-            "rss_mb": [round(m[0] / 2**20, 2) for m in memory],
-            "growth_mb_second_half": round((half[-1][0] - half[0][0]) / 2**20, 3),
-            "fds": [memory[0][1], memory[-1][1]],
+            "rss_mb": {name: [round(m, 2) for m in rss] for name, rss in by_node.items()},
+            "fds": [files[0], files[-1]],
             "load": load(),
         }
 
     @staticmethod
     def lines(f):
+        count = len(f["rss_mb"]["simulator"])
+        filled = Resets.FILLED // 50 - 1
+        places = sorted({0, min(filled, count - 1), count // 2, count - 1})
+        marks = [50 * (i + 1) for i in places]
         return [
             f"{f['resets']} resets, each followed by {Resets.STEPS} steps of paper_designed: "
-            f"{f['differing']} of them differ from the first in a bit. Memory of the simulator "
-            f"{f['rss_mb'][0]:.1f} MB at the 50th, {f['rss_mb'][-1]:.1f} MB at the last, "
-            f"{f['growth_mb_second_half']:+.2f} MB over the second half; open files "
-            f"{f['fds'][0]} and {f['fds'][1]}. A reset with its steps took {f['each_ms']:.0f} ms.",
+            f"{f['differing']} of them differ from the first in a bit. The simulator's open files: "
+            f"{f['fds'][0]} at the 50th, {f['fds'][1]} at the last. A reset with its steps took "
+            f"{f['each_ms']:.0f} ms.",
+            "",
+            "| memory, MB | " + " | ".join(f"at the {at}th" for at in marks) + " | since the "
+            f"{marks[1]}th |",
+            "|---" * (len(marks) + 2) + "|",
+            *(
+                row(
+                    name,
+                    [*(f"{rss[i]:.2f}" for i in places), f"{rss[-1] - rss[places[1]]:+.2f}"],
+                )
+                for name, rss in f["rss_mb"].items()
+            ),
+            "",
+            "What grows before is what is latched for latecomers, 1000 messages of a topic at "
+            "most: the log is full after 400 resets, the events (one a reset here) after 1000.",
         ]
 
 
