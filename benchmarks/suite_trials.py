@@ -276,8 +276,9 @@ class Resets:
                 for name, rss in f["rss_mb"].items()
             ),
             "",
-            "What grows before is what is latched for latecomers, 1000 messages of a topic at "
-            "most: the log is full after 400 resets, the events (one a reset here) after 1000.",
+            "What grows before are pools that fill up: up to 1000 messages a topic that DDS keeps "
+            "for latecomers (the log is full after 400 resets, the events, one a reset here, "
+            "after 1000), and those of the allocators.",
         ]
 
 
