@@ -8,7 +8,8 @@ messages in the same order.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from capture_sim.messaging.messages import (
     Message,
     Messages,
     RunDescription,
+    SinceLastMessage,
 )
 from capture_sim.messaging.topics import (
     BENCH_EVENT,
@@ -106,6 +108,76 @@ class _Stream:
         )
 
 
+#: The periodic messages of a sample, in the order in which they are sent.
+PERIODIC = (
+    CLOCK,
+    BUFFER_STATE,
+    CONTACT_STATE,
+    STRING_STATE,
+    CHASER_ODOMETRY,
+    TARGET_ODOMETRY,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+)
+
+
+class BlockMaker(Protocol):
+    """Makes the messages of a block of samples, in whatever form the transport takes."""
+
+    def states(self, first_seq: int, samples: np.ndarray) -> Iterator[Message]:
+        """Yield BenchState of each sample, (n,) of dtype SAMPLE; the first has ``first_seq``."""
+
+    def sets(
+        self, first_seq: int, samples: np.ndarray
+    ) -> Iterator[Callable[[SinceLastMessage], list[Message]]]:
+        """Yield for each sample what makes the messages of PERIODIC, once it is known what
+        the contact did since the set before; the first ones have ``first_seq``.
+        """
+
+
+class OneByOne:
+    """Makes message objects.
+
+    Parameters
+    ----------
+    messages
+        Makes the objects.
+    scene
+        What is on the bench.
+    """
+
+    def __init__(self, messages: Messages, scene: Scene) -> None:
+        self._messages = messages
+        self._has_string = scene.string is not None
+        self._rail_heading = scene.initial.chaser.theta
+
+    def states(self, first_seq: int, samples: np.ndarray) -> Iterator[Message]:
+        """Yield BenchState of each sample, see :class:`BlockMaker`."""
+        return self._messages.bench_states(first_seq, samples)
+
+    def sets(
+        self, first_seq: int, samples: np.ndarray
+    ) -> Iterator[Callable[[SinceLastMessage], list[Message]]]:
+        """Yield what makes the periodic messages of each sample, see :class:`BlockMaker`."""
+        for seq, sample in enumerate(samples, first_seq):
+            yield partial(self._set, seq, sample)
+
+    def _set(self, seq: int, sample: np.void, since: SinceLastMessage) -> list[Message]:
+        make = self._messages
+        return [
+            make.clock(float(sample["t"])),
+            make.buffer_state(seq, sample),
+            make.contact_state(seq, sample, since),
+            make.string_state(
+                seq, sample, has_string=self._has_string, rail_heading=self._rail_heading
+            ),
+            make.chaser_odometry(sample),
+            make.target_odometry(sample),
+            make.contact_wrench(sample),
+            make.joint_states(sample),
+        ]
+
+
 class BenchTelemetry(_Stream):
     """What the simulator sends: begin, any number of blocks, end.
 
@@ -121,28 +193,25 @@ class BenchTelemetry(_Stream):
         What is on the bench.
     run
         The run's description; its rates are used.
-    states
-        Makes the BenchStates of samples, from the first's number on, in whatever form the
-        transport takes; ``messages.bench_states`` unless given.
+    blocks
+        Makes the messages of samples; as objects unless given.
     """
 
     publisher = SIMULATOR
     #: The topic that ends the set of periodic messages of a sample.
-    LAST_PERIODIC = JOINT_STATES
+    LAST_PERIODIC = PERIODIC[-1]
 
     def __init__(
         self,
         messages: Messages,
         scene: Scene,
         run: RunDescription,
-        states: Callable[[int, np.ndarray], Iterator[Message]] | None = None,
+        blocks: BlockMaker | None = None,
     ) -> None:
         super().__init__(messages, run.run_id)
-        self._states = messages.bench_states if states is None else states
+        self._blocks = OneByOne(messages, scene) if blocks is None else blocks
         self._run = run
         self._every = samples_per_message(run.state_rate, run.rate)
-        self._has_string = scene.string is not None
-        self._rail_heading = scene.initial.chaser.theta
         self._interval = ContactInterval()
         self._sensors = None if scene.sensors is None else Sensors(scene)
         self._pending: list[Event] = []
@@ -175,7 +244,9 @@ class BenchTelemetry(_Stream):
             self._trace = np.concatenate([self._trace, trace])
         first = self._counts[BENCH_STATE]
         times = samples["t"].tolist()
-        states = self._states(first, samples)
+        states = self._blocks.states(first, samples)
+        told = samples[-first % self._every :: self._every]
+        sets = self._blocks.sets(-(-first // self._every), told)
         unseen = 0  # first sample the contact's interval has not taken in
         for i, state in enumerate(states):
             while self._pending and _precedes(self._pending[0], times[i]):
@@ -187,7 +258,7 @@ class BenchTelemetry(_Stream):
             if (first + i) % self._every == 0:
                 self._interval.add_samples(samples[unseen : i + 1])
                 unseen = i + 1
-                yield from self._periodic(samples[i], (first + i) // self._every)
+                yield from self._periodic(samples[i], next(sets))
             if self._sensors is not None:
                 yield from self._sensed(samples[i], self._sensors)
         self._interval.add_samples(samples[unseen:])
@@ -225,20 +296,11 @@ class BenchTelemetry(_Stream):
             seq = self._counts[CONTACT_TRACE]
             yield self._sent(CONTACT_TRACE, self._messages.contact_trace(seq, t, points))
 
-    def _periodic(self, sample: np.void, seq: int) -> Iterator[Sent]:
-        make = self._messages
-        yield self._sent(CLOCK, make.clock(float(sample["t"])))
-        yield self._sent(BUFFER_STATE, make.buffer_state(seq, sample))
-        since = self._interval.take(sample)
-        yield self._sent(CONTACT_STATE, make.contact_state(seq, sample, since))
-        string = make.string_state(
-            seq, sample, has_string=self._has_string, rail_heading=self._rail_heading
-        )
-        yield self._sent(STRING_STATE, string)
-        yield self._sent(CHASER_ODOMETRY, make.chaser_odometry(sample))
-        yield self._sent(TARGET_ODOMETRY, make.target_odometry(sample))
-        yield self._sent(CONTACT_WRENCH, make.contact_wrench(sample))
-        yield self._sent(JOINT_STATES, make.joint_states(sample))
+    def _periodic(
+        self, sample: np.void, make: Callable[[SinceLastMessage], list[Message]]
+    ) -> Iterator[Sent]:
+        for topic, message in zip(PERIODIC, make(self._interval.take(sample)), strict=True):
+            yield self._sent(topic, message)
 
     def _sensed(self, sample: np.void, sensors: Sensors) -> Iterator[Sent]:
         t, read = float(sample["t"]), sensors.read(sample)

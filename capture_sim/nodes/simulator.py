@@ -37,8 +37,8 @@ from capture_sim.nodes.gathering import Gathering
 from capture_sim.nodes.memory import set_memory_aside, sweep_memory
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
+from capture_sim.nodes.serialised import SerialisedBlocks
 from capture_sim.nodes.simulation_services import SimulationServices
-from capture_sim.nodes.state_stream import StateStream
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene
@@ -140,7 +140,6 @@ class SimulatorNode(BenchNode):
         self._session = uuid.uuid4().hex[:24]
         self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
-        self._states = StateStream(self.messages)
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
         self._rival = ""  # experiment of another simulator on the same topics
         self.open(topics_of(SIMULATOR))
@@ -304,7 +303,8 @@ class SimulatorNode(BenchNode):
             scene, self._run.id, self._reporting, consumers=self._followers.names
         )
         with self._followers.changed:
-            self._telemetry = BenchTelemetry(self.messages, scene, description, self._states)
+            blocks = SerialisedBlocks(self.messages, scene)
+            self._telemetry = BenchTelemetry(self.messages, scene, description, blocks)
         self._model.begin(scene)
         for sent in self._telemetry.begin():
             self.send(*sent)
