@@ -1,0 +1,122 @@
+"""No parameter of any node takes a wrong value while a run is on, and the run notices nothing."""
+
+from dataclasses import fields
+
+import pytest
+from bench_processes import Client, processes
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+)
+from rclpy.parameter import Parameter, parameter_value_to_python
+
+from capture_sim import load_scene, simulate
+from capture_sim.bench import compile_kernels
+from capture_sim.recording import read_run
+from capture_sim.scene import Detector
+
+NODES = ("simulator", "launcher", "capture_detector", "recorder")
+# of every ROS 2 node
+COMMON = ("use_sim_time", "start_type_description_service", "qos_overrides")
+# what may be changed while a node runs, with values that may not: all others are read-only
+WRONG = {
+    "simulator": {
+        "pace": [-0.5, 1001.0, float("nan"), "fast", 2],
+        "scenes": [["tilt_1"], ["tilt_0", "tilt_0"], ["tilt_p10"], "tilt_p10"],
+        "overrides": [["buffer.c_A=-1"], ["buffer.c_B=1"], ["buffer.c_A=13"], 3.0],
+    },
+    "launcher": {
+        "auto_release": ["no", 0],
+        "speed_tolerance": [0.0, 10.5, float("nan"), "large"],
+    },
+    "capture_detector": {field.name: [-1.0, float("nan"), "small"] for field in fields(Detector)},
+    "recorder": {},
+}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """All nodes within a run in real time, who talks to them, and where it is recorded."""
+    compile_kernels()
+    out = tmp_path_factory.mktemp("refused") / "out"
+    with processes(out.parent) as start, Client() as client:
+        nodes = {
+            "recorder": start("recorder", out=out),
+            "capture_detector": start("capture_detector"),
+            "launcher": start("launcher"),
+            "simulator": start("simulator", pace=0.5, initial_state="playing"),
+        }
+        nodes["simulator"].wait_for("released")
+        yield nodes, client, out / "tilt_0.mcap"
+
+
+def own_parameters(client, node):
+    names = client.ask(ListParameters, f"/{node}/list_parameters").result.names
+    return [name for name in names if name.split(".")[0] not in COMMON]
+
+
+def present(client, node, name):
+    """Return a parameter's value; None where none is set."""
+    values = client.ask(GetParameters, f"/{node}/get_parameters", names=[name]).values
+    return parameter_value_to_python(values[0]) if values else None
+
+
+def refusal(client, node, name, value):
+    """Try to set a parameter; return the reason why it was not."""
+    wanted = Parameter(name, value=value).to_parameter_msg()
+    [result] = client.ask(SetParameters, f"/{node}/set_parameters", parameters=[wanted]).results
+    assert not result.successful, (name, value)
+    return result.reason
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_wrong_values_are_refused_with_a_reason_during_a_run(node, bench):
+    nodes, client, _ = bench
+    names = own_parameters(client, node)
+    assert set(WRONG[node]) <= set(names)
+    before = {name: present(client, node, name) for name in names}
+    for name, value in before.items():
+        for wrong in WRONG[node].get(name, ()):
+            assert len(refusal(client, node, name, wrong)) > 20
+        if name not in WRONG[node]:
+            # not even the value that it has: nothing is promised that is not kept
+            assert "read-only" in refusal(client, node, name, ["x"] if value is None else value)
+    assert {name: present(client, node, name) for name in names} == before
+    assert "done, " not in nodes["simulator"].text  # the run was on all the time
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_parameters_are_described_with_their_range(node, bench):
+    _, client, _ = bench
+    names = own_parameters(client, node)
+    described = client.ask(
+        DescribeParameters, f"/{node}/describe_parameters", names=names
+    ).descriptors
+    for parameter in described:
+        assert parameter.description
+        assert parameter.additional_constraints
+        assert parameter.read_only == (parameter.name not in WRONG[node])
+
+
+def test_reasons_say_what_is_wrong(bench):
+    _, client, _ = bench
+    for node, name, value, words in (
+        ("simulator", "scenes", ["tilt_p10"], "stopped; it is playing"),
+        ("simulator", "pace", 1001.0, "1000"),
+        ("launcher", "speed_tolerance", 0.0, "0.01"),
+        ("capture_detector", "dwell", -1.0, "dwell = -1.0 s: allowed is >= 0"),
+        ("recorder", "out", "elsewhere", "read-only"),
+        ("recorder", "split_time", 1.0, "read-only"),
+        ("recorder", "paused", True, "read-only"),
+    ):
+        assert words in refusal(client, node, name, value), (node, name)
+
+
+def test_run_notices_nothing_of_the_refusals(bench):
+    nodes, _, path = bench
+    assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(NODES, 0)
+    run = read_run(path)
+    assert run.complete
+    assert run.samples.tobytes() == simulate(load_scene("tilt_0")).samples.tobytes()
