@@ -9,16 +9,17 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test lint picture format clean
+.PHONY: help setup run test test-numpy1 lint picture format clean
 
 help:
-	@echo "make run     set up and run the three experiments; results in runs/"
-	@echo "make test    set up, check the style and run the tests"
-	@echo "make setup   only set up .venv; leaves .venv/bin/capture-sim"
-	@echo "make lint    only check style and types"
-	@echo "make picture remake the pictures in README.md and docs/"
-	@echo "make format  lay out the Python files as lint wants them"
-	@echo "make clean   remove .venv and everything built; keeps runs/"
+	@echo "make run         set up and run the three experiments; results in runs/"
+	@echo "make test        set up, check the style and run the tests"
+	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
+	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
+	@echo "make lint        only check style and types"
+	@echo "make picture     remake the pictures in README.md and docs/"
+	@echo "make format      lay out the Python files as lint wants them"
+	@echo "make clean       remove .venv and everything built; keeps runs/"
 
 setup:
 	@command -v $(PYTHON) >/dev/null || { \
@@ -31,6 +32,15 @@ run: setup
 
 test: lint
 	$(BIN)/python -m pytest tests
+
+# Of what is committed, in a clone with an environment of its own
+test-numpy1:
+	rm -rf build/numpy1
+	git clone -q . build/numpy1
+	$(MAKE) -C build/numpy1 setup
+	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
+	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
+	cd build/numpy1 && $(BIN)/python -m pytest tests
 
 lint: setup
 	$(BIN)/ruff check .
