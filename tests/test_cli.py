@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 from test_scene import BAD
@@ -45,7 +46,8 @@ def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys
     recording = first / "tilt_p10.mcap"
     assert recording.is_file()
     assert (first / "tilt_p10.png").stat().st_size > 20_000
-    assert (first / "runs.rrd").stat().st_size > 10_000
+    if find_spec("rerun"):
+        assert (first / "runs.rrd").stat().st_size > 10_000
     assert main(["run", str(recording), "--no-record", "--out", str(second)]) == 0
 
     def numbers(folder):

@@ -232,7 +232,8 @@ def scan_readings(executor: Executor, readings: Sequence[Reading] = READINGS) ->
 
 def vary_together(executor: Executor, count: int = 192, seed: int = 1) -> Together:
     """Vary all that is open together, by a Latin hypercube of ``count`` samples."""
-    unit = qmc.LatinHypercube(len(OPEN), rng=np.random.default_rng(seed)).random(count)
+    # `seed`: what SciPy 1.11 calls `rng`
+    unit = qmc.LatinHypercube(len(OPEN), seed=np.random.default_rng(seed)).random(count)
     samples = []
     for row in unit.tolist():
         values = [

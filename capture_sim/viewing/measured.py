@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.errors import SceneError
@@ -214,7 +215,7 @@ def _touches(samples: np.ndarray, measured: Measurements) -> np.ndarray:
         wider = samples["penetration"][first : last + 1].max(axis=0)
         touch["wall"] = 1 if wider[0] > wider[1] else -1
         touch["peak_force"], touch["peak_time"] = force[peak], t[peak]
-        touch["impulse"] = np.trapezoid(force[first : last + 1], t[first : last + 1])
+        touch["impulse"] = trapezoid(force[first : last + 1], t[first : last + 1])
         touch["approach_speed"] = touch["dissipated"] = np.nan
     return touches
 
