@@ -20,6 +20,7 @@ import yaml
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
@@ -399,6 +400,25 @@ def test_flipped_bytes_are_seen_in_a_cut_file_too(path, tmp_path):
         (tmp_path / "flipped.mcap").write_bytes(changed)
         with pytest.raises(RecordingError, match="damaged at byte"):
             read_run(tmp_path / "flipped.mcap")
+
+
+def test_messages_come_in_the_order_of_their_times_whatever_the_files(path, tmp_path):
+    # as two recorders' parts put together, or a bag of a reliable but late network
+    run = read_run(path)
+    file = tmp_path / "mixed.mcap"
+    rng = np.random.default_rng(3)
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(BENCH_STATE.type_name, "ros2msg", b"")
+        channel = writer.register_channel(BENCH_STATE.absolute_name, "cdr", schema)
+        times, data = run.log_times("bench/state").tolist(), run.raw("bench/state")
+        for i in rng.permutation(len(times)).tolist():
+            writer.add_message(channel, times[i], data[i], times[i])
+        writer.finish()
+    mixed = read_run(file)
+    assert mixed.raw("bench/state") == data
+    assert mixed.log_times("bench/state").tolist() == times
 
 
 def test_not_a_recording_is_refused_in_one_line(tmp_path):

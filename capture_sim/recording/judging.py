@@ -33,16 +33,14 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
     """
     scene = run.scene if scene is None else scene
     for topic in watched(scene):
-        if not run.raw(topic.name):
+        if not run.raw(topic):
             raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
     store = typestore()
     watch = Watch(scene)
     stored = [
         (int(time), place, topic, data)
         for topic in watched(scene)
-        for place, (time, data) in enumerate(
-            zip(run.log_times(topic.name), run.raw(topic.name), strict=True)
-        )
+        for place, (time, data) in enumerate(zip(run.log_times(topic), run.raw(topic), strict=True))
     ]
     # in the order of recording; within a topic that is the order of arrival
     stored.sort(key=lambda item: item[:2])

@@ -21,6 +21,7 @@ from capture_sim.messaging.topics import (
     CAPTURE_STATUS,
     CONTACT_TRACE,
     STREAM_COUNTS,
+    Topic,
     topic_named,
 )
 from capture_sim.recording.cdr import columns, sequence_of
@@ -46,7 +47,8 @@ def read_run(path: Path | str) -> Run:
 
     It may be a bag of a real bench with the same topics: what is not in it is empty.
     A file whose recorder was killed is read as far as its records are complete, and
-    marked by ``complete`` and ``damage``.
+    marked by ``complete`` and ``damage``.  Messages come in the order of their log times,
+    in whatever order they stand in the file.
 
     Raises
     ------
@@ -91,14 +93,16 @@ class Run:
         """What sequences and counts tell of lost messages and of an early end, in lines."""
         publishers = self.metadata.get("publishers", "").split("\n")
         # when the recording was cut, their counts are missing too
-        recorded = [topic for name in self._contents.messages if (topic := topic_named(name))]
-        tally = Tally([] if self.damage else list(filter(None, publishers)), recorded)
-        for name, messages in self._contents.messages.items():
-            topic = topic_named(name)
-            if topic is not None:
-                for data in messages:
-                    tally.add(topic, sequence_of(topic, data))
-        told = self.columns(STREAM_COUNTS.name)
+        recorded = {
+            topic: messages
+            for name, messages in self._contents.messages.items()
+            if (topic := topic_named(name)) and self._contents.types[name] == topic.type_name
+        }
+        tally = Tally([] if self.damage else list(filter(None, publishers)), list(recorded))
+        for topic, messages in recorded.items():
+            for data in messages:
+                tally.add(topic, sequence_of(topic, data))
+        told = self.columns(STREAM_COUNTS) if STREAM_COUNTS in recorded else {}
         for i, publisher in enumerate(told.get("publisher", ())):
             tally.end(
                 publisher,
@@ -166,23 +170,34 @@ class Run:
         """Number of messages by topic, as named in the file."""
         return {name: len(messages) for name, messages in self._contents.messages.items()}
 
-    def log_times(self, topic: str) -> np.ndarray:
-        """Return the log times of a topic's messages, (n,) int64, ns."""
+    def log_times(self, topic: str | Topic) -> np.ndarray:
+        """Return the log times of a topic's messages, (n,) int64, ns, ascending."""
         return np.array(self._contents.log_times.get(self._resolved(topic), ()), dtype=np.int64)
 
-    def raw(self, topic: str) -> list[bytes]:
-        """Return the serialised messages of a topic, in the file's order."""
-        return list(self._contents.messages.get(self._resolved(topic), ()))
-
-    def columns(self, topic: str) -> Columns:
-        """Return a topic's fields by path, see :func:`capture_sim.recording.cdr.columns`.
-
-        Empty for a topic without messages.
+    def raw(self, topic: str | Topic) -> list[bytes]:
+        """Return the serialised messages of a topic, in the order of their log times.
 
         Raises
         ------
         RecordingError
-            The messages do not fit their definition.
+            The topic is one of the bench's and of another type in the file.
+        """
+        return list(self._contents.messages.get(self._resolved(topic), ()))
+
+    def columns(self, topic: str | Topic) -> Columns:
+        """Return a topic's fields by path, see :func:`capture_sim.recording.cdr.columns`.
+
+        Empty for a topic without messages.
+
+        Parameters
+        ----------
+        topic
+            Its name; one of the bench's topics where the fields of its type are wanted.
+
+        Raises
+        ------
+        RecordingError
+            The messages do not fit their definition, or are not of the bench's type.
         """
         name = self._resolved(topic)
         found = self._columns.get(name)
@@ -199,7 +214,7 @@ class Run:
     @cached_property
     def samples(self) -> np.ndarray:
         """The recorded BenchStates, (n,) of dtype SAMPLE, the very bits that were recorded."""
-        recorded = self.columns(BENCH_STATE.name)
+        recorded = self.columns(BENCH_STATE)
         samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
         if len(samples):
             for name in SAMPLE.names or ():
@@ -210,7 +225,7 @@ class Run:
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """The recorded BenchEvents, in order."""
-        recorded = self.columns(BENCH_EVENT.name)
+        recorded = self.columns(BENCH_EVENT)
         kinds = {kind.label: kind for kind in EventKind}
         events = []
         for i in range(len(recorded.get("t", ()))):
@@ -256,7 +271,7 @@ class Run:
     @cached_property
     def statuses(self) -> tuple[CaptureStatus, ...]:
         """The detector's judgements, in order."""
-        recorded = self.columns(CAPTURE_STATUS.name)
+        recorded = self.columns(CAPTURE_STATUS)
         if not recorded:
             return ()
         by_name: dict[str, list[Any]] = {
@@ -287,9 +302,17 @@ class Run:
             raise RecordingError(f"{self.path}: definition of {type_name}: {error}") from None
         return store
 
-    def _resolved(self, topic: str) -> str:
-        absolute = topic if topic.startswith("/") else f"/{topic}"
-        return absolute if absolute in self._contents.messages else topic
+    def _resolved(self, topic: str | Topic) -> str:
+        name = topic if isinstance(topic, str) else topic.name
+        absolute = name if name.startswith("/") else f"/{name}"
+        name = absolute if absolute in self._contents.messages else name
+        if isinstance(topic, Topic):
+            found = self._contents.types.get(name, topic.type_name)
+            if found != topic.type_name:
+                raise RecordingError(
+                    f"{self.path}: {name} is of type {found or 'none'}: wanted is {topic.type_name}"
+                )
+        return name
 
 
 def _touch(recorded: Columns, i: int) -> np.void | None:

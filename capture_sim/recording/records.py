@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -59,9 +60,9 @@ class Contents:
     schemas
         Definition text by message type.
     messages
-        Serialised messages by topic, in the file's order.
+        Serialised messages by topic, in the order of their log times.
     log_times
-        Their log times, ns.
+        Their log times, ns, ascending.
     attachments
         By name.
     metadata
@@ -97,7 +98,17 @@ def read_contents(path: Path) -> Contents:
     contents = Contents()
     for part in bag_files(path):
         _Reader(part, file_bytes(part), contents).read()
+    _order(contents)
     return contents
+
+
+def _order(contents: Contents) -> None:
+    """Bring each topic's messages into the order of their log times, equal ones as they are."""
+    for topic, times in contents.log_times.items():
+        if any(later < time for time, later in pairwise(times)):
+            order = sorted(range(len(times)), key=times.__getitem__)
+            contents.log_times[topic] = [times[i] for i in order]
+            contents.messages[topic] = [contents.messages[topic][i] for i in order]
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -274,4 +285,7 @@ class _Reader:
             raise self._damaged(start, f"{read} messages read, {counted} were written")
 
     def _damaged(self, position: int, why: str) -> RecordingError:
-        return RecordingError(f"{self._path}: damaged at byte {position}: {why}")
+        return RecordingError(
+            f"{self._path}: damaged at byte {position}: {why}; what is whole in it "
+            "`capture-sim recover` saves"
+        )

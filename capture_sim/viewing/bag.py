@@ -43,7 +43,7 @@ class Bag(Protocol):
     def statuses(self) -> Sequence[CaptureStatus]:
         """The detector's judgements, if it was recorded."""
 
-    def columns(self, topic: str) -> Columns:
+    def columns(self, topic: str | Topic) -> Columns:
         """Return a topic's fields by path; empty without messages."""
 
 
@@ -128,7 +128,7 @@ def _three(row: np.ndarray) -> tuple[float, float, float]:
 
 
 def _needed(bag: Bag, topic: Topic) -> Columns:
-    found = bag.columns(topic.name)
+    found = bag.columns(topic)
     if not found:
         raise RecordingError(f"{bag.name}: holds no {topic.absolute_name}, nothing to draw")
     return found
@@ -142,7 +142,7 @@ def _stamps(columns: Columns) -> np.ndarray:
 
 def _release(bag: Bag, stamps: np.ndarray) -> int:
     """Return the stamp of the launcher's release; of the first pose where there is none."""
-    commands = bag.columns(LAUNCH_COMMAND.name)
+    commands = bag.columns(LAUNCH_COMMAND)
     if commands:
         released = _stamps(commands)[commands["action"] == LaunchAction.RELEASE]
         if released.size:
@@ -152,7 +152,7 @@ def _release(bag: Bag, stamps: np.ndarray) -> int:
 
 def _first_status(bag: Bag, stamps: np.ndarray) -> float:
     """Return when the detector's first judgement was, s since the release."""
-    return float((_stamps(bag.columns(CAPTURE_STATUS.name))[0] - _release(bag, stamps)) * 1e-9)
+    return float((_stamps(bag.columns(CAPTURE_STATUS))[0] - _release(bag, stamps)) * 1e-9)
 
 
 def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
@@ -169,12 +169,12 @@ def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
 
 def _buffer(bag: Bag) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return stroke and torsion (n, 2), their rates (n, 2), and stamps (n,)."""
-    state = bag.columns(BUFFER_STATE.name)
+    state = bag.columns(BUFFER_STATE)
     if state:
         values = np.stack([state["axial_stroke"], state["torsion"]], axis=-1)
         rates = np.stack([state["axial_rate"], state["torsion_rate"]], axis=-1)
         return values, rates, _stamps(state)
-    joints = bag.columns(JOINT_STATES.name)
+    joints = bag.columns(JOINT_STATES)
     if joints:
         names = list(joints["name"][0])
         if {HINGE_JOINT, SLIDE_JOINT} <= set(names):
@@ -189,17 +189,17 @@ def _buffer(bag: Bag) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _optional(bag: Bag, at: Any, held: Any) -> dict[str, np.ndarray]:
     """Return what else was measured."""
     found: dict[str, np.ndarray] = {}
-    wrench = bag.columns(CONTACT_WRENCH.name)
+    wrench = bag.columns(CONTACT_WRENCH)
     if wrench:
         force = np.stack([wrench["wrench.force.x"], wrench["wrench.force.y"]], axis=-1)
         found["tip_force"] = at(_stamps(wrench), force)
-    contact = bag.columns(CONTACT_STATE.name)
+    contact = bag.columns(CONTACT_STATE)
     if contact:
         found["normal_force"] = at(_stamps(contact), contact["normal_force"])
         found["peak_force"] = at(_stamps(contact), contact["peak_force"][:, None])[:, 0]
         found["walls"] = held(_stamps(contact), contact["walls"])
         found["begun"] = held(_stamps(contact), contact["touches"])
-    string = bag.columns(STRING_STATE.name)
+    string = bag.columns(STRING_STATE)
     if string:
         values = np.stack([string[n] for n in ("tension", "mass_height", "mass_speed")], axis=-1)
         phase = held(_stamps(string), string["phase"])
