@@ -25,6 +25,14 @@ from capture_sim.recording.measured import (
     measurements,
 )
 
+#: What a real bench records at least.
+BENCH_TOPICS = (
+    ("/chaser/odom", "nav_msgs/msg/Odometry"),
+    ("/target/odom", "nav_msgs/msg/Odometry"),
+    ("/bench/buffer", "capture_sim/msg/BufferState"),
+    ("/contact/wrench", "geometry_msgs/msg/WrenchStamped"),
+)
+
 
 @pytest.fixture(scope="module")
 def result():
@@ -49,16 +57,102 @@ def bench_bag(path, tmp_path_factory):
     run = read_run(path)
     folder = tmp_path_factory.mktemp("bench") / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for name, type_name in (
-            ("/chaser/odom", "nav_msgs/msg/Odometry"),
-            ("/target/odom", "nav_msgs/msg/Odometry"),
-            ("/bench/buffer", "capture_sim/msg/BufferState"),
-            ("/contact/wrench", "geometry_msgs/msg/WrenchStamped"),
-        ):
+        for name, type_name in BENCH_TOPICS:
             connection = writer.add_connection(name, type_name, typestore=typestore())
             for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
                 writer.write(connection, time, data)
     return folder
+
+
+def rewritten(path, folder, change, topics=BENCH_TOPICS):
+    """A bag of some topics of a run, each message changed: times and message, or left out."""
+    run, store = read_run(path), typestore()
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name, type_name in topics:
+            connection = writer.add_connection(name, type_name, typestore=store)
+            for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
+                message = store.deserialize_cdr(data, type_name)
+                for when, what in change(time, message):
+                    writer.write(connection, when, store.serialize_cdr(what, type_name))
+    return folder
+
+
+def test_bench_whose_clock_is_the_walls_is_fitted_as_well(path, tmp_path, capsys):
+    epoch = 1_700_000_000
+
+    def later(time, message):
+        message.header.stamp.sec += epoch
+        yield time + epoch * 1_000_000_000, message
+
+    bag = rewritten(path, tmp_path / "bag", later)
+    seen = measurements(read_run(bag))
+    for (_, mine), (_, theirs) in zip(
+        seen.items(), measurements(read_run(path)).items(), strict=True
+    ):
+        np.testing.assert_allclose(mine.t, theirs.t, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(mine.values, theirs.values)
+    command = ["identify", str(bag), "mu", "--scene", "tilt_0", "--set", "friction.mu=0.3"]
+    assert main([*command, "--starts", "1"]) == 0
+    value = float(capsys.readouterr().out.splitlines()[1].split()[1])
+    assert value == pytest.approx(0.33, rel=1e-3)
+
+
+def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
+    counter = iter(range(10_000))
+
+    def spoilt(time, message):
+        if next(counter) % 7 == 3:
+            if hasattr(message, "pose"):
+                message.pose.pose.position.x = np.nan
+            elif hasattr(message, "axial_stroke"):
+                message.axial_stroke = np.nan
+            else:
+                message.wrench.force.x = np.nan
+        yield time, message
+        yield time, message
+
+    bag = rewritten(path, tmp_path / "bag", spoilt)
+    for _, series in measurements(read_run(bag)).items():
+        assert np.isfinite(series.values).all()
+        assert (np.diff(series.t) > 0.0).all()
+    assert main(["identify", str(bag), "mu", "--scene", "tilt_0", "--starts", "1"]) == 0
+    assert main(["compare", str(bag), str(path), "--out", str(tmp_path)]) == 0
+    assert "nan" not in capsys.readouterr().out
+
+
+def test_joints_are_known_by_their_names(path, tmp_path):
+    def swapped(time, message):
+        if hasattr(message, "name"):
+            message.name = message.name[::-1]
+            for field in ("position", "velocity"):
+                setattr(message, field, getattr(message, field)[::-1].copy())
+        yield time, message
+
+    topics = [*BENCH_TOPICS[:2], ("/joint_states", "sensor_msgs/msg/JointState")]
+    seen = measurements(read_run(rewritten(path, tmp_path / "bag", swapped, topics)))
+    told = measurements(read_run(path))
+    np.testing.assert_array_equal(seen.stroke.values, told.stroke.values)
+    np.testing.assert_array_equal(seen.torsion.values, told.torsion.values)
+
+
+def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
+    run = read_run(path)
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name, type_name in (
+            ("/chaser/odom", "nav_msgs/msg/Odometry"),
+            ("/target/odom", "geometry_msgs/msg/PoseStamped"),
+            ("/bench/buffer", "capture_sim/msg/BufferState"),
+            ("/bench/state", "geometry_msgs/msg/PoseStamped"),
+        ):
+            connection = writer.add_connection(name, type_name, typestore=typestore())
+            for time, data in zip(run.log_times(name)[:9].tolist(), run.raw(name), strict=False):
+                writer.write(connection, time, data)
+    assert main(["detect", str(folder), "--scene", "tilt_0"]) == 1
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
+    with pytest.raises(RecordingError, match="/bench/state is of type"):
+        _ = read_run(folder).samples
 
 
 # judged anew

@@ -14,15 +14,19 @@ import numpy as np
 from capture_sim.analysis.identification import Touches
 from capture_sim.analysis.measurements import Measurements, Series
 from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.messaging.messages import EPOCH_NS
+from capture_sim.messaging.messages import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, LaunchAction
 from capture_sim.messaging.topics import (
+    BENCH_STATE,
     BUFFER_STATE,
     CHASER_ODOMETRY,
+    CHASER_POSE,
     CONTACT_STATE,
     CONTACT_WRENCH,
     JOINT_STATES,
     LAUNCH_COMMAND,
+    RUN_INFO,
     TARGET_ODOMETRY,
+    TARGET_POSE,
 )
 from capture_sim.recording.reader import Columns, Run
 from capture_sim.results import first_cluster
@@ -34,28 +38,35 @@ CONTACT_FORCE = 1.0
 
 
 def measurements(run: Run) -> Measurements:
-    """Return what was measured; times are s since the release (stamp - 1 s)."""
+    """Return what was measured; times are s since the release, see :func:`release_of`.
+
+    What is no number, or comes twice with one stamp, is left out.
+    """
     found: dict[str, Series] = {}
-    for name, topic in (("chaser", CHASER_ODOMETRY), ("target", TARGET_ODOMETRY)):
+    release = release_of(run)
+    for name, pose, odometry in (
+        ("chaser", CHASER_POSE, CHASER_ODOMETRY),
+        ("target", TARGET_POSE, TARGET_ODOMETRY),
+    ):
         # what motion capture saw comes before what an odometry made of it
-        for source, at in ((f"motion_capture/{name}", "pose"), (topic.name, "pose.pose")):
+        for source, at in ((pose, "pose"), (odometry, "pose.pose")):
             columns = run.columns(source)
             if columns:
-                found[name] = Series(_times(columns), np.stack(_pose(columns, at), axis=1))
+                found[name] = _series(columns, release, np.stack(_pose(columns, at), axis=1))
                 break
-    columns = run.columns(BUFFER_STATE.name)
+    columns = run.columns(BUFFER_STATE)
     if columns:
-        found["stroke"] = Series(_times(columns), columns["axial_stroke"])
-        found["torsion"] = Series(_times(columns), columns["torsion"])
-    elif joints := run.columns(JOINT_STATES.name):
-        position = joints["position"]
-        if position.ndim == 2 and position.shape[1] == 2:  # hinge, slide
-            found["stroke"] = Series(_times(joints), position[:, 1])
-            found["torsion"] = Series(_times(joints), position[:, 0])
-    columns = run.columns(CONTACT_WRENCH.name)
+        found["stroke"] = _series(columns, release, columns["axial_stroke"])
+        found["torsion"] = _series(columns, release, columns["torsion"])
+    elif joints := run.columns(JOINT_STATES):
+        position, names = joints["position"], list(joints["name"][0])
+        if position.ndim == 2 and {HINGE_JOINT, SLIDE_JOINT} <= set(names):
+            found["stroke"] = _series(joints, release, position[:, names.index(SLIDE_JOINT)])
+            found["torsion"] = _series(joints, release, position[:, names.index(HINGE_JOINT)])
+    columns = run.columns(CONTACT_WRENCH)
     if columns:
         force = np.hypot(columns["wrench.force.x"], columns["wrench.force.y"])
-        found["force"] = Series(_times(columns), force)
+        found["force"] = _series(columns, release, force)
     return Measurements(**found)
 
 
@@ -67,10 +78,10 @@ def first_contact(run: Run) -> float | None:
     for event in run.events:
         if event.kind is EventKind.TOUCH:
             return event.t
-    columns = run.columns(CONTACT_STATE.name)
+    columns = run.columns(CONTACT_STATE)
     if columns:
         met = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
-        return float(_times(columns)[met[0]]) if met.size else None
+        return float(_since(columns, release_of(run))[met[0]]) if met.size else None
     force = measurements(run).force
     above = np.flatnonzero(force.values > CONTACT_FORCE)
     return float(force.t[above[0]]) if above.size else None
@@ -95,7 +106,7 @@ def first_touches(run: Run, count: int, start_noise: float, peak_noise: float) -
 def launch_of(run: Run, scene: Scene) -> LaunchPlan:
     """Return the launch as it was commanded; as the scene plans it where none was recorded."""
     plan = plan_launch(scene)
-    columns = run.columns(LAUNCH_COMMAND.name)
+    columns = run.columns(LAUNCH_COMMAND)
     if not columns or scene.string is None:
         return plan
     return replace(
@@ -124,7 +135,7 @@ def characteristics(run: Run) -> dict[str, float]:
         found["touches"] = float(run.touches.size)
         found["normal impulse, N s"] = float(run.touches["impulse"].sum())
     else:
-        told = run.columns(CONTACT_STATE.name)
+        told = run.columns(CONTACT_STATE)
         force = told["peak_force"] if told else measurements(run).force.values
         if len(force):
             found["largest force, N"] = float(np.max(force))
@@ -146,8 +157,33 @@ def stamps_of(columns: Columns) -> np.ndarray:
     return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
 
 
-def _times(columns: Columns) -> np.ndarray:
-    return (stamps_of(columns) - EPOCH_NS) / 1e9
+def release_of(run: Run) -> int:
+    """Return the stamp of the release, ns: the launcher's, else that of simulated runs.
+
+    Where neither is recorded, as on a bench whose clock is the wall's, the first pose's.
+    """
+    commands = run.columns(LAUNCH_COMMAND)
+    if commands:
+        released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
+        if released.size:
+            return int(stamps_of(commands)[released[0]])
+    if run.raw(RUN_INFO) or run.raw(BENCH_STATE):
+        return EPOCH_NS
+    for topic in (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY):
+        if poses := run.columns(topic):
+            return int(stamps_of(poses).min())
+    return EPOCH_NS
+
+
+def _since(columns: Columns, release: int) -> np.ndarray:
+    return (stamps_of(columns) - release) / 1e9
+
+
+def _series(columns: Columns, release: int, values: np.ndarray) -> Series:
+    t = _since(columns, release)
+    finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
+    t, first = np.unique(t[finite], return_index=True)
+    return Series(t, values[finite][first])
 
 
 def _pose(columns: Columns, at: str = "pose.pose") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
