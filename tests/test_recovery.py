@@ -137,6 +137,61 @@ def test_others_files_are_saved_too(path, tmp_path):
     assert read_run(saved.path).raw("/hello") == source.raw("bench/state")[:n]
 
 
+def test_files_without_checksums_are_saved_and_marked(path, tmp_path):
+    # rosbag2's fast writing leaves them out; what nothing confirms must not pass for whole
+    source = read_run(path).raw("bench/state")[:500]
+    plain = tmp_path / "plain.mcap"
+    with plain.open("wb") as file:
+        writer = Writer(file, chunk_size=30_000, enable_crcs=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/hello", "cdr", schema)
+        for i, data in enumerate(source):
+            writer.add_message(channel, 10 + i, data, 10 + i, i)
+        writer.finish()
+    data = plain.read_bytes()
+    saved = recover(plain)
+    assert read_run(saved.path).raw("/hello") == source
+    assert any("carry no checksum" in line for line in saved.losses)
+    assert not any("damaged" in line for line in saved.losses)
+    saved = recover(damaged(tmp_path, data[: len(data) // 2]))
+    n = saved.messages["/hello"]
+    assert 0 < n < 500
+    assert read_run(saved.path).raw("/hello") == source[:n]
+
+
+def test_whole_file_of_others_is_not_called_damaged(path, tmp_path):
+    foreign = tmp_path / "foreign.mcap"
+    with foreign.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/hello", "cdr", schema)
+        writer.add_message(channel, 10, read_run(path).raw("bench/state")[0], 10)
+        writer.finish()
+    saved = recover(foreign)
+    assert not any("damaged" in line for line in saved.losses)
+    data = foreign.read_bytes()  # what is damaged is called so still
+    mark = b"\x0f" + (4).to_bytes(8, "little") + bytes(4)
+    saved = recover(damaged(tmp_path, data.replace(mark, mark[:-4] + b"\1\2\3\4")))
+    assert any("damaged" in line for line in saved.losses)
+
+
+def test_parts_of_a_split_recording_that_are_gone_are_named(path, tmp_path):
+    recorder = LiveRecorder(tmp_path, split=Split(time=1.0))
+    for topic, data in in_order(path):
+        recorder.take(topic, data)
+    folder = recorder.close().path
+    (folder / "tilt_m10_2.mcap").unlink()
+    saved = recover(folder)
+    assert any("tilt_m10_2.mcap: cannot read" in line for line in saved.losses)
+    assert sum(saved.messages.values()) > 0
+    (folder / "metadata.yaml").unlink()
+    saved = recover(folder)
+    assert "part 2 of the recording is not there" in saved.losses
+    assert not read_run(saved.path).complete
+
+
 def test_split_recording_is_saved_into_one_file(path, tmp_path):
     run = read_run(path)
     recorder = LiveRecorder(tmp_path, split=Split(time=1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,9 +80,17 @@ def recover(path: Path | str, out: Path | str | None = None) -> Recovery:
         cannot be written.
     """
     path = Path(path)
-    parts = []
-    for part in bag_files(path):
-        data = file_bytes(part)
+    parts: list[tuple[Path, bytes, Findings]] = []
+    lost: list[str] = []
+    files = bag_files(path)
+    for part in files:
+        try:
+            data = file_bytes(part)
+        except RecordingError as error:
+            if len(files) == 1:
+                raise
+            lost.append(f"all of {error}")
+            continue
         parts.append((part, data, search(data)))
     if not any(found.chunks or found.loose for _, _, found in parts):
         raise RecordingError(f"{path}: nothing to recover: no whole chunk in it")
@@ -89,13 +98,13 @@ def recover(path: Path | str, out: Path | str | None = None) -> Recovery:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("xb") as file:
-            return _Saver(target, Container(file, CHUNK_SIZE)).save(parts)
+            return _Saver(target, Container(file, CHUNK_SIZE), lost).save(parts)
     except OSError as error:
         raise RecordingError(f"{target}: cannot write: {error.strerror or error}") from None
 
 
 class _Saver:
-    def __init__(self, path: Path, container: Container) -> None:
+    def __init__(self, path: Path, container: Container, lost: Sequence[str]) -> None:
         self._path = path
         self._container = container
         self._schemas: dict[tuple[str, str, bytes], int] = {}
@@ -103,14 +112,15 @@ class _Saver:
         self._entries: list[Channel] = []
         self._counts: Counter[int] = Counter()
         self._span: list[int] = []
-        self._losses: list[str] = []
+        self._losses = list(lost)
 
     def save(self, parts: list[tuple[Path, bytes, Findings]]) -> Recovery:
         """Write all that was found."""
-        several = len(parts) > 1
+        several = len(parts) + len(self._losses) > 1
         for part, data, found in parts:
             lines = _losses(found, data)
             self._losses += [f"{part.name}: {line}" for line in lines] if several else lines
+        self._losses += _absent(found for _, _, found in parts)
         run = _run_in(parts)
         self._describe(parts, run)
         chunks = 0
@@ -276,9 +286,26 @@ def _losses(found: Findings, data: bytes) -> list[str]:
     ) + len(found.loose)
     if found.written is not None and found.written != saved:
         lines.append(f"{found.written - saved} of {found.written} messages")
+    if found.unconfirmed:
+        lines.append(
+            f"nothing that is known, but {found.unconfirmed} of {len(found.chunks)} chunks carry "
+            "no checksum: nothing confirms them"
+        )
     if not found.verified and not lines:
-        lines.append("bytes outside chunks are damaged")
+        lines.append(
+            "nothing that is known, but the file has no checksum outside its chunks"
+            if found.unchecked
+            else "bytes outside chunks are damaged"
+        )
     return lines
+
+
+def _absent(parts: Iterable[Findings]) -> list[str]:
+    """Return a line for the parts of a split recording that are not there."""
+    told = (found.metadata.get(RUN_METADATA, {}).get("part", "") for found in parts)
+    there = {int(number) for number in told if number.isdecimal()}
+    gone = sorted(set(range(max(there, default=0))) - there)
+    return [f"part {number} of the recording is not there" for number in gone]
 
 
 def _seconds(stamp: int | None, otherwise: str) -> str:

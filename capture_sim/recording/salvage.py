@@ -1,6 +1,7 @@
 """Finding what is whole in a damaged MCAP file.
 
-A chunk is whole when it unpacks and its checksum fits; nothing else is taken for data.
+A chunk is whole when it unpacks and its checksum fits; one that was written without a checksum,
+as other writers may, when it unpacks to whole records, and is counted apart.
 Behind damage the next whole chunk is looked for byte by byte, since a damaged length leads
 anywhere.
 """
@@ -66,6 +67,8 @@ class Findings:
     ----------
     chunks
         Start and end of the body of each whole chunk, in order.
+    unconfirmed
+        How many of them carry no checksum.
     defined
         Types and topics under a checksum: in whole chunks, or in a whole summary.
     bare
@@ -81,11 +84,14 @@ class Findings:
         Stretches that could not be read.
     verified
         The whole data section fits its checksum.
+    unchecked
+        The file was closed, and the data section carries no checksum.
     written
         Messages that the file's summary tells; None when the summary is not whole.
     """
 
     chunks: list[tuple[int, int]] = field(default_factory=list)
+    unconfirmed: int = 0
     defined: Definitions = field(default_factory=Definitions)
     bare: Definitions = field(default_factory=Definitions)
     attachments: dict[str, Attachment] = field(default_factory=dict)
@@ -93,6 +99,7 @@ class Findings:
     loose: list[tuple[int, int]] = field(default_factory=list)
     losses: list[Loss] = field(default_factory=list)
     verified: bool = False
+    unchecked: bool = False
     written: int | None = None
 
 
@@ -103,16 +110,25 @@ def search(data: bytes) -> Findings:
 
 def unpacked(data: bytes, start: int, end: int) -> bytes | None:
     """Return the records of the chunk whose body lies there; None if it is not whole."""
+    records, _ = _unpacked(data, start, end)
+    return records
+
+
+def _unpacked(data: bytes, start: int, end: int) -> tuple[bytes | None, bool]:
+    """Return the records as well, and whether a checksum confirms them."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data[start:end])))
-        # the library checks a checksum that is given; without any, nothing can be told
+        # the library checks a checksum that is given
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         records = stream.read(length)
     except DAMAGE:
-        return None
-    if not chunk.uncompressed_crc or len(records) != chunk.uncompressed_size:
-        return None
-    return records
+        return None, False
+    if len(records) != chunk.uncompressed_size:
+        return None, False
+    if not chunk.uncompressed_crc:
+        ends = [end for _, _, end in _records_in(records)]
+        return (records if ends and ends[-1] == len(records) else None), False
+    return records, True
 
 
 def messages_in(records: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
@@ -216,15 +232,17 @@ class _Search:
         return len(self._data)
 
     def _chunk(self, position: int, start: int, end: int) -> bool:
-        records = unpacked(self._data, start, end)
+        records, confirmed = _unpacked(self._data, start, end)
         if records is None:
             return False
+        where = self._found.defined if confirmed else self._found.bare
+        self._found.unconfirmed += not confirmed
         times = []
         for opcode, begin, stop in _records_in(records):
             if opcode == Opcode.SCHEMA:
-                self._define(self._found.defined, self._parsed(Schema.read, records, begin, stop))
+                self._define(where, self._parsed(Schema.read, records, begin, stop))
             elif opcode == Opcode.CHANNEL:
-                self._define(self._found.defined, self._parsed(Channel.read, records, begin, stop))
+                self._define(where, self._parsed(Channel.read, records, begin, stop))
             elif opcode == Opcode.MESSAGE:
                 times.append(_MESSAGE.unpack_from(records, begin)[2])
         self._found.chunks.append((start, end))
@@ -280,9 +298,12 @@ class _Search:
 
     def _check_data_section(self, position: int) -> None:
         (crc,) = _CRC.unpack_from(self._data, position + _RECORD.size)
+        self._found.unchecked = not crc
         self._found.verified = bool(crc) and zlib.crc32(self._data[:position]) == crc
 
     def _summary(self, start: int) -> None:
+        if self._footer(start) == 0:
+            return  # it is there, and nothing confirms it
         if not self._summary_is_whole(start):
             self._found.losses.append(Loss(start, len(self._data), "index and end mark damaged"))
             return
@@ -302,15 +323,22 @@ class _Search:
 
     def _summary_is_whole(self, start: int) -> bool:
         """Whether the summary that begins there, up to the file's end, fits its checksum."""
+        crc = self._footer(start)
+        until = len(self._data) - len(MCAP0_MAGIC) - _CRC.size
+        return bool(crc) and zlib.crc32(self._data[start:until]) == crc
+
+    def _footer(self, start: int) -> int | None:
+        """Return the checksum told of a summary that begins there; None without a footer."""
         data = self._data
         footer = len(data) - len(MCAP0_MAGIC) - _FOOTER_LENGTH - _RECORD.size
         if footer < start or data[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
-            return False
+            return None
+        if _RECORD.unpack_from(data, footer) != (Opcode.FOOTER, _FOOTER_LENGTH):
+            return None
         told = self._parsed(Footer.read, data, footer + _RECORD.size, len(data))
-        if told is None or told.summary_start not in (0, start) or not told.summary_crc:
-            return False
-        until = footer + _RECORD.size + _FOOTER_LENGTH - _CRC.size
-        return zlib.crc32(data[start:until]) == told.summary_crc
+        if told is None or told.summary_start not in (0, start):
+            return None
+        return told.summary_crc
 
     @staticmethod
     def _parsed(
