@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import subprocess
 import sys
+import termios
 import threading
 import time
 
@@ -111,6 +114,68 @@ def test_rate_and_pause():
     transport.resume()
     thread.join(5.0)
     assert passed == [7, 7, 8, 9]
+
+
+def test_rate_is_changed_without_a_jump():
+    transport = Transport(rate=1.0)
+    transport.wait_until(0)
+    assert transport.change_rate(2.0) == "rate: 2"
+    begin = time.monotonic()
+    transport.wait_until(400_000_000)
+    assert 0.1 < time.monotonic() - begin < 0.35  # 0.4 s at twice the rate
+    for _ in range(20):
+        said = transport.change_rate(2.0)
+    assert said == "rate: 1000"
+    assert Transport(rate=0.0).change_rate(0.5) == "rate: as fast as it goes"
+
+
+def test_keys_of_the_terminal_control_the_replay(path):
+    ours, its = pty.openpty()
+    before = termios.tcgetattr(its)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--paused"],
+        stdin=its,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    said = []
+    reader = threading.Thread(target=lambda: said.extend(process.stdout), daemon=True)
+    reader.start()
+    try:
+        wait_for(lambda: any("keys: space" in line for line in said))
+        for key, answer in (
+            (b"s", "a step"),
+            (b" ", "playing"),
+            (b"s", "stepping needs a paused player"),
+            (b" ", "paused"),
+            (b"-", "rate: 0.5"),
+            (b"+", "rate: 1"),
+            (b"+", "rate: 2"),
+            (b"x" + b"+" * 9, "rate: 1000"),
+            (b" ", "playing"),
+        ):
+            count = len(said)
+            os.write(ours, key)
+            wait_for(lambda count=count, answer=answer: f"[player] {answer}\n" in said[count:])
+        assert process.wait(30.0) == 0
+        reader.join(5.0)
+        assert " messages, " in said[-1]
+        assert termios.tcgetattr(its) == before
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        os.close(ours)
+        os.close(its)
+
+
+def test_what_a_cut_recording_lacks_is_said(path, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-100_000])
+    (line,) = Playback(cut).damage
+    assert "cut.mcap: the file ends without its end mark" in line
+    assert Playback(path).damage == []
 
 
 def wait_for(holds, limit=30.0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ HELP = "play a recording with ROS 2"
 DESCRIPTION = (
     "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
     "on the caller's ROS_DOMAIN_ID. While it plays, the services /player/pause, /player/resume "
-    "and /player/play_next (std_srvs/Trigger) control it."
+    "and /player/play_next (std_srvs/Trigger) control it, in a terminal the space bar (pause), "
+    "s (step), + and - (twice, half the rate)."
 )
 #: Nodes that can follow a played run.
 FOLLOWERS = ("capture_detector", "recorder")
@@ -59,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
         "loop": options.loop,
         "start": options.start,
         "paused": options.paused,
+        "keyboard": sys.stdin is not None and sys.stdin.isatty(),
     }
     # an empty list has no type in ROS
     if options.topics:

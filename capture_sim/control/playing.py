@@ -7,6 +7,8 @@ import time
 
 #: The playing thread looks up this often while it waits, s.
 _POLL = 0.2
+#: Bounds of the rate when it is changed while playing, recorded seconds per second.
+LEAST_RATE, GREATEST_RATE = 0.01, 1000.0
 
 
 class Transport:
@@ -57,6 +59,23 @@ class Transport:
             self._origin = None  # what was missed while paused is not caught up
             self._changed.notify_all()
         return ""
+
+    def change_rate(self, factor: float) -> str:
+        """Play faster or slower by a factor from now on, within bounds; return the rate in words.
+
+        A rate of 0, as fast as it goes, stays.
+        """
+        with self._changed:
+            if self._rate == 0.0:
+                return "rate: as fast as it goes"
+            rate = min(max(self._rate * factor, LEAST_RATE), GREATEST_RATE)
+            if self._origin is not None:  # no jump: from the time that is reached
+                first, began = self._origin
+                now = time.monotonic()
+                self._origin = (first + round((now - began) * self._rate * 1e9), now)
+            self._rate = rate
+            self._changed.notify_all()
+            return f"rate: {rate:g}"
 
     def step(self) -> str:
         """Let the messages of the next time pass; return why not, or nothing."""

@@ -31,6 +31,7 @@ from capture_sim.messaging.topics import (
 )
 from capture_sim.nodes.flow_control import POLL, Followers
 from capture_sim.nodes.following import FOLLOWED
+from capture_sim.nodes.keyboard import Keyboard
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
 from capture_sim.nodes.simulation_services import SimulationServices
 from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
@@ -76,6 +77,7 @@ class PlayerNode(BenchNode):
         self._delay = self.declare(
             "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
         )
+        self._keyboard = self.declare("keyboard", False, "keys of the terminal control it")
         self._clock_rate = self.declare(
             "clock_rate",
             100.0,
@@ -156,6 +158,14 @@ class PlayerNode(BenchNode):
 
     def work(self) -> int:
         """Play; return the exit status."""
+        if not self._keyboard:
+            return self._work()
+        with Keyboard(self._transport, self.get_logger().info):
+            return self._work()
+
+    def _work(self) -> int:
+        for line in self._playback.damage:
+            self.get_logger().warning(f"{line}; what is whole is played")
         status = OK
         turn = 0
         try:

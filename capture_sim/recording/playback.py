@@ -49,6 +49,8 @@ class Playback:
         By name.
     start, end
         First and last log time, ns.
+    damage
+        A line for every file that ends early.
 
     Raises
     ------
@@ -61,9 +63,12 @@ class Playback:
         self._files = bag_files(self.path)
         self.topics: dict[str, PlayedTopic] = {}
         self._last: tuple[int, Contents] = (-1, Contents())
+        self.damage: list[str] = []
         spans = []
         for i in range(len(self._files)):
             contents = self._read(i)
+            if contents.damage:
+                self.damage.append(f"{self._files[i]}: {contents.damage}")
             for name, type_name in contents.types.items():
                 qos = _profile(contents.qos.get(name, ""))
                 self.topics.setdefault(name, PlayedTopic(name, type_name, qos))
