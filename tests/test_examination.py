@@ -7,6 +7,7 @@ import csv
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 import capture_sim
 from capture_sim.analysis.comparison import gaps
@@ -25,6 +26,7 @@ from capture_sim.recording.measured import (
     measurements,
 )
 
+TF = "tf2_msgs/msg/TFMessage"
 #: What a real bench records at least.
 BENCH_TOPICS = (
     ("/chaser/odom", "nav_msgs/msg/Odometry"),
@@ -153,6 +155,53 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
     assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
     with pytest.raises(RecordingError, match="/bench/state is of type"):
         _ = read_run(folder).samples
+
+
+def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys):
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    types = jazzy.types
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        tf, text = (
+            writer.add_connection(name, kind, typestore=jazzy)
+            for name, kind in (("/tf", TF), ("/chatter", "std_msgs/msg/String"))
+        )
+        for i in range(3):
+            writer.write(tf, 10 + i, jazzy.serialize_cdr(types[TF](transforms=[]), TF))
+            data = types["std_msgs/msg/String"](data="x" * i)
+            writer.write(text, 10 + i, jazzy.serialize_cdr(data, "std_msgs/msg/String"))
+    for form in ("csv", "npz", "parquet"):
+        out = tmp_path / form
+        assert main(["export", str(folder), "--to", form, "--out", str(out)]) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1
+        assert "/tf is left out" in said[0]
+    with (tmp_path / "csv" / "chatter.csv").open() as file:
+        assert [row["data"] for row in csv.DictReader(file)] == ["", "x", "xx"]
+
+
+def test_export_of_nothing_says_so(path, tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:100])
+    assert main(["export", str(cut), "--to", "csv", "--out", str(tmp_path / "out")]) == 1
+    assert "holds no messages" in capsys.readouterr().err
+
+
+def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
+    again = write_run(result, tmp_path / "again.mcap")
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = (*BENCH_TOPICS, ("/bench/run_info", "capture_sim/msg/RunInfo"))
+        opened = [writer.add_connection(name, kind, typestore=typestore()) for name, kind in topics]
+        for run in map(read_run, (path, again)):
+            for connection, (name, _) in zip(opened, topics, strict=True):
+                for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
+                    writer.write(connection, time, data)
+    for command in (["detect"], ["identify", "mu"]):
+        line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
+        assert main(line) == 1
+        assert "holds 2 runs" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
 
 
 # judged anew

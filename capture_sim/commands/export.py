@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from capture_sim.commands.arguments import OK, prepare_folder
@@ -28,9 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.recorded import open_run
-    from capture_sim.recording.export import flat_columns, save_csv, save_npz, table_name
+    from capture_sim.recording.export import exported, flat_columns, save_csv, save_npz, table_name
 
-    recorded = open_run(options.recording)
+    recorded = open_run(options.recording, several=True)
+    topics, problems = exported(recorded)
+    for problem in problems:
+        print(f"capture-sim: {problem}", file=sys.stderr)
+    if not topics:
+        raise RecordingError(f"{options.recording}: holds no messages that make a table")
     folder = options.out or Path(options.recording).with_suffix("")
     if options.to == "npz":
         folder = options.out or Path(options.recording).parent
@@ -47,8 +53,7 @@ def run(options: argparse.Namespace) -> int:
             raise RecordingError(f"--to parquet: needs pyarrow: {error}") from None
         paths = [
             save_parquet(flat_columns(recorded, topic), folder / f"{table_name(topic)}.parquet")
-            for topic, count in recorded.topics.items()
-            if count
+            for topic in topics
         ]
     for path in paths:
         say(f"written: {path}")

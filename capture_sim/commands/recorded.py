@@ -13,11 +13,23 @@ if TYPE_CHECKING:
     from capture_sim.scene import Scene
 
 
-def open_run(path: str) -> Run:
-    """Read a recording, and say what is wrong with it."""
+def open_run(path: str, *, several: bool = False) -> Run:
+    """Read a recording, and say what is wrong with it.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or holds several runs where that is not allowed.
+    """
+    from capture_sim.errors import RecordingError
     from capture_sim.recording import read_run
 
     run = read_run(path)
+    if len(run.run_ids) > 1 and not several:
+        raise RecordingError(
+            f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
+            "is one"
+        )
     for problem in run.problems:
         print(f"capture-sim: {path}: {problem}", file=sys.stderr)
     return run

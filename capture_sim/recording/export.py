@@ -47,7 +47,7 @@ def table_name(topic: str) -> str:
 
 
 def save_csv(run: Run, folder: Path) -> list[Path]:
-    """Write a CSV file for each topic with messages; return their paths.
+    """Write a CSV file for each topic that makes a table; return their paths.
 
     Numbers are written so that reading gives the same bits.
 
@@ -57,7 +57,7 @@ def save_csv(run: Run, folder: Path) -> list[Path]:
         A file cannot be written.
     """
     written = []
-    for topic in _told(run):
+    for topic in exported(run)[0]:
         columns = flat_columns(run, topic)
         path = folder / f"{table_name(topic)}.csv"
         try:
@@ -72,7 +72,7 @@ def save_csv(run: Run, folder: Path) -> list[Path]:
 
 
 def save_npz(run: Run, path: Path) -> Path:
-    """Write all topics into one NumPy file, arrays named ``topic/field``.
+    """Write all topics that make tables into one NumPy file, arrays named ``topic/field``.
 
     Texts become arrays of Unicode strings; the scene is in ``scene``.  Nothing in the file
     needs pickle.
@@ -83,7 +83,7 @@ def save_npz(run: Run, path: Path) -> Path:
         The file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
-    for topic in _told(run):
+    for topic in exported(run)[0]:
         for name, column in _table(run, topic).items():
             arrays[f"{topic.strip('/')}/{name}"] = (
                 np.array([str(_cell(x)) for x in column]) if column.dtype == object else column
@@ -98,8 +98,18 @@ def save_npz(run: Run, path: Path) -> Path:
     return path
 
 
-def _told(run: Run) -> list[str]:
-    return [topic for topic, count in run.topics.items() if count]
+def exported(run: Run) -> tuple[list[str], list[str]]:
+    """Return the topics with messages that make tables, and why others do not, in lines."""
+    topics, problems = [], []
+    for topic, count in run.topics.items():
+        if count:
+            try:
+                run.columns(topic)
+            except RecordingError as error:
+                problems.append(f"{topic} is left out: {error}")
+            else:
+                topics.append(topic)
+    return topics, problems
 
 
 def _cells(column: np.ndarray) -> list[object]:

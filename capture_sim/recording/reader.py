@@ -20,6 +20,7 @@ from capture_sim.messaging.topics import (
     BENCH_STATE,
     CAPTURE_STATUS,
     CONTACT_TRACE,
+    RUN_INFO,
     STREAM_COUNTS,
     Topic,
     topic_named,
@@ -126,6 +127,14 @@ class Run:
     def run_id(self) -> str:
         """Unique to the run; empty when the file does not say."""
         return self.metadata.get("run_id", "")
+
+    @property
+    def run_ids(self) -> tuple[str, ...]:
+        """Ids of the runs that were announced in it, in order; ours hold one."""
+        topic = next((name for name in self.topics if topic_named(name) is RUN_INFO), "")
+        if self._contents.types.get(topic) != RUN_INFO.type_name:
+            return ()
+        return tuple(dict.fromkeys(self.columns(RUN_INFO).get("run_id", ())))
 
     @property
     def wall_time(self) -> float | None:
@@ -298,8 +307,11 @@ class Run:
         try:
             store = get_typestore(Stores.EMPTY)
             store.register(get_types_from_msg(text, type_name))
-        except TypesysError as error:
-            raise RecordingError(f"{self.path}: definition of {type_name}: {error}") from None
+        except (TypesysError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise RecordingError(
+                f"{self.path}: definition of type {type_name!r} cannot be read: {reason}"
+            ) from None
         return store
 
     def _resolved(self, topic: str | Topic) -> str:
