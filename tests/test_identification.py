@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import capture_sim
-from capture_sim.analysis.identification import identify, is_explained, scatter
+from capture_sim.analysis.identification import Touches, identify, is_explained, scatter
 from capture_sim.analysis.measurements import Measurements, Series, measured_in
 from capture_sim.bench import Bench
 from capture_sim.benchmarking.noisy_bench import NAMES, POSE_NOISE, noisy_run
@@ -91,6 +91,26 @@ def test_what_cannot_be_fitted_is_refused_in_one_line(names, said):
     with pytest.raises(SceneError, match=said) as caught:
         identify(run.scene, run.measured, names)
     assert "\n" not in str(caught.value)
+
+
+def test_touches_behind_the_end_do_not_count():
+    scene = capture_sim.load_scene("tilt_0")
+    result = capture_sim.simulate(scene)
+    first = result.touches[:4]
+    touches = Touches(first["start"], first["peak_force"], 2e-4, 2.0)
+    fit = identify(
+        scene, measured_in(result.samples), ["buffer.k_A"], touches=touches, until=0.1, starts=1
+    )
+    assert fit.touches == 0
+    assert fit.chi2 < 1.0
+    assert fit.untold == ("buffer.k_A",)  # nothing touches so early
+
+
+def test_noise_of_nothing_is_refused_in_one_line():
+    touches = Touches(np.ones(1), np.ones(1), 0.0, 2.0)
+    scene = capture_sim.load_scene("tilt_0")
+    with pytest.raises(SceneError, match="noise of touches = 0 s, 2 N: allowed is > 0"):
+        identify(scene, Measurements(), ["mu"], touches=touches)
 
 
 def test_nothing_measured_is_refused():

@@ -95,6 +95,8 @@ class Fit:
         Simulations that it took.
     scene
         With the fitted values.
+    touches
+        How many were used.
     """
 
     names: tuple[str, ...]
@@ -106,6 +108,14 @@ class Fit:
     at_bound: tuple[str, ...]
     evaluations: int
     scene: Scene = field(repr=False)
+    touches: int = 0
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Parameters that the measurements do not depend on."""
+        return tuple(
+            n for n, e in zip(self.names, self.errors, strict=True) if not math.isfinite(e)
+        )
 
 
 def identify(
@@ -150,11 +160,19 @@ def identify(
     Raises
     ------
     SceneError
-        A name is unknown or given twice, or nothing was measured.
+        A name is unknown or given twice, nothing was measured, or a noise is not positive.
     SimulationError
         The scene cannot be simulated where the search begins.
     """
     compile_kernels()
+    if touches is not None:
+        if min(touches.start_noise, touches.peak_noise) <= 0.0:
+            raise SceneError(
+                f"noise of touches = {touches.start_noise:g} s, {touches.peak_noise:g} N: "
+                "allowed is > 0"
+            )
+        used = touches.start <= until
+        touches = dataclasses.replace(touches, start=touches.start[used], peak=touches.peak[used])
     problem = _Problem(scene, measured, names, plan, noise or {}, until)
     problem.simulate(problem.begin)  # raises what is wrong with the scene
     rng = np.random.default_rng(seed)
@@ -336,6 +354,7 @@ class _Problem:
             at_bound=tuple(n for n, at in zip(self._names, near, strict=True) if at),
             evaluations=self.evaluations,
             scene=self.scene_at(found.x),
+            touches=0 if touches is None else touches.start.size,
         )
 
 

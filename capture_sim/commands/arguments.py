@@ -54,6 +54,13 @@ def not_negative(text: str) -> float:
     return value
 
 
+def whole(text: str) -> int:
+    """Read a whole number >= 0 off the command line."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed is a whole number >= 0")
+    return int(text)
+
+
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     from capture_sim.scene_files import load_scene, load_scene_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import FAILED, OK, add_overrides, not_negative
+from capture_sim.commands.arguments import FAILED, OK, add_overrides, not_negative, whole
 from capture_sim.commands.showing import compile_first, say
 
 HELP = "fit parameters of the bench to a recorded run"
@@ -12,7 +12,8 @@ DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
     "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
     "are fitted, and the first touches where they were recorded. Prints values with standard "
-    "errors. Exit status 1 when the model does not explain what was measured."
+    "errors. Exit status 1 when the model does not explain what was measured, or a parameter "
+    "does not show in it."
 )
 
 
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--touches",
-        type=int,
+        type=whole,
         default=4,
         metavar="N",
         help="touches that are fitted by time and peak force; 0 none (default: 4)",
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="standard deviations of a touch's time and peak force (default: 2e-4 2)",
     )
     parser.add_argument(
-        "--starts", type=int, default=10, metavar="N", help="searches at most (default: 10)"
+        "--starts", type=whole, default=10, metavar="N", help="searches at most (default: 10)"
     )
     add_overrides(parser)
 
@@ -68,7 +69,6 @@ def run(options: argparse.Namespace) -> int:
         until=float("inf") if options.until is None else options.until,
         starts=options.starts,
     )
-    used = 0 if touches is None else touches.start.size
     say(f"{'parameter':16} {'value':>14} {'+-':>12} {'%':>8} {'began at':>14}")
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
         share = f"{error / abs(value):.2%}" if value else "-"
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
                 say(f"{second} and {first} are hard to tell apart: {fit.correlation[i, j]:+.2f}")
     say(
         f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
-        f"{used} touches, {fit.evaluations} simulations"
+        f"{fit.touches} touches, {fit.evaluations} simulations"
     )
     changes = [
         f"--set {path}={value:.9g}"
@@ -90,10 +90,12 @@ def run(options: argparse.Namespace) -> int:
         for path in ALIASES.get(name, (name,))
     ]
     say(" ".join(changes))
+    for name in fit.untold:
+        say(f"{name}: what was measured does not depend on it; the value is where the search began")
     if not is_explained(fit):
         say(
             "the model does not explain what was measured: the errors are widened by "
             f"{fit.chi2**0.5:.3g}, and may still be too small"
         )
         return FAILED
-    return OK
+    return FAILED if fit.untold else OK
