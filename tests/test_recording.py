@@ -734,6 +734,14 @@ def test_split_recording_is_one_run_and_a_bag(split, path, sent, tmp_path):
     assert again.path == tmp_path / f"{NAME}_2"
 
 
+def test_whole_recording_as_a_bags_folder(path, sent, tmp_path):
+    report = record(tmp_path, sent, split=Split(folder=True)).close()
+    assert {file.name for file in report.path.iterdir()} == {f"{NAME}_0.mcap", "metadata.yaml"}
+    with Reader(report.path) as reader:  # by metadata.yaml
+        assert reader.message_count == len(sent)
+    assert read_run(report.path).raw("bench/state") == read_run(path).raw("bench/state")
+
+
 def test_split_recording_without_metadata_is_read_in_order(path, sent, tmp_path):
     folder = record(tmp_path, sent, split=Split(time=0.4)).close().path
     assert len(list(folder.glob("*.mcap"))) > 10  # so that names do not sort as numbers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,12 @@ class RecorderNode(RunFollower):
                 "s, simulated, after which a new file is begun; 0 never",
                 low=0.0,
                 high=1e9,
+            ),
+        )
+        self._split = replace(
+            self._split,
+            folder=self.declare(
+                "folder", False, "a bag's folder with metadata.yaml, even if it is not split"
             ),
         )
         self._paused = self.declare("paused", False, "begin each run paused")

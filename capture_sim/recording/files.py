@@ -24,13 +24,16 @@ class Split:
         Bytes in the file; 0 for no bound.
     time
         s, simulated, from its first message to its last; 0 for no bound.
+    folder
+        Lay the recording out as a bag's folder, even if no new file is ever begun.
     """
 
     size: int = 0
     time: float = 0.0
+    folder: bool = False
 
     def __bool__(self) -> bool:
-        return self.size > 0 or self.time > 0.0
+        return self.folder or self.size > 0 or self.time > 0.0
 
 
 class RecordingFiles:
