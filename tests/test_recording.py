@@ -734,6 +734,15 @@ def test_split_recording_is_one_run_and_a_bag(split, path, sent, tmp_path):
     assert again.path == tmp_path / f"{NAME}_2"
 
 
+def test_name_that_another_recorder_takes_first(path, sent, tmp_path):
+    # a link to nowhere is not there when looked for, and is when it is to be made
+    (tmp_path / f"{NAME}.mcap").symlink_to(tmp_path / "nowhere" / "at_all.mcap")
+    report = record(tmp_path, sent).close()
+    assert report.path == tmp_path / f"{NAME}_2.mcap"
+    assert report.complete
+    assert read_run(report.path).raw("bench/state") == read_run(path).raw("bench/state")
+
+
 def test_whole_recording_as_a_bags_folder(path, sent, tmp_path):
     report = record(tmp_path, sent, split=Split(folder=True)).close()
     assert {file.name for file in report.path.iterdir()} == {f"{NAME}_0.mcap", "metadata.yaml"}

@@ -13,6 +13,9 @@ from capture_sim.messaging.topics import RECORDED, Topic
 from capture_sim.recording.bag_metadata import FILE_NAME, bag_metadata, in_folder
 from capture_sim.recording.writer import RunWriter, free_path
 
+#: Recorders that may take a name before us, at the same moment.
+_RIVALS = 100
+
 
 @dataclass(frozen=True)
 class Split:
@@ -69,11 +72,21 @@ class RecordingFiles:
         self._split = split or Split()
         self._finished: list[RunWriter] = []
         name = run.name if self._split else f"{run.name}.mcap"
-        #: The file, or the folder.
-        self.path = free_path(directory / name)
         #: Entries for the metadata record at the end of the last file.
         self.closing: dict[str, str] = {}
-        self._writer = self._open()
+        taken: list[Path] = []
+        while True:
+            #: The file, or the folder.
+            self.path = free_path(directory / name, taken)
+            try:
+                self._writer = self._open()
+            except RecordingError as error:
+                # another recorder of the same run was faster
+                if not isinstance(error.__context__, FileExistsError) or len(taken) > _RIVALS:
+                    raise
+                taken.append(self.path)
+            else:
+                break
 
     def write_raw(self, topic: Topic, data: bytes) -> None:
         """Write a serialised message, into a new file when it is time for one.
