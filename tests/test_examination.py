@@ -16,7 +16,8 @@ from capture_sim.analysis.resimulation import agreement
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messaging.messages import EPOCH_NS
-from capture_sim.recording import read_run, write_run
+from capture_sim.messaging.topics import topic_named
+from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
 from capture_sim.recording.judging import judge_recording
@@ -202,6 +203,18 @@ def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
         assert main(line) == 1
         assert "holds 2 runs" in capsys.readouterr().err
     assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
+
+
+def test_resimulation_fails_where_an_event_is_missing(path, tmp_path, capsys):
+    run = read_run(path)
+    recorder = LiveRecorder(tmp_path)
+    for name in ("bench/run_info", "bench/state", "bench/event"):
+        for data in run.raw(name)[: -2 if name == "bench/event" else None]:
+            recorder.take(topic_named(name), data)
+    file = str(recorder.close().path)
+    assert main(["resimulate", file]) == 1
+    assert "the events differ" in capsys.readouterr().out
+    assert main(["resimulate", file, "--tolerance", "1e-9"]) == 0
 
 
 # judged anew

@@ -11,7 +11,8 @@ from capture_sim.errors import RecordingError
 HELP = "simulate a recorded run again and compare state by state"
 DESCRIPTION = (
     "Simulate a recorded run again from the scene inside it and compare it state by state. "
-    "Exit status 1 when a coordinate differs by more than the tolerance."
+    "Exit status 1 when a coordinate differs by more than the tolerance, and without tolerance "
+    "when the events differ."
 )
 
 
@@ -58,4 +59,5 @@ def run(options: argparse.Namespace) -> int:
         if line:
             say(f"  {'then' if line in before else 'now'}: {line}")
     worst = max((d.largest for d in found.differences if d.name == "q"), default=0.0)
-    return OK if worst <= options.tolerance and found.compared else FAILED
+    close = worst <= options.tolerance and (found.same_events or options.tolerance > 0.0)
+    return OK if close and found.compared else FAILED
