@@ -50,7 +50,7 @@ def test_file_reaches_nodes_in_any_namespace(tmp_path):
     import sys
 
     changed = Path(tmp_path, "nodes.yaml")
-    changed.write_text(FILE.read_text().replace("window: 800", "window: 5000"))
+    changed.write_text(FILE.read_text().replace("window: 200", "window: 5000"))
     for namespace in ("/", "/bench_2"):
         done = subprocess.run(
             [

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation_control import Code, State
-from capture_sim.nodes.flow_control import Followers
+from capture_sim.nodes.flow_control import Followers, samples_between_acks
 from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class
 from capture_sim.nodes.suite import run_suite
@@ -470,6 +470,25 @@ def test_suite_ends_when_a_node_refuses(scenes, tmp_path, capfd):
 
 
 # the parts without DDS
+
+
+@pytest.mark.parametrize("rate", [1.0, 100.0, 250.0, 1000.0])
+def test_what_is_under_way_fits_into_the_shared_memory(rate):
+    """Fast DDS: a port holds 512 messages (port_queue_capacity), a segment 512 kB."""
+    samples = 2 * samples_between_acks(1000.0, rate)
+    # a state each, and with a periodic sample eight of the simulator and one of each other
+    messages = samples * (1.0 + 10.0 * rate / 1000.0)
+    assert samples >= 2
+    assert messages <= 512 * 0.8
+    assert samples * 800 + (messages - samples) * 400 < 0.8 * 512 * 1024
+
+
+def test_every_topic_with_every_sample_loses_nothing(start_all, tmp_path):
+    nodes = start_all(overrides="[run.rate=1000, run.t_end=3.0]")
+    assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+    run = read_run(tmp_path / "out" / "tilt_0.mcap")
+    assert run.complete
+    assert run.topics["/joint_states"] == run.topics["/bench/state"] == 3001
 
 
 def test_slowest_follower_is_waited_for():

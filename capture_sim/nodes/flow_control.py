@@ -14,6 +14,25 @@ from dataclasses import dataclass
 
 #: A waiting simulator looks for those that keep silent this often, s.
 POLL = 0.01
+#: Messages that may be under way to one process.  Fast DDS's shared memory holds 512, and 512 kB;
+#: what does not fit is dropped, and sent again when a heartbeat has told that it is missing.
+UNDER_WAY = 400
+#: Samples between two acknowledgements at most.
+ACK_EVERY = 100
+#: Messages with every periodic sample: the simulator's eight, the launcher's, the detector's.
+_PERIODIC = 10
+
+
+def samples_between_acks(state_rate: float, rate: float) -> int:
+    """Return how many samples to acknowledge at a time: two such lots may be under way.
+
+    Parameters
+    ----------
+    state_rate, rate
+        Of the run, Hz.
+    """
+    of_each = 1.0 + _PERIODIC * rate / state_rate
+    return max(1, min(ACK_EVERY, int(UNDER_WAY / (2.0 * of_each))))
 
 
 @dataclass

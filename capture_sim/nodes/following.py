@@ -39,6 +39,7 @@ from capture_sim.messaging.topics import (
     Topic,
     topics_of,
 )
+from capture_sim.nodes.flow_control import samples_between_acks
 from capture_sim.nodes.memory import set_memory_aside, sweep_memory
 from capture_sim.nodes.running import FAILED, OK, BenchNode
 
@@ -55,8 +56,6 @@ FOLLOWED: dict[str, tuple[Topic, ...]] = {
 CONNECTING = 5.0
 #: A follower says that it is there this often, s (wall).
 HEARTBEAT = 0.5
-#: Samples between two acknowledgements while a run is on.
-ACK_EVERY = 100
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"
 _EARLY = "ended early: "
@@ -169,7 +168,8 @@ class RunFollower(BenchNode):
     def advance_to(self, received: int) -> None:
         """Acknowledge that this many samples of the run, or all up to them, were taken in."""
         before, self._received = self._received, received
-        if received // ACK_EVERY != before // ACK_EVERY:
+        every = samples_between_acks(self.run.state_rate, self.run.rate)
+        if received // every != before // every:
             self._acknowledge()
 
     def advance_past(self, periodic: int) -> None:

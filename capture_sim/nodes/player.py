@@ -69,7 +69,7 @@ class PlayerNode(BenchNode):
             "consumers", list, "nodes of the bench that take part: awaited and never outrun"
         )
         self._window = self.declare(
-            "window", 800, "samples that may be ahead of the slowest consumer", low=200, high=900
+            "window", 200, "samples that may be ahead of the slowest consumer", low=200, high=900
         )
         self._patience = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0

@@ -31,7 +31,7 @@ from capture_sim.messaging.topics import (
     topics_of,
 )
 from capture_sim.nodes.diagnostics import SimulatorDiagnostics
-from capture_sim.nodes.flow_control import Followers
+from capture_sim.nodes.flow_control import ACK_EVERY, Followers, samples_between_acks
 from capture_sim.nodes.following import INTERRUPTED, RECORDER
 from capture_sim.nodes.gathering import Gathering
 from capture_sim.nodes.memory import set_memory_aside, sweep_memory
@@ -108,7 +108,7 @@ class SimulatorNode(BenchNode):
             allowed="names of nodes, each once",
         )
         self._window = self.declare(
-            "window", 800, "samples that may be ahead of the slowest consumer", low=200, high=900
+            "window", 200, "samples that may be ahead of the slowest consumer", low=200, high=900
         )
         timeout = self.declare(
             "consumer_timeout",
@@ -361,7 +361,11 @@ class SimulatorNode(BenchNode):
     # what is waited for
 
     def _leave_room(self, count: int) -> None:
-        for name in self._followers.wait_for(count - self._window, self._run.id):
+        run = self._run.scene.run
+        lot = samples_between_acks(run.state_rate, run.rate)
+        # with many messages a sample fewer samples are a transport's fill
+        window = self._window if lot == ACK_EVERY else 2 * lot
+        for name in self._followers.wait_for(count - window, self._run.id):
             self._complain(f"{name}: {self._followers.lost[name]}; the run goes on without it")
 
     def _launched(self) -> str:

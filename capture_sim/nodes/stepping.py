@@ -15,10 +15,9 @@ from capture_sim.control.simulation_control import RunCut, SimulationControl
 from capture_sim.errors import SimulationError
 from capture_sim.messaging.telemetry import BenchTelemetry, Sent
 from capture_sim.messaging.topics import BENCH_EVENT, BENCH_STATE, Topic
+from capture_sim.nodes.flow_control import samples_between_acks
 
-#: Samples that the core computes at a time.
-BLOCK = 100
-#: ... fewer when they would stand for more wall time than this, s.
+#: Samples that the core computes at a time stand for no more wall time than this, s.
 BLOCK_TIME = 0.01
 
 
@@ -122,10 +121,11 @@ class Stepping:
         return failure
 
     def _block(self) -> int:
-        factor = self._pacer.factor
+        factor, run = self._pacer.factor, self.bench.scene.run
+        lot = samples_between_acks(run.state_rate, run.rate)  # no more: their room is waited for
         if factor == 0.0:
-            return BLOCK
-        return int(np.clip(BLOCK_TIME * factor * self.bench.scene.run.state_rate, 1, BLOCK))
+            return lot
+        return int(np.clip(BLOCK_TIME * factor * run.state_rate, 1, lot))
 
     def _send(self, due: list[Sent], t: float, send: Callable[[Topic, Any], None]) -> None:
         if not self._control.free:
