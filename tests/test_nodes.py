@@ -216,11 +216,9 @@ def test_killed_simulator_leaves_a_readable_file_and_ends_the_others(start_all, 
     nodes["simulator"].wait_for("released")
     time.sleep(1.5)
     nodes["simulator"].process.kill()
-    killed = time.monotonic()
     for name in ("recorder", "launcher", "capture_detector"):
         assert nodes[name].status(NOTICED) == 1
         assert "the simulator has gone" in nodes[name].text
-    assert time.monotonic() - killed < NOTICED
     run = read_run(tmp_path / "out" / "tilt_0.mcap")
     assert not run.complete
     assert not run.damage
