@@ -287,22 +287,25 @@ class Latency:
 
     TITLE = "Latency from simulator to detector"
     SENDER = """
-        import atexit, time
+        import atexit, struct, time
         from capture_sim.messaging.topics import BUFFER_STATE, TARGET_ODOMETRY, CAPTURE_STATUS
         watched = {{BUFFER_STATE: [], TARGET_ODOMETRY: [], CAPTURE_STATUS: []}}
         send = node.{cls}.send
+        def stamp_of(message):
+            if isinstance(message, bytes):
+                sec, nanosec = struct.unpack_from("<iI", message, 4)
+                return sec * 10**9 + nanosec
+            return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         def timed(self, topic, message):
             if topic in watched:
-                stamp = message.header.stamp
-                watched[topic].append((stamp.sec * 10**9 + stamp.nanosec, time.monotonic()))
+                watched[topic].append((stamp_of(message), time.monotonic()))
             send(self, topic, message)
         node.{cls}.send = timed
         take = getattr(node.{cls}, "_take", None)
         taken = []
-        def took(self, name, message):
-            stamp = message.header.stamp
-            taken.append((name, stamp.sec * 10**9 + stamp.nanosec, time.monotonic()))
-            take(self, name, message)
+        def took(self, topic, data):
+            taken.append((topic.name, stamp_of(data), time.monotonic()))
+            take(self, topic, data)
         if take is not None:
             node.{cls}._take = took
         def save():

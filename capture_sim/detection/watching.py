@@ -47,7 +47,8 @@ class Watch:
     def __init__(self, scene: Scene) -> None:
         self.detector = CaptureDetector(scene)
         self.aligner = Aligner(scene.detector.gap)
-        self._sources = {topic.name: source for topic, source in watched(scene).items()}
+        #: What is judged by: the source by the topic's name.
+        self.sources = {topic.name: source for topic, source in watched(scene).items()}
 
     def take(self, name: str, message: Any) -> list[CaptureStatus]:
         """Take in a message; return the judgements that it completes.
@@ -60,7 +61,7 @@ class Watch:
             nav_msgs/Odometry, geometry_msgs/PoseStamped or capture_sim/BufferState, of any
             library.
         """
-        source = self._sources.get(name.lstrip("/"))
+        source = self.sources.get(name.lstrip("/"))
         if source is None:
             return []
         stamp = message.header.stamp
@@ -83,17 +84,23 @@ def measured(source: Source, message: Any) -> Values:
         return (message.axial_stroke, message.torsion, message.axial_rate, message.torsion_rate)
     if not hasattr(message, "twist"):
         return _planar(message.pose)
-    x, y, theta = _planar(message.pose.pose)
-    twist = message.twist.twist
+    pose, twist = _planar(message.pose.pose), message.twist.twist
+    return (*pose, *twist_values(pose[2], twist.linear.x, twist.linear.y, twist.angular.z))
+
+
+def pose_values(x: float, y: float, qz: float, qw: float) -> tuple[float, float, float]:
+    """Return x, y (m) and heading (rad) of a position and a quaternion about z."""
+    return x, y, 2.0 * math.atan2(qz, qw)
+
+
+def twist_values(theta: float, vx: float, vy: float, omega: float) -> tuple[float, float, float]:
+    """Return velocity (m/s) and rate (rad/s) in the world of those in the own frame."""
     c, s = math.cos(theta), math.sin(theta)
-    vx = c * twist.linear.x - s * twist.linear.y
-    vy = s * twist.linear.x + c * twist.linear.y
-    return (x, y, theta, vx, vy, twist.angular.z)
+    return c * vx - s * vy, s * vx + c * vy, omega
 
 
 def _planar(pose: Any) -> tuple[float, float, float]:
-    theta = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-    return pose.position.x, pose.position.y, theta
+    return pose_values(pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
 
 
 class MotionCaptureWatch(Watch):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from capture_sim.detection.alignment import Source, Values
 from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.detection.watching import Watch
 from capture_sim.messaging.messages import RunDescription
 from capture_sim.messaging.telemetry import DetectorTelemetry
-from capture_sim.messaging.topics import BUFFER_STATE, CAPTURE_DETECTOR, topics_of
+from capture_sim.messaging.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
+from capture_sim.nodes.decoding import decoder
 from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.running import run
@@ -31,6 +33,7 @@ class CaptureDetectorNode(RunFollower):
 
     # of the run that is on
     _watch: Watch
+    _decoders: dict[Topic, tuple[Source, Callable[[bytes], tuple[float, Values]]]]
     _telemetry: DetectorTelemetry
     _sets: int
 
@@ -39,7 +42,7 @@ class CaptureDetectorNode(RunFollower):
         self._criteria = Criteria(self)
         self.open(topics_of(CAPTURE_DETECTOR))
         for topic in FOLLOWED[CAPTURE_DETECTOR]:
-            self.follow(topic, partial(self._take, topic.name))
+            self.follow(topic, partial(self._take, topic), raw=True)
         name = self.declare(
             "scene",
             "",
@@ -61,6 +64,11 @@ class CaptureDetectorNode(RunFollower):
     def begin(self, info: Any) -> None:
         """Start anew for the scene of this run."""
         self._watch = Watch(self._criteria.of(load_scene_text(info.scene)))
+        self._decoders = {
+            topic: (source, decoder(topic, source))
+            for topic in FOLLOWED[CAPTURE_DETECTOR]
+            if (source := self._watch.sources.get(topic.name)) is not None
+        }
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self._sets = 0
         if given := self._criteria.given():
@@ -79,15 +87,17 @@ class CaptureDetectorNode(RunFollower):
         self.send(*self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
-    def _take(self, name: str, message: Any) -> None:
-        self._send_all(self._watch.take(name, message))
+    def _take(self, topic: Topic, data: bytes) -> None:
+        if topic in self._decoders:
+            source, decode = self._decoders[topic]
+            self._send_all(self._watch.measure(source, *decode(data)))
         if silent := self._watch.aligner.silent(STALE):
             names = " and ".join(source.value for source in silent)
             self.get_logger().warning(
                 f"nothing is judged: no measurement of the {names} for {STALE:g} s",
                 throttle_duration_sec=5.0,
             )
-        if name == BUFFER_STATE.name:
+        if topic is BUFFER_STATE:
             # one in every set of periodic messages
             self.advance_past(self._sets)
             self._sets += 1

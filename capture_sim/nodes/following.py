@@ -152,8 +152,11 @@ class RunFollower(BenchNode):
             if self._tally[topic.name] < sent.get(topic.name, 0)
         ]
 
-    def follow(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        """Subscribe to one of the simulator's streams; it is counted until the run's end."""
+    def follow(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+        """Subscribe to one of the simulator's streams; it is counted until the run's end.
+
+        ``raw``: the callback takes the message's bytes.
+        """
 
         def take(message: Any) -> None:
             if self.run is None:
@@ -163,7 +166,7 @@ class RunFollower(BenchNode):
             self.end_if_complete()
 
         self._followed.append(topic)
-        self.listen(topic, take)
+        self.listen(topic, take, raw=raw)
 
     def advance_to(self, received: int) -> None:
         """Acknowledge that this many samples of the run, or all up to them, were taken in."""
