@@ -7,11 +7,14 @@ run in a thread of their own.
 from __future__ import annotations
 
 import array
+import atexit
 import difflib
 import importlib
+import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
@@ -48,6 +51,10 @@ RCLError = rclpy_implementation.RCLError
 #: Exit statuses.
 OK, FAILED, REFUSED = 0, 1, 2
 
+#: Names of the threads that run callbacks and services.
+CALLBACKS, SERVICES = "callbacks", "services"
+#: Each of them ends within this long, on a busy machine too, s (wall).
+ENDING = 5.0
 #: A last message is given this long to arrive, s (wall).
 LINGER = 0.3
 
@@ -261,7 +268,7 @@ class _Spinner:
         self._executor: Executor = EventsExecutor()
         self._executor.add_node(node)
         self._stop = Future()
-        self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
+        self._thread = threading.Thread(target=self._spin, name=CALLBACKS, daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
@@ -274,8 +281,11 @@ class _Spinner:
     def stop(self) -> None:
         """Let the callback that runs come to its end, and no other begin."""
         self._stop.set_result(None)
-        self._executor.wake()
-        self._thread.join(2.0)
+        deadline = time.monotonic() + ENDING
+        # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
+        while self._thread.is_alive() and time.monotonic() < deadline:
+            self._executor.wake()
+            self._thread.join(0.1)
         self._executor.shutdown()
 
 
@@ -306,15 +316,26 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            return _live(make)
+            status = _live(make)
         finally:
             rclpy.try_shutdown()
+        _leave_if_held_up(status)
+        return status
     except CaptureSimError as error:
         return _refuse(str(error))
     except RCLError as error:
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
         return OK
+
+
+def _leave_if_held_up(status: int) -> None:
+    """End the process here and now if a thread is still within ROS: Python's own end would not."""
+    if any(thread.name in (CALLBACKS, SERVICES) for thread in threading.enumerate()):
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 def _refuse(reason: str) -> int:

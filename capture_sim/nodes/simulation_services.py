@@ -18,6 +18,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
 from capture_sim.control.simulation_control import Answer, Code, Control
+from capture_sim.nodes.running import ENDING, SERVICES
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
 FEATURES = {
@@ -99,7 +100,8 @@ class SimulationServices:
             self._node.create_service(getattr(module, name), topic, callback, callback_group=group)
         self._executor = MultiThreadedExecutor(4, context=node.context)
         self._executor.add_node(self._node)
-        threading.Thread(target=self._spin, name="services", daemon=True).start()
+        self._thread = threading.Thread(target=self._spin, name=SERVICES, daemon=True)
+        self._thread.start()
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
@@ -111,6 +113,8 @@ class SimulationServices:
         if left > 0.0:
             time.sleep(left)
         self._executor.shutdown(2.0)
+        # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
+        self._thread.join(ENDING)
         self._node.destroy_node()
 
     def _features(self, _: Any, response: Any) -> Any:
