@@ -7,7 +7,6 @@ run in a thread of their own.
 from __future__ import annotations
 
 import array
-import atexit
 import difflib
 import importlib
 import os
@@ -332,7 +331,6 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
 def _leave_if_held_up(status: int) -> None:
     """End the process here and now if a thread is still within ROS: Python's own end would not."""
     if any(thread.name in (CALLBACKS, SERVICES) for thread in threading.enumerate()):
-        atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
