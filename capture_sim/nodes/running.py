@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import difflib
 import importlib
+import math
 import os
 import signal
 import sys
@@ -16,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import (
@@ -288,8 +289,23 @@ class _Spinner:
         self._executor.shutdown()
 
 
-def _interrupt(signum: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
+class _Interrupt:
+    """Ends the node's work by KeyboardInterrupt, once for signals that come together.
+
+    Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
+    would tear the end that the first has begun, before that can ignore it.
+    """
+
+    TOGETHER = 1.0  # s
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+
+    def __call__(self, signum: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if now - self._last > self.TOGETHER:
+            self._last = now
+            raise KeyboardInterrupt
 
 
 def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int:
@@ -308,8 +324,9 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
         0 done, or ended by Ctrl-C; 1 failed; 2 refused: a parameter or the scene is wrong.
     """
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
+    interrupt = _Interrupt()
     for signum in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(signum, _interrupt)
+        signal.signal(signum, interrupt)
     try:
         # a supervisor blocks it until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
