@@ -28,7 +28,10 @@ STATES = ("playing", "paused", "stopped")
 #: Lives as long as this process.
 FOLDER = tempfile.TemporaryDirectory(prefix="capture_sim_")
 #: What a sourced ROS would mix into the viewer's own environment.
-MIXES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH")
+MIXES = (
+    *("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
+    *("VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"),
+)
 
 SWITCHES = {
     "simulator": ("true", "start the simulator; false: a real bench, or another simulator"),
