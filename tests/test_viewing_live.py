@@ -199,6 +199,13 @@ def test_server_ends_with_the_view():
 
 
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv of util-linux")
+def test_view_closes_also_where_ctrl_c_has_ended_the_server(run):
+    live = LiveView(free_port())
+    live.begin("trial", run.scene)
+    os.kill(live.server_pid, signal.SIGKILL)
+    live.close()
+
+
 def test_server_ends_with_a_viewer_that_is_killed():
     program = (
         "import sys, time\n"

@@ -134,8 +134,13 @@ class LiveView:
 
     def close(self) -> None:
         """End, with the server."""
-        self.end()
-        self._server.close()
+        try:
+            self.end()
+        except RuntimeError:
+            # Ctrl-C reaches the whole group: the server may be gone before us
+            self._recording = None
+        finally:
+            self._server.close()
 
     def _tell_what_is_missing(self, first: float) -> None:
         kept = f"a viewer that connects later sees the newest {self._memory} MB"
