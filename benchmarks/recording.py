@@ -29,7 +29,6 @@ from capture_sim.analysis.identification import identify, is_explained
 from capture_sim.benchmarking.machine import clock_rate, describe, load
 from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run
 from capture_sim.messaging.messages import RunDescription
-from capture_sim.nodes.discovery import hasten
 from capture_sim.recording import LiveRecorder, RunWriter, read_run, write_run
 from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
 from capture_sim.recording.definitions import typestore
@@ -317,7 +316,6 @@ def main() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
-        hasten(os.environ, Path(folder))
         os.environ.setdefault("ROS_LOG_DIR", str(Path(folder) / "log"))
         measures: dict[str, Callable[[Path], str]] = {
             "write": measure_writing,

@@ -5,7 +5,6 @@ simulator:=false, launcher:=false, detector:=false, record:=false.
 """
 
 import os
-import tempfile
 from pathlib import Path
 
 from launch.actions import (
@@ -20,13 +19,10 @@ from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from capture_sim.nodes.discovery import hasten
 from launch import LaunchDescription
 
 FASTEST = 1000.0
 STATES = ("playing", "paused", "stopped")
-#: Lives as long as this process.
-FOLDER = tempfile.TemporaryDirectory(prefix="capture_sim_")
 #: What a sourced ROS would mix into the viewer's own environment.
 MIXES = (
     *("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
@@ -94,7 +90,6 @@ def suite(context):
     if wanted("simulator"):
         started.append("simulator")
 
-    hasten(os.environ, Path(FOLDER.name))
     files = [argument("params")] if argument("params") else []
     nodes = [
         Node(

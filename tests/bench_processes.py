@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 from capture_sim.control.simulation_control import State
 from capture_sim.messaging.topics import BENCH_STATE, CLOCK, RUN_INFO
-from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.simulation_services import definitions
 
 
@@ -53,7 +52,6 @@ def processes(folder):
     """Give a function that starts a node: its name, Python code that changes it, parameters."""
     # a killed process would leave its shared memory
     environment = dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
-    hasten(environment, folder)
     started = []
 
     def start(name, change="", **parameters):

@@ -31,6 +31,10 @@ _log_dir = tempfile.mkdtemp(prefix="capture_sim_ros_log_")
 os.environ["ROS_DOMAIN_ID"] = str(_domain)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _log_dir
+# for those that listen in; the nodes take it by themselves
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
+    Path(__file__).resolve().parent.parent / "config" / "fast_dds.xml"
+)
 
 
 def pytest_unconfigure():

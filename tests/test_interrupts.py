@@ -1,6 +1,5 @@
 """Ctrl-C as a launch passes it on: twice, from the terminal and from `ros2 launch`."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,7 +13,6 @@ def test_interrupted_twice_ends_in_order(tmp_path, gap):
     pytest.importorskip("rclpy")
     node = subprocess.Popen(
         [sys.executable, "-m", "capture_sim.nodes.recorder"],
-        env={**os.environ, "ROS_DOMAIN_ID": "49", "ROS_LOG_DIR": str(tmp_path)},
         cwd=tmp_path,
         stderr=subprocess.PIPE,
         text=True,

@@ -135,10 +135,13 @@ def test_data_is_found():
 
 @pytest.mark.parametrize("data", ["config", "launch"])
 def test_all_data_is_installed(data):
-    pattern = {"config": "*.yaml", "launch": "*.py"}[data]
-    assert f"{data}/{pattern}" in CMAKE
+    patterns = {"config": ("*.yaml", "*.xml"), "launch": ("*.py",)}[data]
+    installed = set()
+    for pattern in patterns:
+        assert f"{data}/{pattern}" in CMAKE
+        installed |= set((ROOT / data).rglob(pattern))
     files = {p for p in (ROOT / data).rglob("*") if p.is_file() and "__pycache__" not in p.parts}
-    assert files == set((ROOT / data).rglob(pattern))
+    assert files == installed
 
 
 @pytest.mark.parametrize(

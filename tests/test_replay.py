@@ -19,7 +19,6 @@ import capture_sim
 from capture_sim.control.playing import Transport
 from capture_sim.errors import RecordingError
 from capture_sim.messaging.topics import RECORDED, topic_named
-from capture_sim.nodes.discovery import hasten
 from capture_sim.recording import LiveRecorder, Split, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.playback import Playback
@@ -32,15 +31,6 @@ def path(tmp_path_factory):
     scene = capture_sim.load_scene(NAME)
     folder = tmp_path_factory.mktemp("runs")
     return write_run(capture_sim.simulate(scene), folder / f"{NAME}.mcap", run_id="a run")
-
-
-@pytest.fixture(autouse=True)
-def discovery(tmp_path, monkeypatch):
-    """Let the processes of a test find each other at once."""
-    found = {}
-    hasten(found, tmp_path)
-    for name, value in found.items():
-        monkeypatch.setenv(name, value)
 
 
 # what is played

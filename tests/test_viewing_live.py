@@ -198,7 +198,6 @@ def test_server_ends_with_the_view():
     assert not Path(f"/proc/{pid}").exists()
 
 
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv of util-linux")
 def test_view_closes_also_where_ctrl_c_has_ended_the_server(run):
     live = LiveView(free_port())
     live.begin("trial", run.scene)
@@ -206,6 +205,7 @@ def test_view_closes_also_where_ctrl_c_has_ended_the_server(run):
     live.close()
 
 
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv of util-linux")
 def test_server_ends_with_a_viewer_that_is_killed():
     program = (
         "import sys, time\n"
@@ -231,18 +231,6 @@ def test_server_ends_with_a_viewer_that_is_killed():
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 
 
-#: Announcements every 0.2 s: a suite that nobody keeps waiting is over before the default's 3 s.
-DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="viewer" is_default_profile="true">
-    <rtps><builtin><discovery_config>
-      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
-    </discovery_config></builtin></rtps>
-  </participant>
-</profiles>
-"""
-
-
 class Viewer:
     """The viewer node in a process of its own."""
 
@@ -251,12 +239,9 @@ class Viewer:
         self.log = log
         arguments = [f"port:={self.port}", *(f"{k}:={v}" for k, v in parameters.items())]
         options = [word for argument in arguments for word in ("-p", argument)]
-        profile = log.with_suffix(".xml")
-        profile.write_text(DISCOVERY)
         with log.open("w") as output:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "capture_sim.nodes.viewer", "--ros-args", *options],
-                env=dict(os.environ, FASTRTPS_DEFAULT_PROFILES_FILE=str(profile)),
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )

@@ -13,7 +13,6 @@ from typing import Any
 
 import yaml
 
-from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.following import RECORDER
 
 #: Followers get this long to end by themselves, and again after SIGINT, s.
@@ -45,7 +44,6 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
             if name == RECORDER and out is not None:
                 values["out"] = str(out)
             content[name] = {"ros__parameters": values}
-        hasten(os.environ, Path(folder))
         path = Path(folder) / "parameters.yaml"
         path.write_text(yaml.safe_dump(content), encoding="utf-8")
         arguments = ["--ros-args", "--params-file", str(path)]

@@ -39,6 +39,7 @@ from rclpy.task import Future
 from capture_sim.errors import CaptureSimError
 from capture_sim.messaging.messages import Messages
 from capture_sim.messaging.topics import Topic
+from capture_sim.resources import config_dir
 
 try:
     # a quarter of the plain executor's cost per message, but not in every rclpy
@@ -55,6 +56,8 @@ OK, FAILED, REFUSED = 0, 1, 2
 CALLBACKS, SERVICES = "callbacks", "services"
 #: Each of them ends within this long, on a busy machine too, s (wall).
 ENDING = 5.0
+#: Where Fast DDS looks for a profile.
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: A last message is given this long to arrive, s (wall).
 LINGER = 0.3
 
@@ -330,6 +333,8 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
     try:
         # a supervisor blocks it until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
+        if not any(name in os.environ for name in _PROFILES):
+            os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
             status = _live(make)

@@ -22,7 +22,6 @@ from typing import Any, NoReturn
 import yaml
 
 from capture_sim.messaging.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
-from capture_sim.nodes.discovery import hasten
 from capture_sim.nodes.places import Place, claim_place
 from capture_sim.scene import Scene
 
@@ -74,7 +73,7 @@ def run_suite(scenes: Sequence[Scene], out: Path, *, record: bool = True, pace: 
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as temporary, claim_place() as place:
         folder = Path(temporary)
         parameters = _write_parameters(folder, scenes, out, names[1:], pace, place)
-        environment = _environment(folder, out, place)
+        environment = _environment(out, place)
         _say(f"starting {', '.join(names)} {place}")
         with _interruptible(), _Processes(names, parameters, place, environment) as processes:
             status = processes.supervise(limit)
@@ -107,14 +106,13 @@ def _write_parameters(
     return path
 
 
-def _environment(folder: Path, out: Path, place: Place) -> dict[str, str]:
+def _environment(out: Path, place: Place) -> dict[str, str]:
     """Return the nodes' environment; what the caller has set is left as it is."""
     environment = dict(os.environ, ROS_DOMAIN_ID=str(place.domain))
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity}: {message}")
     if "ROS_HOME" not in environment:
         environment.setdefault("ROS_LOG_DIR", str(out.absolute() / "log"))
-    hasten(environment, folder)
     return environment
 
 
