@@ -16,7 +16,7 @@ from capture_sim.analysis.resimulation import agreement
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messaging.messages import EPOCH_NS
-from capture_sim.messaging.topics import topic_named
+from capture_sim.messaging.topics import CAPTURE_STATUS, RECORDED, topic_named
 from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
@@ -136,6 +136,32 @@ def test_joints_are_known_by_their_names(path, tmp_path):
     told = measurements(read_run(path))
     np.testing.assert_array_equal(seen.stroke.values, told.stroke.values)
     np.testing.assert_array_equal(seen.torsion.values, told.torsion.values)
+
+
+def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_path, capsys):
+    """As `ros2 bag record` leaves it: no attachment, and the wall's time for the log's."""
+    topics = [
+        (topic.absolute_name, topic.type_name) for topic in RECORDED if topic is not CAPTURE_STATUS
+    ]
+
+    def as_it_is(time, message):
+        yield time + 1_700_000_000_000_000_000, message
+
+    ours, theirs = read_run(path), read_run(rewritten(path, tmp_path / "bag", as_it_is, topics))
+    assert theirs.scene == ours.scene
+    assert (theirs.run_id, theirs.name) == (ours.run_id, ours.name)
+    assert set(ours.metadata) - set(theirs.metadata) <= {"part", "origin"}
+    assert main(["resimulate", str(tmp_path / "bag")]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+    assert main(["detect", str(tmp_path / "bag")]) == 0
+
+    def lost(time, message):
+        if getattr(message, "seq", None) != 5:
+            yield time, message
+
+    lossy = read_run(rewritten(path, tmp_path / "lossy", lost, topics))
+    assert any("bench/state: 1 messages missing" in problem for problem in lossy.problems), lossy.problems
+    assert lossy.scene == ours.scene
 
 
 def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):

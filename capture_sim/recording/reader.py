@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.decisions import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import stamp_seconds
+from capture_sim.messaging.messages import RunDescription, stamp_seconds
 from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -30,7 +30,12 @@ from capture_sim.recording.definitions import schema_text, typestore
 from capture_sim.recording.records import Contents, read_contents
 from capture_sim.recording.recover import RECOVERY_METADATA
 from capture_sim.recording.tally import Tally
-from capture_sim.recording.writer import END_METADATA, RUN_METADATA, SCENE_ATTACHMENT
+from capture_sim.recording.writer import (
+    END_METADATA,
+    RUN_METADATA,
+    SCENE_ATTACHMENT,
+    describing,
+)
 from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
 from capture_sim.scene_files import load_scene_text
 
@@ -116,7 +121,10 @@ class Run:
     @property
     def metadata(self) -> dict[str, str]:
         """How the run was made: run_id, name, scene_sha256, software, rates."""
-        return dict(self._contents.metadata.get(RUN_METADATA, {}))
+        stored = self._contents.metadata.get(RUN_METADATA)
+        if stored is None:
+            return {} if self._announced is None else describing(self._announced)
+        return dict(stored)
 
     @property
     def name(self) -> str:
@@ -145,7 +153,7 @@ class Run:
     @property
     def has_scene(self) -> bool:
         """Whether the file holds the scene that made the run."""
-        return SCENE_ATTACHMENT in self._contents.attachments
+        return SCENE_ATTACHMENT in self._contents.attachments or self._announced is not None
 
     @property
     def scene_text(self) -> str:
@@ -156,10 +164,28 @@ class Run:
         RecordingError
             The file holds none.
         """
-        try:
+        if SCENE_ATTACHMENT in self._contents.attachments:
             return self._contents.attachments[SCENE_ATTACHMENT].decode()
-        except KeyError:
-            raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}") from None
+        if self._announced is not None:
+            return self._announced.scene
+        raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}")
+
+    @cached_property
+    def _announced(self) -> RunDescription | None:
+        """How the run was announced, as `ros2 bag record` keeps it; None unless it is one run."""
+        if len(self.run_ids) != 1:
+            return None
+        told = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
+        return RunDescription(
+            run_id=told["run_id"],
+            name=told["name"],
+            scene=told["scene"],
+            software=tuple(told["software"]),
+            state_rate=float(told["state_rate"]),
+            rate=float(told["rate"]),
+            publishers=tuple(told["publishers"]),
+            consumers=tuple(told["consumers"]),
+        )
 
     @cached_property
     def scene(self) -> Scene:
