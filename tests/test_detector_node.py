@@ -15,6 +15,8 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
@@ -33,10 +35,12 @@ from capture_sim.messaging.topics import (
     STREAM_ACK,
     STREAM_COUNTS,
     TARGET_POSE,
+    topics_of,
 )
 from capture_sim.nodes.running import BenchNode
 from capture_sim.nodes.suite import run_suite
 from capture_sim.recording import read_run, write_run
+from capture_sim.recording.definitions import typestore
 from capture_sim.recording.judging import judge_recording
 from capture_sim.scene import Detector
 
@@ -311,3 +315,37 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     node.send_signal(signal.SIGINT)
     assert node.wait(20.0) == 0
     assert "Traceback" not in node.log.read_text()
+
+
+def test_played_as_any_bag_the_run_of_a_suite_is_judged_from_its_start(tmp_path, start):
+    """Nobody waits for the detector, nor reads it, though the announcement names who did once."""
+    path = write_run(simulate(load_scene("tilt_0")), tmp_path / "tilt_0.mcap")
+    store, folder = typestore(), tmp_path / "bag"
+    sent = {topic.absolute_name for topic in topics_of(SIMULATOR)}
+    with (
+        AnyReader([path], default_typestore=store) as reader,
+        Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        copies = {
+            c.id: writer.add_connection(
+                c.topic,
+                c.msgtype,
+                typestore=store,
+                offered_qos_profiles=c.ext.offered_qos_profiles,
+            )
+            for c in reader.connections
+            if c.topic in sent
+        }
+        for c, when, data in reader.messages():
+            if c.id in copies:
+                if c.msgtype == RUN_INFO.type_name:
+                    message = store.deserialize_cdr(data, c.msgtype)
+                    message.consumers = ["recorder", "capture_detector", "launcher"]
+                    data = store.serialize_cdr(message, c.msgtype)
+                writer.write(copies[c.id], when, data)
+    detector = start("capture_detector")
+    wait_for(detector, "ready")
+    player = start("player", bag=folder, rate=4.0)
+    assert player.wait(60) == 0, player.log.read_text()
+    assert detector.wait(30) == 0, detector.log.read_text()
+    assert "tilt_0: captured" in detector.log.read_text()

@@ -160,7 +160,9 @@ def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_pat
             yield time, message
 
     lossy = read_run(rewritten(path, tmp_path / "lossy", lost, topics))
-    assert any("bench/state: 1 messages missing" in problem for problem in lossy.problems), lossy.problems
+    assert any("bench/state: 1 messages missing" in problem for problem in lossy.problems), (
+        lossy.problems
+    )
     assert lossy.scene == ours.scene
 
 

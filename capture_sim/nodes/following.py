@@ -243,11 +243,14 @@ class RunFollower(BenchNode):
             self._acknowledge()
 
     def _consider(self) -> None:
-        """Take up the run that is announced, once those that read this node are connected."""
+        """Take up the run that is announced, once those that read this node are connected.
+
+        At once if nobody waits for that: a bag is played, and its measurements come already.
+        """
         info = self._kept
         if info is None:
             return
-        lacking = any(
+        lacking = self.matched(STREAM_ACK) > 0 and any(
             self.matched(topic) < connections(topic, info.consumers)
             for topic in topics_of(self.get_name())
         )

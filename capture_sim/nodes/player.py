@@ -102,7 +102,8 @@ class PlayerNode(BenchNode):
         self._ticker = None
         if CLOCK.name not in self._outlets and self._clock_rate > 0.0:
             self._ticker = self.create_publisher(Clock, CLOCK.name, 10)
-        self.listen(STREAM_ACK, self._heard)
+        if self._consumers:  # a reader of this tells followers that they are waited for
+            self.listen(STREAM_ACK, self._heard)
         for name, action in (
             ("pause", self._transport.pause),
             ("resume", self._transport.resume),
