@@ -15,6 +15,8 @@ import yaml
 
 from capture_sim.nodes.following import RECORDER
 
+#: Exit status after Ctrl-C.
+INTERRUPTED = 130
 #: Followers get this long to end by themselves, and again after SIGINT, s.
 GRACE = 10.0
 
@@ -32,7 +34,8 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 1 when a node failed, 2 when one refused its parameters.
+        0 when all went well, 1 when a node failed, 2 when one refused its parameters,
+        130 after Ctrl-C.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{name}] {message}")
@@ -58,9 +61,11 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         ]
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         try:
-            from capture_sim.nodes.player import main
+            from capture_sim.nodes.player import PlayerNode
+            from capture_sim.nodes.running import run
 
-            return max([main(arguments), *_ended(followers)])
+            status = run(PlayerNode, arguments, interrupted=INTERRUPTED)
+            return status if status == INTERRUPTED else max([status, *_ended(followers)])
         finally:
             _end(followers)
 
