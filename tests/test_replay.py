@@ -435,6 +435,19 @@ answer = {"hello": [m.hex() for m in got["/hello"]], "clocks": len(got["/clock"]
     assert answer["clocks"] > 5
 
 
+def test_player_that_has_nothing_to_play_fails(tmp_path, play):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        strange = writer.add_connection(
+            "/strange", "foo_msgs/msg/Bar", msgdef="int32 x", rihs01="RIHS01_" + "0" * 64
+        )
+        writer.write(strange, 1_000_000_000, b"\0\1\0\0\0\0\0\0")
+    process = play(bag=str(tmp_path / "bag"), delay=0.1)
+    said = process.communicate(timeout=60)[0]
+    assert process.returncode == 1
+    assert "nothing was played" in said
+
+
 @pytest.mark.parametrize(
     "parameters, said",
     [

@@ -61,11 +61,20 @@ def whole(text: str) -> int:
     return int(text)
 
 
+def is_recording(source: str) -> bool:
+    """Whether this names a recording: an .mcap file, or a bag's folder that is no experiment."""
+    from capture_sim.scene_files import scene_names
+
+    if source.endswith(".mcap"):
+        return True
+    return source not in scene_names() and any(Path(source).glob("*.mcap"))
+
+
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     from capture_sim.scene_files import load_scene, load_scene_text
 
-    if not source.endswith(".mcap"):
+    if not is_recording(source):
         return load_scene(source, overrides)
     from capture_sim.recording import read_run
 

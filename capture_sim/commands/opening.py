@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from capture_sim.commands.arguments import is_recording
 from capture_sim.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     Parameters
     ----------
     sources
-        MCAP files, or experiments.
+        MCAP files, bags' folders, or experiments.
     scene
         Whose geometry the bench of a recording has that holds no scene; None for none.
 
@@ -69,7 +70,7 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
         There is no such experiment.
     """
     opened = [
-        _open_recording(source, scene) if source.endswith(".mcap") else _run_now(source)
+        _open_recording(source, scene) if is_recording(source) else _run_now(source)
         for source in sources
     ]
     for one in opened:
@@ -107,7 +108,7 @@ def _run_now(name: str) -> Opened:
     try:
         scene = load_scene(name)
     except SceneError as error:
-        raise SceneError(f"{error}; a recording ends in .mcap") from None
+        raise SceneError(f"{error}; a recording ends in .mcap or is a bag's folder") from None
     compile_first()
     result = simulate(scene)
     return Opened(result, "run now", software_versions(), result.wall_time)

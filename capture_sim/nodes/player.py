@@ -223,6 +223,9 @@ class PlayerNode(BenchNode):
         except CaptureSimError as error:
             log.error(str(error))
             return False
+        if not count:
+            log.error("nothing was played: no message of the topics that can be, from the start on")
+            return False
         played = (stamp - self._playback.start) / 1e9 - self._offset
         log.info(
             f"{count} messages, {played:.2f} s played in {spent:.2f} s "

@@ -268,7 +268,10 @@ class _Reader:
     def _channel(self, channel: Channel) -> None:
         self._topics[channel.id] = channel.topic
         schema = self._schemas.get(channel.schema_id)
-        self._contents.types.setdefault(channel.topic, "" if schema is None else schema.name)
+        name = "" if schema is None else schema.name
+        if channel.message_encoding != "cdr":
+            name += f" as {channel.message_encoding or 'bytes of unknown encoding'}"
+        self._contents.types.setdefault(channel.topic, name)
         self._contents.qos[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
         self._contents.messages.setdefault(channel.topic, [])
         self._contents.log_times.setdefault(channel.topic, [])
