@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     for topic, count in saved.messages.items():
         say(f"  {topic}: {count}")
     for line in saved.losses:
-        say(f"lost: {line}")
+        say(line if line.startswith("unconfirmed") else f"lost: {line}")
     if not saved.losses:
         say("nothing was lost")
     return OK

@@ -288,12 +288,11 @@ def _losses(found: Findings, data: bytes) -> list[str]:
         lines.append(f"{found.written - saved} of {found.written} messages")
     if found.unconfirmed:
         lines.append(
-            f"nothing that is known, but {found.unconfirmed} of {len(found.chunks)} chunks carry "
-            "no checksum: nothing confirms them"
+            f"unconfirmed: {found.unconfirmed} of {len(found.chunks)} chunks carry no checksum"
         )
     if not found.verified and not lines:
         lines.append(
-            "nothing that is known, but the file has no checksum outside its chunks"
+            "unconfirmed: the file has no checksum outside its chunks"
             if found.unchecked
             else "bytes outside chunks are damaged"
         )
