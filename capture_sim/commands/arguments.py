@@ -23,7 +23,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         "experiments",
         nargs="+",
         metavar="EXPERIMENT",
-        help="names of scenes, paths of YAML files, or recorded .mcap files",
+        help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("runs"), help="folder of the results (default: runs)"
@@ -63,9 +63,10 @@ def whole(text: str) -> int:
 
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
+    from capture_sim.commands.recorded import is_recording
     from capture_sim.scene_files import load_scene, load_scene_text
 
-    if not source.endswith(".mcap"):
+    if not is_recording(source):
         return load_scene(source, overrides)
     from capture_sim.recording import read_run
 

@@ -57,7 +57,7 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     Parameters
     ----------
     sources
-        MCAP files, or experiments.
+        MCAP files, bags' folders, or experiments.
     scene
         Whose geometry the bench of a recording has that holds no scene; None for none.
 
@@ -68,8 +68,10 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     SceneError
         There is no such experiment.
     """
+    from capture_sim.commands.recorded import is_recording
+
     opened = [
-        _open_recording(source, scene) if source.endswith(".mcap") else _run_now(source)
+        _open_recording(source, scene) if is_recording(source) else _run_now(source)
         for source in sources
     ]
     for one in opened:
@@ -79,11 +81,11 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
 
 
 def _open_recording(path: str, scene: str | None) -> Opened:
-    from capture_sim.recording import read_run
+    from capture_sim.commands.recorded import open_run
     from capture_sim.scene_files import load_scene
     from capture_sim.viewing.bag import run_from_bag
 
-    recorded = read_run(path)
+    recorded = open_run(path, tell=False)
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
     if recorded.samples.size:
         return Opened(
@@ -107,7 +109,7 @@ def _run_now(name: str) -> Opened:
     try:
         scene = load_scene(name)
     except SceneError as error:
-        raise SceneError(f"{error}; a recording ends in .mcap") from None
+        raise SceneError(f"{error}; a recording ends in .mcap, or is a bag's folder") from None
     compile_first()
     result = simulate(scene)
     return Opened(result, "run now", software_versions(), result.wall_time)

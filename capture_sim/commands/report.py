@@ -18,7 +18,9 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="recorded .mcap files, or names")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
+    )
     parser.add_argument(
         "--out",
         type=Path,
