@@ -43,6 +43,17 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_release(parser: argparse.ArgumentParser) -> None:
+    """Add ``--release S``: when the chaser of a real bench was released."""
+    parser.add_argument(
+        "--release",
+        type=not_negative,
+        metavar="S",
+        help="when a bench released the chaser, s after the recording's first pose (default: as "
+        "launcher/command tells, else the first pose)",
+    )
+
+
 def not_negative(text: str) -> float:
     """Read a finite number >= 0 off the command line."""
     try:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import FAILED, OK, add_overrides, not_negative, whole
+from capture_sim.commands.arguments import (
+    FAILED,
+    OK,
+    add_overrides,
+    add_release,
+    not_negative,
+    whole,
+)
 from capture_sim.commands.showing import compile_first, say
 
 HELP = "fit parameters of the bench to a recorded run"
@@ -27,13 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--until", type=not_negative, metavar="S", help="leave out what was measured later"
     )
-    parser.add_argument(
-        "--release",
-        type=not_negative,
-        metavar="S",
-        help="when the chaser was released, s after the recording's first pose (default: as "
-        "launcher/command tells, else the first pose)",
-    )
+    add_release(parser)
     parser.add_argument(
         "--touches",
         type=whole,

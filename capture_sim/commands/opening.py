@@ -51,7 +51,9 @@ class Opened:
         )
 
 
-def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
+def open_runs(
+    sources: Sequence[str], scene: str | None, release: float | None = None
+) -> list[Opened]:
     """Open recordings, or run experiments given by name; say what is wrong with a recording.
 
     Parameters
@@ -60,6 +62,8 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
         MCAP files, bags' folders, or experiments.
     scene
         Whose geometry the bench of a recording has that holds no scene; None for none.
+    release
+        When a bench released the chaser, s after the first pose; None where the bag tells.
 
     Raises
     ------
@@ -71,7 +75,7 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     from capture_sim.commands.recorded import is_recording
 
     opened = [
-        _open_recording(source, scene) if is_recording(source) else _run_now(source)
+        _open_recording(source, scene, release) if is_recording(source) else _run_now(source)
         for source in sources
     ]
     for one in opened:
@@ -80,7 +84,7 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     return opened
 
 
-def _open_recording(path: str, scene: str | None) -> Opened:
+def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
     from capture_sim.commands.recorded import open_run
     from capture_sim.scene_files import load_scene
     from capture_sim.viewing.bag import run_from_bag
@@ -96,7 +100,7 @@ def _open_recording(path: str, scene: str | None) -> Opened:
             f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
             "experiment of the same geometry by --scene"
         )
-    run = run_from_bag(recorded, load_scene(scene))
+    run = run_from_bag(recorded, load_scene(scene), release)
     return Opened(run, f"measured, in {path}", software, problems=recorded.problems, measured=True)
 
 
