@@ -17,6 +17,8 @@ from capture_sim.nodes.following import RECORDER
 
 #: Followers get this long to end by themselves, and again after SIGINT, s.
 GRACE = 10.0
+#: No status of a node's own.
+_INTERRUPTED = 130
 
 
 def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
@@ -33,6 +35,11 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
     -------
     int
         0 when all went well, 1 when a node failed, 2 when one refused its parameters.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, when all nodes have ended in order.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{name}] {message}")
@@ -60,7 +67,10 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         try:
             from capture_sim.nodes.player import main
 
-            return max([main(arguments), *_ended(followers)])
+            status = main(arguments, interrupted=_INTERRUPTED)
+            if status == _INTERRUPTED:
+                raise KeyboardInterrupt
+            return max([status, *_ended(followers)])
         finally:
             _end(followers)
 

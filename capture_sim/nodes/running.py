@@ -311,7 +311,9 @@ class _Interrupt:
             raise KeyboardInterrupt
 
 
-def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int:
+def run(
+    make: Callable[[], BenchNode], args: Sequence[str] | None = None, *, interrupted: int = OK
+) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
     Parameters
@@ -320,11 +322,14 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
         Makes the node.
     args
         Command line; ``None`` for that of the process.
+    interrupted
+        What Ctrl-C makes of the status: to stop a node is its ordinary end.
 
     Returns
     -------
     int
-        0 done, or ended by Ctrl-C; 1 failed; 2 refused: a parameter or the scene is wrong.
+        0 done; ``interrupted`` when ended by Ctrl-C; 1 failed; 2 refused: a parameter or the
+        scene is wrong.
     """
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
     interrupt = _Interrupt()
@@ -337,7 +342,7 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
             os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            status = _live(make)
+            status = _live(make, interrupted)
         finally:
             rclpy.try_shutdown()
         _leave_if_held_up(status)
@@ -347,7 +352,7 @@ def run(make: Callable[[], BenchNode], args: Sequence[str] | None = None) -> int
     except RCLError as error:
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
-        return OK
+        return interrupted
 
 
 def _leave_if_held_up(status: int) -> None:
@@ -363,7 +368,7 @@ def _refuse(reason: str) -> int:
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode]) -> int:
+def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
     node = make()
     node.warn_of_unknown_parameters()
     log = node.get_logger()
@@ -374,7 +379,7 @@ def _live(make: Callable[[], BenchNode]) -> int:
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True
-        status = OK
+        status = when_interrupted
     except CaptureSimError as error:
         log.error(str(error))
     finally:
