@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
+import yaml
 from matplotlib.image import imread
 from test_viewing_bag import STANDARD, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.commands.arguments import load
 from capture_sim.recording import write_run
 
 
@@ -53,6 +57,36 @@ def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, 
     assert (tmp_path / "trial.png").stat().st_size > 50_000
     assert main(["report", bag, "--scene", "tilt_0", "--out", str(tmp_path / "r.html")]) == 0
     assert "Not measured: trial" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def bag_of(file, folder):
+    """A folder as rosbag2 lays it out, of one part that has another name than the folder."""
+    folder.mkdir()
+    shutil.copy(file, folder / "part_0.mcap")
+    told = {"rosbag2_bagfile_information": {"relative_file_paths": ["part_0.mcap"]}}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(told), encoding="utf-8")
+    return folder
+
+
+def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys):
+    bag = str(bag_of(recorded[1], tmp_path / "bag"))
+    assert load(bag, ["friction.mu=0.3"]) == capture_sim.load_scene("tilt_p10", ["friction.mu=0.3"])
+    assert main(["view", bag, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "tilt_p10.png").stat().st_size > 50_000
+    assert main(["report", bag, "--out", str(tmp_path / "r.html")]) == 0
+    assert f"recorded in {bag}" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert main(["run", bag, "--no-record", "--out", str(tmp_path / "runs")]) == 0
+    assert "tilt_p10" in capsys.readouterr().out
+
+
+def test_known_scene_comes_before_a_folder_of_its_name(recorded, tmp_path, monkeypatch):
+    bag_of(recorded[1], tmp_path / "tilt_0")
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load("tilt_0", []).name == "tilt_0"
+    assert load("./tilt_0", []).name == "tilt_p10"
+    with pytest.raises(capture_sim.errors.SceneError, match="unknown"):
+        load("empty", [])
 
 
 @pytest.mark.parametrize("window", [("0.2", "0.4"), ("5.5", "5.6")])

@@ -89,6 +89,16 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
 
 
+def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
+    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", (*STANDARD, "/capture/status")))
+    scene = capture_sim.load_scene("tilt_0")
+    seen = run_from_bag(bag, scene, 0.5)
+    assert seen.samples["t"] == pytest.approx(run.samples["t"][::10] - 0.5, abs=1e-6)
+    assert decided_at(seen) == pytest.approx(decided_at(run) - 0.5, abs=1e-6)
+    with pytest.raises(RecordingError, match=r"release = 60 s: allowed is 0 to [0-9.]+ s"):
+        run_from_bag(bag, scene, 60.0)
+
+
 def test_gaps_are_those_of_the_simulator(run, recorded, tmp_path):
     bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD))
     seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))

@@ -20,7 +20,7 @@ import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import Phase
 from capture_sim.viewing.geometry import tip_in_cone
-from capture_sim.viewing.measured import Measurements, samples_of
+from capture_sim.viewing.measured import AlignedMeasurements, samples_of
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -55,7 +55,7 @@ def measurements(scene, samples):
     """Return samples as a bench without the simulator's knowledge would give them."""
     q, v = samples["q"], samples["v"]
     string = [samples["phase"], samples["string_tension"], samples["mass_height"]]
-    measured = Measurements(
+    measured = AlignedMeasurements(
         t=samples["t"],
         chaser=q[:, :3],
         chaser_rate=v[:, :3],

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from capture_sim.analysis.measurements import Measurements, Series, measured_in
+from capture_sim.analysis.touches import Touches
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.launching import LaunchPlan
@@ -50,26 +51,6 @@ _STEP = 3e-3
 _LONGEST_STEP = 0.3
 #: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
 _FAR = 1e3
-
-
-@dataclass(frozen=True)
-class Touches:
-    """The first touches of a run, in order.
-
-    Attributes
-    ----------
-    start : ndarray (n,)
-        s.
-    peak : ndarray (n,)
-        N.
-    start_noise, peak_noise
-        Standard deviations, s and N.
-    """
-
-    start: np.ndarray
-    peak: np.ndarray
-    start_noise: float
-    peak_noise: float
 
 
 @dataclass(frozen=True)
@@ -144,7 +125,8 @@ def identify(
         The launch as it was done; None lets the scene's be planned.  It stays as it is
         whatever the parameters.
     touches
-        The first touches; None does without.
+        The first touches; None does without.  Those found in a force that is sampled too
+        slowly for touches as the scene has them are not used.
     noise
         Standard deviations by series, see :data:`NOISE_FLOOR`; what is missing is estimated
         from the series' own scatter.
@@ -174,7 +156,11 @@ def identify(
         used = touches.start <= until
         touches = dataclasses.replace(touches, start=touches.start[used], peak=touches.peak[used])
     problem = _Problem(scene, measured, names, plan, noise or {}, until)
-    problem.simulate(problem.begin)  # raises what is wrong with the scene
+    _, expected = problem.simulate(problem.begin)  # raises what is wrong with the scene
+    if touches is not None:
+        first = expected[np.argsort(expected["start"], kind="stable")][: touches.start.size]
+        if touches.could_be_missed(first["end"] - first["start"]):
+            touches = None
     rng = np.random.default_rng(seed)
 
     def search(begin: np.ndarray) -> Any:
@@ -299,6 +285,7 @@ class _Problem:
                 values = own.values[np.searchsorted(own.t, series.t)]
             parts.append(((series.values - values) / sigma).ravel())
         if touches is not None:
+            touched = touched[touched["peak_force"] >= touches.least]
             touched = touched[np.argsort(touched["start"], kind="stable")]
             n = min(touches.start.size, touched.size)
             far = np.full(touches.start.size - n, _FAR)

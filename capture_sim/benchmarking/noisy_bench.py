@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.analysis.identification import Touches
 from capture_sim.analysis.measurements import Measurements, Series, measured_in
+from capture_sim.analysis.touches import Touches
 from capture_sim.bench import Bench
 from capture_sim.launching import LaunchPlan, plan_launch
 from capture_sim.scene import Scene
@@ -57,7 +57,7 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
     values = drawn if true is None else np.array(true)
     scene = load_scene(name)
     plan = plan_launch(scene)
-    bench = Bench(_with(scene, plan, *values.tolist()))
+    bench = Bench(with_parameters(scene, plan, *values.tolist()))
     samples = bench.advance(np.arange(0.0, scene.run.t_end, 1.0 / RATE))
     exact = measured_in(samples)
 
@@ -80,7 +80,10 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
     return NoisyRun(scene, plan, values, measured, touches)
 
 
-def _with(scene: Scene, plan: LaunchPlan, c_rr: float, e: float, mu: float, c_A: float) -> Scene:
+def with_parameters(
+    scene: Scene, plan: LaunchPlan, c_rr: float, e: float, mu: float, c_A: float
+) -> Scene:
+    """Return a scene with these parameters and the launch as planned."""
     replace = dataclasses.replace
     assert scene.supports is not None
     assert scene.string is not None

@@ -23,7 +23,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         "experiments",
         nargs="+",
         metavar="EXPERIMENT",
-        help="names of scenes, paths of YAML files, or recorded .mcap files",
+        help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("runs"), help="folder of the results (default: runs)"
@@ -40,6 +40,17 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         dest="overrides",
         metavar="PART.FIELD=VALUE",
         help="change a value of the scene, in SI units; may be repeated",
+    )
+
+
+def add_release(parser: argparse.ArgumentParser) -> None:
+    """Add ``--release S``: when the chaser of a real bench was released."""
+    parser.add_argument(
+        "--release",
+        type=not_negative,
+        metavar="S",
+        help="when a bench released the chaser, s after the recording's first pose (default: as "
+        "launcher/command tells, else the first pose)",
     )
 
 
@@ -61,17 +72,9 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def is_recording(source: str) -> bool:
-    """Whether this names a recording: an .mcap file, or a bag's folder that is no experiment."""
-    from capture_sim.scene_files import scene_names
-
-    if source.endswith(".mcap"):
-        return True
-    return source not in scene_names() and any(Path(source).glob("*.mcap"))
-
-
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
+    from capture_sim.commands.recorded import is_recording
     from capture_sim.scene_files import load_scene, load_scene_text
 
     if not is_recording(source):

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import FAILED, OK, add_overrides, not_negative, whole
+from capture_sim.commands.arguments import (
+    FAILED,
+    OK,
+    add_overrides,
+    add_release,
+    not_negative,
+    whole,
+)
 from capture_sim.commands.showing import compile_first, say
 
 HELP = "fit parameters of the bench to a recorded run"
@@ -27,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--until", type=not_negative, metavar="S", help="leave out what was measured later"
     )
+    add_release(parser)
     parser.add_argument(
         "--touches",
         type=whole,
@@ -56,13 +64,17 @@ def run(options: argparse.Namespace) -> int:
 
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
+    measured = measurements(recorded, options.release)
     compile_first()
-    touches = None
+    touches, source = None, ""
+    start_noise, peak_noise = options.touch_noise
     if options.touches > 0:
-        touches = first_touches(recorded, options.touches, *options.touch_noise)
+        touches, source = first_touches(
+            recorded, scene, options.touches, start_noise, peak_noise, options.release
+        )
     fit = identify(
         scene,
-        measurements(recorded),
+        measured,
         options.parameters,
         plan=launch_of(recorded, scene),
         touches=touches,
@@ -84,6 +96,10 @@ def run(options: argparse.Namespace) -> int:
         f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
         f"{fit.touches} touches, {fit.evaluations} simulations"
     )
+    if fit.touches:
+        say(f"touches are those of {source}")
+    elif options.touches > 0:
+        say("no touches: neither events tell of them, nor a force that is sampled fast enough")
     changes = [
         f"--set {path}={value:.9g}"
         for name, value in zip(fit.names, fit.values, strict=True)

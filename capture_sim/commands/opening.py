@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from capture_sim.commands.arguments import is_recording
 from capture_sim.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -52,7 +51,9 @@ class Opened:
         )
 
 
-def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
+def open_runs(
+    sources: Sequence[str], scene: str | None, release: float | None = None
+) -> list[Opened]:
     """Open recordings, or run experiments given by name; say what is wrong with a recording.
 
     Parameters
@@ -61,6 +62,8 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
         MCAP files, bags' folders, or experiments.
     scene
         Whose geometry the bench of a recording has that holds no scene; None for none.
+    release
+        When a bench released the chaser, s after the first pose; None where the bag tells.
 
     Raises
     ------
@@ -69,8 +72,10 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     SceneError
         There is no such experiment.
     """
+    from capture_sim.commands.recorded import is_recording
+
     opened = [
-        _open_recording(source, scene) if is_recording(source) else _run_now(source)
+        _open_recording(source, scene, release) if is_recording(source) else _run_now(source)
         for source in sources
     ]
     for one in opened:
@@ -79,12 +84,12 @@ def open_runs(sources: Sequence[str], scene: str | None) -> list[Opened]:
     return opened
 
 
-def _open_recording(path: str, scene: str | None) -> Opened:
-    from capture_sim.recording import read_run
+def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
+    from capture_sim.commands.recorded import open_run
     from capture_sim.scene_files import load_scene
     from capture_sim.viewing.bag import run_from_bag
 
-    recorded = read_run(path)
+    recorded = open_run(path, tell=False)
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
     if recorded.samples.size:
         return Opened(
@@ -95,7 +100,7 @@ def _open_recording(path: str, scene: str | None) -> Opened:
             f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
             "experiment of the same geometry by --scene"
         )
-    run = run_from_bag(recorded, load_scene(scene))
+    run = run_from_bag(recorded, load_scene(scene), release)
     return Opened(run, f"measured, in {path}", software, problems=recorded.problems, measured=True)
 
 
@@ -108,7 +113,7 @@ def _run_now(name: str) -> Opened:
     try:
         scene = load_scene(name)
     except SceneError as error:
-        raise SceneError(f"{error}; a recording ends in .mcap or is a bag's folder") from None
+        raise SceneError(f"{error}; a recording ends in .mcap, or is a bag's folder") from None
     compile_first()
     result = simulate(scene)
     return Opened(result, "run now", software_versions(), result.wall_time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture_sim.errors import SceneError
@@ -13,8 +14,32 @@ if TYPE_CHECKING:
     from capture_sim.scene import Scene
 
 
-def open_run(path: str, *, several: bool = False) -> Run:
+def is_recording(source: str) -> bool:
+    """Whether an argument names a recording, a file or a bag's folder, and not a scene.
+
+    A folder that has the name of a known scene is meant when it is written as a path (./tilt_0).
+    """
+    from capture_sim.scene_files import scene_names
+
+    if source.endswith(".mcap"):
+        return True
+    folder = Path(source)
+    if source in scene_names() or not folder.is_dir():
+        return False
+    return (folder / "metadata.yaml").is_file() or any(folder.glob("*.mcap"))
+
+
+def open_run(path: str, *, several: bool = False, tell: bool = True) -> Run:
     """Read a recording, and say what is wrong with it.
+
+    Parameters
+    ----------
+    path
+        A file, or a bag's folder.
+    several
+        Whether it may hold several runs.
+    tell
+        Whether its problems are printed.
 
     Raises
     ------
@@ -30,7 +55,7 @@ def open_run(path: str, *, several: bool = False) -> Run:
             f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
             "is one"
         )
-    for problem in run.problems:
+    for problem in run.problems if tell else ():
         print(f"capture-sim: {path}: {problem}", file=sys.stderr)
     return run
 

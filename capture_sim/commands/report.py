@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_sim.commands.arguments import OK, prepare_folder
+from capture_sim.commands.arguments import OK, add_release, prepare_folder
 from capture_sim.commands.opening import open_runs
 from capture_sim.commands.showing import say
 
@@ -18,7 +18,9 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="recorded .mcap files, or names")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -31,12 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EXPERIMENT",
         help="whose geometry a bench has whose recording does not say it",
     )
+    add_release(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     prepare_folder(options.out.parent)
-    opened = open_runs(options.runs, options.scene)
+    opened = open_runs(options.runs, options.scene, options.release)
 
     from capture_sim.viewing.report import ReportedRun, save_report
     from capture_sim.viewing.report_parts import error_statement, not_simulated

@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from capture_sim.commands.arguments import OK, prepare_folder
+from capture_sim.commands.arguments import OK, add_release, prepare_folder
 from capture_sim.commands.opening import Opened, open_runs
 from capture_sim.commands.showing import draw, say
 from capture_sim.errors import RecordingError
@@ -20,7 +20,9 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="recorded .mcap files, or names")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
+    )
     parser.add_argument(
         "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
     )
@@ -44,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EXPERIMENT",
         help="whose geometry a bench has whose recording does not say it",
     )
+    add_release(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     if window is not None and not window[0] < window[1]:
         raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: allowed is FROM < TO")
     prepare_folder(options.out)
-    opened = open_runs(options.runs, options.scene)
+    opened = open_runs(options.runs, options.scene, options.release)
     if window is not None:
         opened = [_seen_closely(one, window) for one in opened]
     runs = [one.run for one in opened]

@@ -330,9 +330,9 @@ def qos_from(recorded: dict[str, Any]) -> QoSProfile:
     return profile
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(PlayerNode, args)
+def main(args: Sequence[str] | None = None, *, interrupted: int = OK) -> int:
+    """Run the node; return the exit status, ``interrupted`` after Ctrl-C."""
+    return run(PlayerNode, args, interrupted=interrupted)
 
 
 if __name__ == "__main__":

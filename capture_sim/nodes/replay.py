@@ -15,10 +15,10 @@ import yaml
 
 from capture_sim.nodes.following import RECORDER
 
-#: Exit status after Ctrl-C.
-INTERRUPTED = 130
 #: Followers get this long to end by themselves, and again after SIGINT, s.
 GRACE = 10.0
+#: No status of a node's own.
+_INTERRUPTED = 130
 
 
 def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
@@ -34,8 +34,12 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 1 when a node failed, 2 when one refused its parameters,
-        130 after Ctrl-C.
+        0 when all went well, 1 when a node failed, 2 when one refused its parameters.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, when all nodes have ended in order.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{name}] {message}")
@@ -61,11 +65,12 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         ]
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         try:
-            from capture_sim.nodes.player import PlayerNode
-            from capture_sim.nodes.running import run
+            from capture_sim.nodes.player import main
 
-            status = run(PlayerNode, arguments, interrupted=INTERRUPTED)
-            return status if status == INTERRUPTED else max([status, *_ended(followers)])
+            status = main(arguments, interrupted=_INTERRUPTED)
+            if status == _INTERRUPTED:
+                raise KeyboardInterrupt
+            return max([status, *_ended(followers)])
         finally:
             _end(followers)
 

@@ -312,7 +312,7 @@ class _Interrupt:
 
 
 def run(
-    make: Callable[[], BenchNode], args: Sequence[str] | None = None, *, interrupted: int = 0
+    make: Callable[[], BenchNode], args: Sequence[str] | None = None, *, interrupted: int = OK
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
@@ -323,12 +323,13 @@ def run(
     args
         Command line; ``None`` for that of the process.
     interrupted
-        Status of a node that Ctrl-C has ended.
+        What Ctrl-C makes of the status: to stop a node is its ordinary end.
 
     Returns
     -------
     int
-        0 done; 1 failed; 2 refused: a parameter or the scene is wrong; or ``interrupted``.
+        0 done; ``interrupted`` when ended by Ctrl-C; 1 failed; 2 refused: a parameter or the
+        scene is wrong.
     """
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
     interrupt = _Interrupt()
@@ -367,7 +368,7 @@ def _refuse(reason: str) -> int:
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode], of_interrupted: int) -> int:
+def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
     node = make()
     node.warn_of_unknown_parameters()
     log = node.get_logger()
@@ -378,7 +379,7 @@ def _live(make: Callable[[], BenchNode], of_interrupted: int) -> int:
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True
-        status = of_interrupted
+        status = when_interrupted
     except CaptureSimError as error:
         log.error(str(error))
     finally:

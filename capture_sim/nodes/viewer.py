@@ -39,7 +39,7 @@ from capture_sim.nodes.running import ParameterError, message_class, run
 from capture_sim.samples import SAMPLE
 from capture_sim.scene import Scene
 from capture_sim.scene_files import load_scene, load_scene_text
-from capture_sim.viewing.measured import Measurements, samples_of
+from capture_sim.viewing.measured import AlignedMeasurements, samples_of
 
 VIEWER = "viewer"
 
@@ -188,7 +188,7 @@ class ViewerNode(RunFollower):
         if measured is not None:
             self._view.take(samples_of(self._scene, measured))
 
-    def _measurements(self, parts: dict[Topic, Any]) -> Measurements | None:
+    def _measurements(self, parts: dict[Topic, Any]) -> AlignedMeasurements | None:
         if not {CHASER_ODOMETRY, TARGET_ODOMETRY} <= parts.keys():
             return None
         buffer = parts.get(BUFFER_STATE) or _buffer_of(parts.get(JOINT_STATES))
@@ -197,7 +197,7 @@ class ViewerNode(RunFollower):
         seen = observation_of(parts[CHASER_ODOMETRY], parts[TARGET_ODOMETRY], buffer)
         contact, wrench = parts.get(CONTACT_STATE), parts.get(CONTACT_WRENCH)
         string = parts.get(STRING_STATE)
-        return Measurements(
+        return AlignedMeasurements(
             t=np.array([self._since_start(seen.t)]),
             chaser=np.array([seen.chaser]),
             chaser_rate=np.array([seen.chaser_rate]),

@@ -6,17 +6,23 @@ the contact's wrench.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.analysis.identification import Touches
 from capture_sim.analysis.measurements import Measurements, Series
+from capture_sim.analysis.touches import (
+    Touches,
+    quiet_before_contact,
+    stretches_above,
+    touches_in_force,
+    touches_told,
+)
 from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.messaging.messages import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, LaunchAction
+from capture_sim.messaging.bench_columns import headings_of, release_of, stamps_of
+from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messaging.topics import (
-    BENCH_STATE,
+    BENCH_EVENT,
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CHASER_POSE,
@@ -24,7 +30,6 @@ from capture_sim.messaging.topics import (
     CONTACT_WRENCH,
     JOINT_STATES,
     LAUNCH_COMMAND,
-    RUN_INFO,
     TARGET_ODOMETRY,
     TARGET_POSE,
 )
@@ -33,17 +38,27 @@ from capture_sim.results import first_cluster
 from capture_sim.samples import EventKind
 from capture_sim.scene import Scene
 
-#: Force on the tip that counts as contact where no topic tells of it, N.
-CONTACT_FORCE = 1.0
 
-
-def measurements(run: Run) -> Measurements:
-    """Return what was measured; times are s since the release, see :func:`release_of`.
+def measurements(run: Run, released: float | None = None) -> Measurements:
+    """Return what was measured; times are s since the release.
 
     What is no number, or comes twice with one stamp, is left out.
+
+    Parameters
+    ----------
+    run
+        The recording.
+    released
+        When, s after the first pose; None where the recording tells, see
+        :func:`capture_sim.messaging.bench_columns.release_of`.
+
+    Raises
+    ------
+    RecordingError
+        The release lies outside the recording.
     """
     found: dict[str, Series] = {}
-    release = release_of(run)
+    release = release_of(run, released)
     for name, pose, odometry in (
         ("chaser", CHASER_POSE, CHASER_ODOMETRY),
         ("target", TARGET_POSE, TARGET_ODOMETRY),
@@ -73,7 +88,7 @@ def measurements(run: Run) -> Measurements:
 def first_contact(run: Run) -> float | None:
     """Return when the tip first met the cone, s; None if it never did.
 
-    From the located event, else from the contact's topic, else from a force above 1 N.
+    From the located event, else from the contact's topic, else from a force above its noise.
     """
     for event in run.events:
         if event.kind is EventKind.TOUCH:
@@ -82,25 +97,67 @@ def first_contact(run: Run) -> float | None:
     if columns:
         met = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
         return float(_since(columns, release_of(run))[met[0]]) if met.size else None
-    force = measurements(run).force
-    above = np.flatnonzero(force.values > CONTACT_FORCE)
-    return float(force.t[above[0]]) if above.size else None
+    t, force = _wrench(run, release_of(run))
+    quiet = quiet_before_contact(force)
+    if quiet is None:
+        return None
+    above = stretches_above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
+    return float(t[above[0].first]) if above else None
 
 
-def first_touches(run: Run, count: int, start_noise: float, peak_noise: float) -> Touches | None:
-    """Return the first touches of a run, as events tell them; None where there are none.
+def first_touches(
+    run: Run,
+    scene: Scene,
+    count: int,
+    start_noise: float,
+    peak_noise: float,
+    released: float | None = None,
+) -> tuple[Touches | None, str]:
+    """Return the first touches of a run, and the topic that tells of them; None where none does.
+
+    Events tell them exactly; else they are found in ``contact/wrench`` or in the peaks of
+    ``bench/contact``, whichever comes more often.
 
     Parameters
     ----------
-    run, count
-        How many of which run.
+    run, scene
+        The recording, and the cone in it.
+    count
+        Touches at most.
     start_noise, peak_noise
         Standard deviations of a touch's start (s) and peak force (N).
+    released
+        See :func:`measurements`.
     """
     touches = run.touches[np.argsort(run.touches["start"], kind="stable")][:count]
-    if not touches.size:
-        return None
-    return Touches(touches["start"], touches["peak_force"], start_noise, peak_noise)
+    if touches.size:
+        release = (release_of(run, released) - release_of(run)) / 1e9
+        found = Touches(touches["start"] - release, touches["peak_force"], start_noise, peak_noise)
+        return found, BENCH_EVENT.name
+    sources = (CONTACT_WRENCH, CONTACT_STATE)
+    for topic in sorted(sources, key=lambda topic: -len(run.raw(topic))):
+        columns = run.columns(topic)
+        if not columns:
+            continue
+        if topic is CONTACT_STATE:
+            found_or_not = touches_told(
+                _since(columns, release_of(run, released)),
+                columns["touches"],
+                columns["peak_force"],
+                columns["in_touch"],
+                count,
+                start_noise,
+                peak_noise,
+            )
+        else:
+            seen = measurements(run, released)
+            t, force = _wrench(run, release_of(run, released))
+            found_or_not = touches_in_force(
+                t, force, _attitude(seen, t), scene.cone, count, start_noise, peak_noise
+            )
+        if found_or_not is not None:
+            return found_or_not, topic.name
+    return None, ""
 
 
 def launch_of(run: Run, scene: Scene) -> LaunchPlan:
@@ -150,33 +207,28 @@ def characteristics(run: Run) -> dict[str, float]:
     return found
 
 
-def stamps_of(columns: Columns) -> np.ndarray:
-    """Return the stamps of a topic's messages, (n,) ns."""
-    path = "clock" if "clock.sec" in columns else "header.stamp"
-    stamps = np.asarray(columns[f"{path}.sec"]).astype(np.int64) * 1_000_000_000
-    return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
-
-
-def release_of(run: Run) -> int:
-    """Return the stamp of the release, ns: the launcher's, else that of simulated runs.
-
-    Where neither is recorded, as on a bench whose clock is the wall's, the first pose's.
-    """
-    commands = run.columns(LAUNCH_COMMAND)
-    if commands:
-        released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
-        if released.size:
-            return int(stamps_of(commands)[released[0]])
-    if run.raw(RUN_INFO) or run.raw(BENCH_STATE):
-        return EPOCH_NS
-    for topic in (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY):
-        if poses := run.columns(topic):
-            return int(stamps_of(poses).min())
-    return EPOCH_NS
-
-
 def _since(columns: Columns, release: int) -> np.ndarray:
     return (stamps_of(columns) - release) / 1e9
+
+
+def _wrench(run: Run, release: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,), s, and force on the tip in its own frame (n, 2), N."""
+    columns = run.columns(CONTACT_WRENCH)
+    if not columns:
+        return np.zeros(0), np.zeros((0, 2))
+    force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
+    series = _series(columns, release, force)
+    return series.t, series.values
+
+
+def _attitude(seen: Measurements, t: np.ndarray) -> np.ndarray:
+    """Return the tip's attitude in the cone, (n,), rad; what was not measured counts as zero."""
+    angle = np.zeros(t.size)
+    for sign, series in ((1.0, seen.chaser), (-1.0, seen.target), (1.0, seen.torsion)):
+        if series.t.size:
+            values = series.values if series.values.ndim == 1 else series.values[:, 2]
+            angle += sign * np.interp(t, series.t, np.unwrap(values))
+    return angle
 
 
 def _series(columns: Columns, release: int, values: np.ndarray) -> Series:
@@ -186,8 +238,5 @@ def _series(columns: Columns, release: int, values: np.ndarray) -> Series:
     return Series(t, values[finite][first])
 
 
-def _pose(columns: Columns, at: str = "pose.pose") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    z, w = (columns[f"{at}.orientation.{axis}"].tolist() for axis in "zw")
-    # by math, as the detector's node does it: NumPy's differ in the last bit
-    theta = 2.0 * np.array(list(map(math.atan2, z, w)))
-    return columns[f"{at}.position.x"], columns[f"{at}.position.y"], theta
+def _pose(columns: Columns, at: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return columns[f"{at}.position.x"], columns[f"{at}.position.y"], headings_of(columns, at)

@@ -6,14 +6,15 @@ Nothing of the simulator's own (BenchState, events, the scene) is needed but the
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from capture_sim.detection.decisions import CaptureDetector, CaptureStatus, Observation
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT, LaunchAction
+from capture_sim.messaging.bench_columns import Columns, headings_of, release_of, stamps_of
+from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messaging.topics import (
     BUFFER_STATE,
     CAPTURE_STATUS,
@@ -21,15 +22,12 @@ from capture_sim.messaging.topics import (
     CONTACT_STATE,
     CONTACT_WRENCH,
     JOINT_STATES,
-    LAUNCH_COMMAND,
     STRING_STATE,
     TARGET_ODOMETRY,
     Topic,
 )
 from capture_sim.scene import Scene
-from capture_sim.viewing.measured import MeasuredRun, Measurements, measured_run
-
-Columns = Mapping[str, np.ndarray]
+from capture_sim.viewing.measured import AlignedMeasurements, MeasuredRun, measured_run
 
 
 class Bag(Protocol):
@@ -47,7 +45,7 @@ class Bag(Protocol):
         """Return a topic's fields by path; empty without messages."""
 
 
-def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
+def run_from_bag(bag: Bag, scene: Scene, released: float | None = None) -> MeasuredRun:
     """Read a run from its measurements, on the stamps of the chaser's poses.
 
     Parameters
@@ -57,15 +55,19 @@ def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
     scene
         The geometry of buffer and cone, and the detector's criteria: where the bag holds no
         judgements, the detector judges now.
+    released
+        When, s after the first pose; None where the bag tells, see
+        :func:`capture_sim.messaging.bench_columns.release_of`.
 
     Raises
     ------
     RecordingError
-        A topic is missing.
+        A topic is missing, or the release lies outside the recording.
     """
     chaser, target = _needed(bag, CHASER_ODOMETRY), _needed(bag, TARGET_ODOMETRY)
-    stamps, first = np.unique(_stamps(chaser), return_index=True)
-    t = (stamps - _release(bag, stamps)) * 1e-9
+    stamps, first = np.unique(stamps_of(chaser), return_index=True)
+    release = release_of(bag, released)
+    t = (stamps - release) * 1e-9
     poses, rates = zip(*(_planar(odometry) for odometry in (chaser, target)), strict=True)
     buffer, buffer_rate, buffer_stamps = _buffer(bag)
 
@@ -80,12 +82,12 @@ def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
         before = np.searchsorted(columns_stamps, stamps, side="right") - 1
         return np.asarray(values[np.maximum(before, 0)].astype(int))
 
-    measured = Measurements(
+    measured = AlignedMeasurements(
         t=t,
         chaser=poses[0][first],
         chaser_rate=rates[0][first],
-        target=at(_stamps(target), poses[1]),
-        target_rate=at(_stamps(target), rates[1]),
+        target=at(stamps_of(target), poses[1]),
+        target_rate=at(stamps_of(target), rates[1]),
         buffer=at(buffer_stamps, buffer),
         buffer_rate=at(buffer_stamps, buffer_rate),
         **_optional(bag, at, held),
@@ -93,14 +95,15 @@ def run_from_bag(bag: Bag, scene: Scene) -> MeasuredRun:
     statuses: Sequence[CaptureStatus] = bag.statuses
     if statuses:
         # a recording counts them from a stamp of 1 s, the run from the release
-        late = statuses[0].t - _first_status(bag, stamps)
+        first_status = (stamps_of(bag.columns(CAPTURE_STATUS))[0] - release) * 1e-9
+        late = statuses[0].t - float(first_status)
         statuses = [dataclasses.replace(status, t=status.t - late) for status in statuses]
     else:
         statuses = judge(scene, measured)
     return measured_run(bag.name, scene, measured, statuses)
 
 
-def judge(scene: Scene, measured: Measurements) -> list[CaptureStatus]:
+def judge(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
     """Let the capture detector judge measurements."""
     detector = CaptureDetector(scene)
     statuses = []
@@ -134,32 +137,10 @@ def _needed(bag: Bag, topic: Topic) -> Columns:
     return found
 
 
-def _stamps(columns: Columns) -> np.ndarray:
-    """Return the stamps of messages with a header, (n,) int64, ns."""
-    seconds = columns["header.stamp.sec"].astype(np.int64)
-    return np.asarray(seconds * 1_000_000_000 + columns["header.stamp.nanosec"].astype(np.int64))
-
-
-def _release(bag: Bag, stamps: np.ndarray) -> int:
-    """Return the stamp of the launcher's release; of the first pose where there is none."""
-    commands = bag.columns(LAUNCH_COMMAND)
-    if commands:
-        released = _stamps(commands)[commands["action"] == LaunchAction.RELEASE]
-        if released.size:
-            return int(released[0])
-    return int(stamps[0])
-
-
-def _first_status(bag: Bag, stamps: np.ndarray) -> float:
-    """Return when the detector's first judgement was, s since the release."""
-    return float((_stamps(bag.columns(CAPTURE_STATUS))[0] - _release(bag, stamps)) * 1e-9)
-
-
 def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, 3) and their rates in the world (n, 3), from nav_msgs/Odometry."""
     x, y = odometry["pose.pose.position.x"], odometry["pose.pose.position.y"]
-    z, w = odometry["pose.pose.orientation.z"], odometry["pose.pose.orientation.w"]
-    theta = np.unwrap(2.0 * np.arctan2(z, w))
+    theta = np.unwrap(headings_of(odometry, "pose.pose"))
     c, s = np.cos(theta), np.sin(theta)
     # the twist is in the vehicle's own frame
     vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
@@ -173,13 +154,13 @@ def _buffer(bag: Bag) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if state:
         values = np.stack([state["axial_stroke"], state["torsion"]], axis=-1)
         rates = np.stack([state["axial_rate"], state["torsion_rate"]], axis=-1)
-        return values, rates, _stamps(state)
+        return values, rates, stamps_of(state)
     joints = bag.columns(JOINT_STATES)
     if joints:
         names = list(joints["name"][0])
         if {HINGE_JOINT, SLIDE_JOINT} <= set(names):
             order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
-            return joints["position"][:, order], joints["velocity"][:, order], _stamps(joints)
+            return joints["position"][:, order], joints["velocity"][:, order], stamps_of(joints)
     raise RecordingError(
         f"{bag.name}: holds neither {BUFFER_STATE.absolute_name} nor {JOINT_STATES.absolute_name} "
         f"with {HINGE_JOINT} and {SLIDE_JOINT}: the tip's place is not known"
@@ -192,16 +173,16 @@ def _optional(bag: Bag, at: Any, held: Any) -> dict[str, np.ndarray]:
     wrench = bag.columns(CONTACT_WRENCH)
     if wrench:
         force = np.stack([wrench["wrench.force.x"], wrench["wrench.force.y"]], axis=-1)
-        found["tip_force"] = at(_stamps(wrench), force)
+        found["tip_force"] = at(stamps_of(wrench), force)
     contact = bag.columns(CONTACT_STATE)
     if contact:
-        found["normal_force"] = at(_stamps(contact), contact["normal_force"])
-        found["peak_force"] = at(_stamps(contact), contact["peak_force"][:, None])[:, 0]
-        found["walls"] = held(_stamps(contact), contact["walls"])
-        found["begun"] = held(_stamps(contact), contact["touches"])
+        found["normal_force"] = at(stamps_of(contact), contact["normal_force"])
+        found["peak_force"] = at(stamps_of(contact), contact["peak_force"][:, None])[:, 0]
+        found["walls"] = held(stamps_of(contact), contact["walls"])
+        found["begun"] = held(stamps_of(contact), contact["touches"])
     string = bag.columns(STRING_STATE)
     if string:
         values = np.stack([string[n] for n in ("tension", "mass_height", "mass_speed")], axis=-1)
-        phase = held(_stamps(string), string["phase"])
-        found["string"] = np.column_stack([phase, at(_stamps(string), values)])
+        phase = held(stamps_of(string), string["phase"])
+        found["string"] = np.column_stack([phase, at(stamps_of(string), values)])
     return found

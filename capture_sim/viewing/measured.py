@@ -24,7 +24,7 @@ _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
 
 
 @dataclass(frozen=True)
-class Measurements:
+class AlignedMeasurements:
     """What was measured at n instants; None where there is no such sensor.
 
     Attributes
@@ -80,7 +80,7 @@ class MeasuredRun:
     trace: np.ndarray | None = None
 
 
-def samples_of(scene: Scene, measured: Measurements) -> np.ndarray:
+def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
     """Return measurements as samples, (n,) of dtype SAMPLE.
 
     Parameters
@@ -121,7 +121,7 @@ def samples_of(scene: Scene, measured: Measurements) -> np.ndarray:
 
 
 def measured_run(
-    name: str, scene: Scene, measured: Measurements, statuses: Sequence[CaptureStatus]
+    name: str, scene: Scene, measured: AlignedMeasurements, statuses: Sequence[CaptureStatus]
 ) -> MeasuredRun:
     """Return measurements as a run that can be drawn.
 
@@ -170,7 +170,7 @@ def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
     )
 
 
-def _fill_forces(samples: np.ndarray, measured: Measurements, gaps: np.ndarray) -> None:
+def _fill_forces(samples: np.ndarray, measured: AlignedMeasurements, gaps: np.ndarray) -> None:
     if measured.tip_force is not None:
         c, s = np.cos(samples["q"][:, 3]), np.sin(samples["q"][:, 3])
         fx, fy = measured.tip_force.T
@@ -185,7 +185,7 @@ def _fill_forces(samples: np.ndarray, measured: Measurements, gaps: np.ndarray) 
         samples["normal_force"][np.arange(len(samples)), nearer] = force
 
 
-def _phases(samples: np.ndarray, measured: Measurements) -> np.ndarray:
+def _phases(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     phase = np.where(samples["walls"] != 0, int(Phase.CONTACT), int(Phase.FREE))
     if measured.string is not None:
         known = measured.string[:, 0]
@@ -194,7 +194,7 @@ def _phases(samples: np.ndarray, measured: Measurements) -> np.ndarray:
     return phase
 
 
-def _touches(samples: np.ndarray, measured: Measurements) -> np.ndarray:
+def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     """Return the stretches of samples in touch, (m,) of dtype TOUCH."""
     near = (samples["walls"] != 0).astype(np.int8)
     if measured.begun is not None:

@@ -1,0 +1,190 @@
+"""A bag as a real bench leaves it is fitted: poses, joints, wrench, stamps of the wall's clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import capture_sim
+from capture_sim.analysis.touches import (
+    quiet_before_contact,
+    stretches_above,
+    touches_in_force,
+    touches_told,
+)
+from capture_sim.bench import Bench
+from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run, with_parameters
+from capture_sim.cli import main
+from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.measured import first_contact, first_touches
+
+WALL = 1_790_000_000  # s, of a wall clock
+STOOD = 0.35  # s, that the chaser was held after the first pose
+CELL = 2e4  # Hz, of the force
+BIAS, CELL_NOISE = (1.5, -0.8), 0.5  # N
+
+
+def measured_force(run, rng):
+    """Times and force on the tip in its own frame, with bias and noise, round the first touches."""
+    scene = with_parameters(run.scene, run.plan, *run.true.tolist())
+    met = float(run.touches.start[0])
+    t = np.arange(met - 0.3, met + 0.3, 1.0 / CELL)
+    samples = Bench(scene).advance(t)
+    force = samples["contact_force"] + samples["latch_force"]
+    c, s = np.cos(samples["q"][:, 3]), np.sin(samples["q"][:, 3])
+    own = np.stack([c * force[:, 0] + s * force[:, 1], c * force[:, 1] - s * force[:, 0]], axis=1)
+    return t, own + np.array(BIAS) + rng.normal(size=own.shape) * CELL_NOISE
+
+
+def bench_bag(run, folder, force):
+    """Nothing but poses, joints and wrench; the release is told by no message."""
+    store = typestore()
+    kinds = store.types
+    Header, Time = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+    Vector3, Point = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Point"]
+    Pose, Quaternion = kinds["geometry_msgs/msg/Pose"], kinds["geometry_msgs/msg/Quaternion"]
+    held = -np.arange(STOOD, 0.0, -0.01)
+
+    def header(t):
+        seconds, rest = divmod(WALL * 10**9 + round((t + STOOD) * 1e9), 10**9)
+        return Header(stamp=Time(sec=seconds, nanosec=rest), frame_id="")
+
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+
+        def write(topic, type_name, rows):
+            opened = writer.add_connection(topic, type_name, typestore=store)
+            for t, content in rows:
+                data = store.serialize_cdr(kinds[type_name](header=header(t), **content), type_name)
+                writer.write(opened, WALL * 10**9 + round((t + STOOD) * 1e9), data)
+
+        def pose(row):
+            x, y, theta = map(float, row)
+            turned = Quaternion(x=0.0, y=0.0, z=np.sin(theta / 2), w=np.cos(theta / 2))
+            return {"pose": Pose(position=Point(x=x, y=y, z=0.0), orientation=turned)}
+
+        def with_hold(series):
+            return [*((t, series.values[0]) for t in held), *zip(*series, strict=True)]
+
+        for body in ("chaser", "target"):
+            rows = [(t, pose(row)) for t, row in with_hold(getattr(run.measured, body))]
+            write(f"/motion_capture/{body}", "geometry_msgs/msg/PoseStamped", rows)
+        stroke, torsion = with_hold(run.measured.stroke), with_hold(run.measured.torsion)
+        joints = []
+        for (t, along), (_, turned) in zip(stroke, torsion, strict=True):
+            content = {"name": [SLIDE_JOINT, HINGE_JOINT], "position": np.array([along, turned])}
+            joints.append((t, {**content, "velocity": np.zeros(2), "effort": np.zeros(0)}))
+        write("/joint_states", "sensor_msgs/msg/JointState", joints)
+        Wrench = kinds["geometry_msgs/msg/Wrench"]
+        none = Vector3(x=0.0, y=0.0, z=0.0)
+        wrenches = [
+            (t, {"wrench": Wrench(force=Vector3(x=fx, y=fy, z=0.0), torque=none)})
+            for t, (fx, fy) in zip(force[0].tolist(), force[1].tolist(), strict=True)
+        ]
+        write("/contact/wrench", "geometry_msgs/msg/WrenchStamped", wrenches)
+    return folder
+
+
+@pytest.mark.parametrize("name, seed", [("tilt_0", 21), ("tilt_m10", 22)])
+def test_bag_of_a_bench_gives_its_parameters_back(name, seed, tmp_path, capsys):
+    run = noisy_run(name, seed)
+    force = measured_force(run, np.random.default_rng(seed))
+    bag = bench_bag(run, tmp_path / "bag", force)
+    command = ["identify", str(bag), *NAMES, "--scene", name]
+    assert main([*command, "--release", str(STOOD), "--touch-noise", "5e-5", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "touches are those of contact/wrench" in said
+    assert " 4 touches" in said
+    rows = [line.split() for line in said.splitlines()[1:5]]
+    for row, expected in zip(rows, run.true, strict=True):
+        assert abs(float(row[1]) - expected) < 3.0 * float(row[2]), row
+    # without touches the restitution is known several times worse
+    assert float(rows[1][2]) < 0.05 * run.true[1]
+
+
+def test_touches_in_the_force_are_those_that_were(tmp_path):
+    run = noisy_run("tilt_p10", 23)
+    bag = bench_bag(run, tmp_path / "bag", measured_force(run, np.random.default_rng(23)))
+    scene = with_parameters(run.scene, run.plan, *run.true.tolist())
+    bench = Bench(scene)
+    bench.advance(np.array([4.0]))
+    true = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:4]
+    found, source = first_touches(read_run(bag), run.scene, 4, 0.0, 0.0, STOOD)
+    assert source == "contact/wrench"
+    assert found.start == pytest.approx(true["start"], abs=1.0 / CELL)
+    # noise of the cell, and 1 % of shape
+    assert found.peak == pytest.approx(true["peak_force"], rel=0.01, abs=4.0 * CELL_NOISE)
+    # the release is 0.35 s after the first pose, from which the bag's own time counts
+    met = first_contact(read_run(bag))
+    assert met == pytest.approx(true["start"][0] + STOOD, abs=1.0 / CELL)
+
+
+def test_release_outside_the_recording_is_refused(tmp_path, capsys):
+    result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
+    path = str(write_run(result, tmp_path / "short.mcap"))
+    assert main(["identify", path, "c_rr", "--release", "7"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0
+    assert "release = 7 s: allowed is 0 to 1 s" in said
+
+
+def test_noise_alone_is_no_contact():
+    rng = np.random.default_rng(24)
+    for _ in range(50):
+        force = rng.normal(size=(4000, 2)) * 3.0 + (20.0, -7.0)
+        quiet = quiet_before_contact(force)
+        assert quiet.sigma == pytest.approx(3.0, rel=0.1)
+        assert not stretches_above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
+
+
+def half_sines(rate, starts, peaks, lasting, wall, mu, cone, attitude):
+    """Force on the tip in its own frame: known pulses normal to a wall, friction along it."""
+    t = np.arange(0.0, 0.5, 1.0 / rate)
+    normal = np.zeros(t.size)
+    for start, peak in zip(starts, peaks, strict=True):
+        inside = (t >= start) & (t <= start + lasting)
+        normal[inside] += peak * np.sin(np.pi * (t[inside] - start) / lasting)
+    into = np.array([-np.sin(cone.beta), -wall * np.cos(cone.beta)])
+    along = np.array([-np.cos(cone.beta), wall * np.sin(cone.beta)])
+    x, y = (into[:, None] + mu * along[:, None]) * normal
+    c, s = np.cos(attitude), np.sin(attitude)
+    return t, np.stack([c * x + s * y, c * y - s * x], axis=1)
+
+
+@pytest.mark.parametrize("wall, attitude", [(1, 0.0), (-1, 0.2), (1, -0.3)])
+def test_pulses_of_known_height_are_found_whatever_the_friction(wall, attitude):
+    cone = capture_sim.load_scene("tilt_0").cone
+    starts, peaks = (0.30007, 0.31301), (120.0, 60.0)
+    known = (starts, peaks, 3.5e-4, wall, 0.4, cone, attitude)
+    t, force = half_sines(2e4, *known)
+    turned = np.full(t.size, attitude)
+    found = touches_in_force(t, force, turned, cone, 4, 0.0, 0.0)
+    assert found.start == pytest.approx(starts, abs=1.0 / 2e4)
+    assert found.peak == pytest.approx(peaks, rel=0.01)
+    # too slow for the peak
+    t, force = half_sines(5e3, *known)
+    assert touches_in_force(t, force, np.full(t.size, attitude), cone, 4, 0.0, 0.0) is None
+
+
+def test_slow_force_that_shows_one_touch_only_is_not_used():
+    run = noisy_run("tilt_0", 25)
+    t = np.arange(0.0, 4.0, 0.01)
+    samples = Bench(run.scene).advance(t)
+    force = samples["contact_force"]
+    found = touches_in_force(t, force, np.zeros(t.size), run.scene.cone, 4, 2e-4, 2.0)
+    # the last touch of the first contact lasts 0.1 s, those before a third of a millisecond
+    assert found.start[0] > run.touches.start[3]
+    assert found.could_be_missed(np.array([3.5e-4]))
+
+
+def test_peaks_since_the_last_message_are_touches():
+    t = np.arange(8) * 0.01
+    begun = np.array([0, 0, 1, 0, 1, 0, 2, 0])
+    peak = np.array([0.0, 0.0, 90.0, 0.0, 40.0, 55.0, 20.0, 0.0])
+    in_touch = np.array([0, 0, 0, 0, 1, 0, 0, 0], dtype=bool)
+    found = touches_told(t, begun, peak, in_touch, 4, 0.0, 2.0)
+    assert found.start == pytest.approx([0.015, 0.035])
+    assert found.peak.tolist() == [90.0, 55.0]
+    assert found.start_noise == pytest.approx(0.01 / np.sqrt(12.0))
