@@ -165,6 +165,8 @@ class PlayerNode(BenchNode):
             return self._work()
 
     def _work(self) -> int:
+        for name, encoding in self._playback.left_out.items():
+            self.get_logger().warning(f"{name}: messages encoded as {encoding!r} are not played")
         for line in self._playback.damage:
             self.get_logger().warning(f"{line}; what is whole is played")
         status = OK

@@ -51,6 +51,8 @@ class Playback:
         First and last log time, ns.
     damage
         A line for every file that ends early.
+    left_out
+        Encoding by topic of messages that are not CDR and cannot be played.
 
     Raises
     ------
@@ -64,11 +66,13 @@ class Playback:
         self.topics: dict[str, PlayedTopic] = {}
         self._last: tuple[int, Contents] = (-1, Contents())
         self.damage: list[str] = []
+        self.left_out: dict[str, str] = {}
         spans = []
         for i in range(len(self._files)):
             contents = self._read(i)
             if contents.damage:
                 self.damage.append(f"{self._files[i]}: {contents.damage}")
+            self.left_out.update(contents.left_out)
             for name, type_name in contents.types.items():
                 qos = _profile(contents.qos.get(name, ""))
                 self.topics.setdefault(name, PlayedTopic(name, type_name, qos))
