@@ -6,7 +6,6 @@ import csv
 
 import numpy as np
 import pytest
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -187,22 +186,6 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
     assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
     with pytest.raises(RecordingError, match="/bench/state is of type"):
         _ = read_run(folder).samples
-
-
-def test_topic_in_another_encoding_is_not_taken_for_the_benchs(tmp_path, capsys):
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("ros2")
-        for name, type_name in BENCH_TOPICS[:3]:
-            schema = writer.register_schema(type_name, "jsonschema", b"{}")
-            channel = writer.register_channel(name, "json", schema)
-            for i in range(9):
-                writer.add_message(channel, i, b'{"pose": {"position": 1}}' * 40, i)
-        writer.finish()
-    assert main(["detect", str(path), "--scene", "tilt_0"]) == 1
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "/chaser/odom is of type nav_msgs/msg/Odometry as json: wanted is nav_msgs" in said
 
 
 def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys):

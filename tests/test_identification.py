@@ -85,6 +85,10 @@ def test_noise_is_found_in_the_series():
         (("friction.law",), "parameter friction.law"),
         (("mu", "mu"), "each once"),
         (("stops.stiffness",), "parameter stops.stiffness"),
+        (("run.t_end",), "parameter run.t_end: allowed are c_rr, e, mu, c_A, or a number of the"),
+        (("mu", "detector.radius"), "parameter detector.radius: .* not of run, detector, sensors"),
+        (("sensors.seed",), "parameter sensors.seed"),
+        (("string.hanging_mass",), "parameter string.hanging_mass: .* as recorded"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_in_one_line(names, said):

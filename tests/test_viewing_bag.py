@@ -11,8 +11,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 import capture_sim
+from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.recording import read_run, write_run
+from capture_sim.recording.playback import Playback
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots
 from capture_sim.viewing.bag import run_from_bag
@@ -122,6 +124,40 @@ def test_it_is_drawn_by_everything(recorded, tmp_path):
     from capture_sim.viewing import save_rrd
 
     assert save_rrd([seen], tmp_path / "x.rrd").stat().st_size > 10_000
+
+
+def test_messages_of_another_encoding_are_left_out_with_a_word(recorded, tmp_path, capsys):
+    """As a bridge writes JSON under the type's name, of a topic of its own and beside CDR."""
+    bare = of_a_bench(recorded, tmp_path / "bare.mcap", STANDARD)
+    path = tmp_path / "json.mcap"
+    with bare.open("rb") as read, path.open("wb") as write:
+        writer = Writer(write)
+        writer.start(profile="ros2", library="another recorder")
+        kept = {}
+        for schema, channel, message in make_reader(read).iter_messages():
+            if channel.topic not in kept:
+                cdr = writer.register_schema(schema.name, schema.encoding, schema.data)
+                text = writer.register_schema(schema.name, "jsonschema", b"{}")
+                names = {"/contact/wrench": "/contact/wrench", "/chaser/odom": "/bench/state"}
+                name = names.get(channel.topic)
+                kept[channel.topic] = (
+                    writer.register_channel(channel.topic, "cdr", cdr),
+                    name and writer.register_channel(name, "json", text),
+                )
+            for at, data in zip(kept[channel.topic], (message.data, b'{"x": 1}'), strict=True):
+                if at is not None:
+                    writer.add_message(at, message.log_time, data, message.log_time)
+        writer.finish()
+    told, plain = read_run(path), read_run(bare)
+    assert told.topics == plain.topics
+    assert told.damage == ""
+    assert [line.split(":")[0] for line in told.left_out] == ["/bench/state", "/contact/wrench"]
+    for topic in STANDARD:
+        assert told.raw(topic) == plain.raw(topic)
+        assert told.columns(topic).keys() == plain.columns(topic).keys()
+    assert set(Playback(path).topics) == set(STANDARD)
+    assert main(["export", str(path), "--to", "npz", "--out", str(tmp_path)]) == 0
+    assert "/bench/state: messages encoded as 'json' are left out" in capsys.readouterr().err
 
 
 def test_missing_topic_is_named(recorded, tmp_path):

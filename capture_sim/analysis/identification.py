@@ -36,6 +36,10 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "mu": ("friction.mu",),
     "c_A": ("buffer.c_A",),
 }
+#: Parts of a scene that are how it is simulated, judged and measured, not what is on the bench.
+NO_PHYSICS = ("run", "detector", "sensors")
+#: How the chaser was launched, which is known.
+LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
 #: Least noise that is believed: rounding and what no sensor betters; m, rad, m, rad.
 NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
     "chaser": (1e-6, 1e-6, 1e-6),
@@ -396,15 +400,17 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
     Raises
     ------
     SceneError
-        It is no number there.
+        It is no number there, or no property of the bench.
     """
     paths = ALIASES.get(name, (name,))
     for path in paths:
         value = _get(scene, path)
-        if not isinstance(value, (int, float)) or isinstance(value, bool):
-            known = ", ".join(ALIASES)
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not is_number or path.split(".")[0] in NO_PHYSICS or path in LAUNCH:
             raise SceneError(
-                f"parameter {name}: allowed are {known}, or a number of the scene as buffer.k_A"
+                f"parameter {name}: allowed are {', '.join(ALIASES)}, or a number of the bench as "
+                f"buffer.k_A; not of {', '.join(NO_PHYSICS)}, and not {', '.join(LAUNCH)}, which "
+                "are as recorded"
             )
     return paths
 

@@ -91,17 +91,16 @@ def _open_recording(path: str, scene: str | None, release: float | None) -> Open
 
     recorded = open_run(path, tell=False)
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
+    problems = (*recorded.left_out, *recorded.problems)
     if recorded.samples.size:
-        return Opened(
-            recorded, f"recorded in {path}", software, recorded.wall_time, recorded.problems
-        )
+        return Opened(recorded, f"recorded in {path}", software, recorded.wall_time, problems)
     if scene is None:
         raise RecordingError(
             f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
             "experiment of the same geometry by --scene"
         )
     run = run_from_bag(recorded, load_scene(scene), release)
-    return Opened(run, f"measured, in {path}", software, problems=recorded.problems, measured=True)
+    return Opened(run, f"measured, in {path}", software, problems=problems, measured=True)
 
 
 def _run_now(name: str) -> Opened:

@@ -55,7 +55,7 @@ def open_run(path: str, *, several: bool = False, tell: bool = True) -> Run:
             f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
             "is one"
         )
-    for problem in run.problems if tell else ():
+    for problem in (*run.left_out, *run.problems) if tell else ():
         print(f"capture-sim: {path}: {problem}", file=sys.stderr)
     return run
 

@@ -94,6 +94,13 @@ class PlayerNode(BenchNode):
             )
         self._consumers = list(consumers)
         self._played = self._chosen(wanted)
+        if self._consumers and not any(
+            topic_named(name) is RUN_INFO and self._playback.counts[name] for name in self._played
+        ):
+            raise ParameterError(
+                f"parameter consumers = {self._consumers!r}: allowed are none, as no "
+                f"{RUN_INFO.name} is played, by which nodes take up a run"
+            )
         self._transport = Transport(rate, paused=paused)
         self._followers = Followers(self._consumers, 10.0)
         self._outlets: dict[str, Any] = {}
@@ -165,22 +172,32 @@ class PlayerNode(BenchNode):
             return self._work()
 
     def _work(self) -> int:
+        for name, encoding in self._playback.left_out.items():
+            self.get_logger().warning(f"{name}: messages encoded as {encoding!r} are not played")
         for line in self._playback.damage:
             self.get_logger().warning(f"{line}; what is whole is played")
         status = OK
         turn = 0
         try:
             while True:
-                if not self._play(f"/{turn + 1}" if turn else ""):
+                count = self._play(f"/{turn + 1}" if turn else "")
+                if count == 0:  # another turn would play no more
+                    self.get_logger().error(
+                        "nothing was played: of the topics and times chosen the recording holds no "
+                        "message of an installed type"
+                    )
+                if not count or self._followers.lost:
                     status = FAILED
+                if count == 0:
+                    return status
                 turn += 1
                 if not self._loop:
                     return status
         finally:
             self._control.close()
 
-    def _play(self, suffix: str) -> bool:
-        """Play once; return whether all went well."""
+    def _play(self, suffix: str) -> int | None:
+        """Play once; return how many messages were played, None when a follower was not ready."""
         log: Any = self.get_logger()
         rename = Renamed(suffix, self._consumers)
         if self._consumers:
@@ -222,16 +239,13 @@ class PlayerNode(BenchNode):
                 self._wait_for_acknowledgement()
         except CaptureSimError as error:
             log.error(str(error))
-            return False
-        if not count:
-            log.error("nothing was played: no message of the topics that can be, from the start on")
-            return False
+            return None
         played = (stamp - self._playback.start) / 1e9 - self._offset
         log.info(
             f"{count} messages, {played:.2f} s played in {spent:.2f} s "
             f"({played / spent:.2f} x real time)"
         )
-        return not self._followers.lost
+        return count
 
     def _tick(self, ticks: _Ticks, stamp: int) -> None:
         due = ticks.at(stamp)

@@ -66,10 +66,13 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         try:
             from capture_sim.nodes.player import main
+            from capture_sim.nodes.running import REFUSED
 
             status = main(arguments, interrupted=_INTERRUPTED)
             if status == _INTERRUPTED:
                 raise KeyboardInterrupt
+            if status == REFUSED:  # there is no run that the followers could end with
+                return status
             return max([status, *_ended(followers)])
         finally:
             _end(followers)

@@ -47,10 +47,14 @@ class Playback:
     ----------
     topics : dict
         By name.
+    counts : dict
+        Messages by topic.
     start, end
         First and last log time, ns.
     damage
         A line for every file that ends early.
+    left_out
+        Encoding by topic of messages that are not CDR and cannot be played.
 
     Raises
     ------
@@ -62,16 +66,21 @@ class Playback:
         self.path = Path(path)
         self._files = bag_files(self.path)
         self.topics: dict[str, PlayedTopic] = {}
+        self.counts: dict[str, int] = {}
         self._last: tuple[int, Contents] = (-1, Contents())
         self.damage: list[str] = []
+        self.left_out: dict[str, str] = {}
         spans = []
         for i in range(len(self._files)):
             contents = self._read(i)
             if contents.damage:
                 self.damage.append(f"{self._files[i]}: {contents.damage}")
+            self.left_out.update(contents.left_out)
             for name, type_name in contents.types.items():
                 qos = _profile(contents.qos.get(name, ""))
                 self.topics.setdefault(name, PlayedTopic(name, type_name, qos))
+            for name, messages in contents.messages.items():
+                self.counts[name] = self.counts.get(name, 0) + len(messages)
             spans += [(min(times), max(times)) for times in contents.log_times.values() if times]
         if not spans:
             raise RecordingError(f"{self.path}: nothing to play: it holds no message")

@@ -27,7 +27,7 @@ from capture_sim.messaging.topics import (
 )
 from capture_sim.recording.cdr import columns, sequence_of
 from capture_sim.recording.definitions import schema_text, typestore
-from capture_sim.recording.records import Contents, read_contents
+from capture_sim.recording.records import CDR, Contents, read_contents
 from capture_sim.recording.recover import RECOVERY_METADATA
 from capture_sim.recording.tally import Tally
 from capture_sim.recording.writer import (
@@ -93,6 +93,14 @@ class Run:
         damage = (self.damage,) if self.damage else ()
         lost = self._contents.metadata.get(RECOVERY_METADATA, {}).get("lost", "").splitlines()
         return (*damage, *(f"not recovered: {line}" for line in lost), *self.missing)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """One line for every topic whose messages cannot be read, as they are not CDR."""
+        return tuple(
+            f"{topic}: messages encoded as {encoding!r} are left out: read is {CDR}"
+            for topic, encoding in self._contents.left_out.items()
+        )
 
     @cached_property
     def missing(self) -> tuple[str, ...]:

@@ -27,6 +27,9 @@ from mcap.writer import MCAP0_MAGIC
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag_metadata import FILE_NAME
 
+#: Encoding of ROS 2 messages.
+CDR = "cdr"
+
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CRC = struct.Struct("<I")
@@ -67,6 +70,8 @@ class Contents:
         By name.
     metadata
         By name.
+    left_out
+        Encoding by topic of messages that are not CDR and were left out.
     damage
         Why reading stopped early; empty for a whole file.
     """
@@ -78,6 +83,7 @@ class Contents:
     log_times: dict[str, list[int]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
     damage: str = ""
 
 
@@ -163,6 +169,8 @@ class _Reader:
         self._contents = contents
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, str] = {}
+        self._foreign: set[int] = set()
+        self._skipped = 0
         self._known = self._total()
 
     def read(self) -> None:
@@ -253,6 +261,9 @@ class _Reader:
                 channel, _, log_time, _ = message(data, start)
                 topic = topics.get(channel)
                 if topic is None:
+                    if channel in self._foreign:
+                        self._skipped += 1
+                        continue
                     raise McapError(f"message of unknown channel {channel}")
                 messages[topic].append(data[start + inner : position])
                 times[topic].append(log_time)
@@ -263,15 +274,18 @@ class _Reader:
 
     def _schema(self, schema: Schema) -> None:
         self._schemas[schema.id] = schema
-        self._contents.schemas[schema.name] = schema.data.decode("utf-8", errors="replace")
 
     def _channel(self, channel: Channel) -> None:
+        if channel.message_encoding != CDR:  # a type's name says nothing of other bytes
+            self._foreign.add(channel.id)
+            self._contents.left_out[channel.topic] = channel.message_encoding
+            return
         self._topics[channel.id] = channel.topic
         schema = self._schemas.get(channel.schema_id)
-        name = "" if schema is None else schema.name
-        if channel.message_encoding != "cdr":
-            name += f" as {channel.message_encoding or 'bytes of unknown encoding'}"
-        self._contents.types.setdefault(channel.topic, name)
+        if schema is not None:
+            text = schema.data.decode("utf-8", errors="replace")
+            self._contents.schemas[schema.name] = text
+        self._contents.types.setdefault(channel.topic, "" if schema is None else schema.name)
         self._contents.qos[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
         self._contents.messages.setdefault(channel.topic, [])
         self._contents.log_times.setdefault(channel.topic, [])
@@ -283,7 +297,7 @@ class _Reader:
 
     def _check_count(self, start: int, end: int) -> None:
         counted = self._parsed(Statistics.read, start, end).message_count
-        read = self._total() - self._known
+        read = self._total() - self._known + self._skipped
         if counted != read:
             raise self._damaged(start, f"{read} messages read, {counted} were written")
 
