@@ -114,7 +114,7 @@ def test_metadata_without_checksum_is_marked(path, tmp_path):
     changed = bytearray(data)
     changed[at] ^= 1
     saved = recover(damaged(tmp_path, changed))
-    assert any("capture_sim_end: no checksum" in line for line in saved.losses)
+    assert any("capture_sim_end, which has no" in line for line in saved.unconfirmed)
     assert read_run(saved.path).wall_time is None
 
 
@@ -137,7 +137,7 @@ def test_others_files_are_saved_too(path, tmp_path):
     assert read_run(saved.path).raw("/hello") == source.raw("bench/state")[:n]
 
 
-def test_files_without_checksums_are_saved_and_marked(path, tmp_path):
+def test_files_without_checksums_are_saved_and_marked(path, tmp_path, capsys):
     # rosbag2's fast writing leaves them out; what nothing confirms must not pass for whole
     source = read_run(path).raw("bench/state")[:500]
     plain = tmp_path / "plain.mcap"
@@ -152,8 +152,13 @@ def test_files_without_checksums_are_saved_and_marked(path, tmp_path):
     data = plain.read_bytes()
     saved = recover(plain)
     assert read_run(saved.path).raw("/hello") == source
-    assert any("carry no checksum" in line for line in saved.losses)
-    assert not any("damaged" in line for line in saved.losses)
+    chunks = saved.chunks
+    assert saved.unconfirmed[0] == f"{chunks} of {chunks} chunks, which have no checksum"
+    assert saved.losses == ()
+    said = [f"unconfirmed: {line}" for line in saved.unconfirmed]
+    assert list(read_run(saved.path).problems) == said
+    assert main(["recover", str(plain)]) == 0
+    assert capsys.readouterr().out.splitlines()[-len(said) :] == said
     saved = recover(damaged(tmp_path, data[: len(data) // 2]))
     n = saved.messages["/hello"]
     assert 0 < n < 500
@@ -206,6 +211,27 @@ def test_split_recording_is_saved_into_one_file(path, tmp_path):
     assert saved.messages == run.topics
     again = read_run(saved.path)
     assert again.samples.tobytes() == run.samples.tobytes()
+
+
+def test_encodings_of_one_topic_stay_apart(tmp_path):
+    file = tmp_path / "both.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        for encoding in ("cdr", "json"):
+            channel = writer.register_channel("/hello", encoding, schema)
+            for i in range(5):
+                writer.add_message(channel, 10 + i, encoding.encode(), 10 + i, i)
+        writer.finish()
+    saved = recover(file)
+    with saved.path.open("rb") as stream:
+        kept = Counter(
+            (channel.message_encoding, message.data)
+            for _, channel, message in make_reader(stream).iter_messages()
+        )
+    assert saved.messages == {"/hello": 10}
+    assert kept == {("cdr", b"cdr"): 5, ("json", b"json"): 5}
 
 
 def in_order(path):

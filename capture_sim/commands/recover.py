@@ -32,7 +32,9 @@ def run(options: argparse.Namespace) -> int:
     for topic, count in saved.messages.items():
         say(f"  {topic}: {count}")
     for line in saved.losses:
-        say(line if line.startswith("unconfirmed") else f"lost: {line}")
-    if not saved.losses:
+        say(f"lost: {line}")
+    for line in saved.unconfirmed:
+        say(f"unconfirmed: {line}")
+    if not saved.losses and not saved.unconfirmed:
         say("nothing was lost")
     return OK

@@ -97,5 +97,5 @@ def saved_rightly(
         for message in messages
     )
     right = not wanted - found and not extra - allowed
-    told = bool(saved.losses) and not run.complete
+    told = bool(saved.losses or saved.unconfirmed) and not run.complete
     return "saved" if right and told else ""

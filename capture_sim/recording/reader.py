@@ -91,8 +91,13 @@ class Run:
     def problems(self) -> tuple[str, ...]:
         """One line for everything that is wrong with the recording; empty when complete."""
         damage = (self.damage,) if self.damage else ()
-        lost = self._contents.metadata.get(RECOVERY_METADATA, {}).get("lost", "").splitlines()
-        return (*damage, *(f"not recovered: {line}" for line in lost), *self.missing)
+        told = self._contents.metadata.get(RECOVERY_METADATA, {})
+        recovery = [
+            f"{word}: {line}"
+            for word, name in (("not recovered", "lost"), ("unconfirmed", "unconfirmed"))
+            for line in told.get(name, "").splitlines()
+        ]
+        return (*damage, *recovery, *self.missing)
 
     @property
     def left_out(self) -> tuple[str, ...]:

@@ -53,13 +53,16 @@ class Recovery:
     messages
         How many were saved, by topic.
     losses
-        A line for everything that was lost or could not be confirmed; empty if nothing was.
+        A line for everything that was lost; empty if nothing was.
+    unconfirmed
+        A line for everything that was saved and that no checksum confirms.
     """
 
     path: Path
     chunks: int
     messages: dict[str, int]
     losses: tuple[str, ...]
+    unconfirmed: tuple[str, ...] = ()
 
 
 def recover(path: Path | str, out: Path | str | None = None) -> Recovery:
@@ -108,18 +111,21 @@ class _Saver:
         self._path = path
         self._container = container
         self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._channels: dict[tuple[str, str], int] = {}  # by topic and type
+        self._channels: dict[tuple[str, str, str], int] = {}  # by topic, type, encoding
         self._entries: list[Channel] = []
         self._counts: Counter[int] = Counter()
         self._span: list[int] = []
         self._losses = list(lost)
+        self._unconfirmed: list[str] = []
 
     def save(self, parts: list[tuple[Path, bytes, Findings]]) -> Recovery:
         """Write all that was found."""
         several = len(parts) + len(self._losses) > 1
         for part, data, found in parts:
-            lines = _losses(found, data)
-            self._losses += [f"{part.name}: {line}" for line in lines] if several else lines
+            where = f"{part.name}: " if several else ""
+            lost, unconfirmed = _losses(found, data)
+            self._losses += [where + line for line in lost]
+            self._unconfirmed += [where + line for line in unconfirmed]
         self._losses += _absent(found for _, _, found in parts)
         run = _run_in(parts)
         self._describe(parts, run)
@@ -141,12 +147,18 @@ class _Saver:
                     max([log_time, *self._span[1:]]),
                 ]
         self._container.end_chunk()
-        if self._losses:
-            self._container.add_metadata(RECOVERY_METADATA, {"lost": "\n".join(self._losses)})
+        told = {"lost": self._losses, "unconfirmed": self._unconfirmed}
+        if any(told.values()):
+            entries = {name: "\n".join(lines) for name, lines in told.items()}
+            self._container.add_metadata(RECOVERY_METADATA, entries)
         self._container.add_metadata("rosbag2", {"serialized_metadata": self._bag_metadata()})
         self._container.finish()
-        counts = {channel.topic: self._counts[channel.id] for channel in self._entries}
-        return Recovery(self._path, chunks, counts, tuple(self._losses))
+        counts: Counter[str] = Counter()
+        for channel in self._entries:
+            counts[channel.topic] += self._counts[channel.id]
+        return Recovery(
+            self._path, chunks, dict(counts), tuple(self._losses), tuple(self._unconfirmed)
+        )
 
     def _describe(
         self, parts: list[tuple[Path, bytes, Findings]], run: RunDescription | None
@@ -173,7 +185,7 @@ class _Saver:
                     self._container.add_metadata(name, describing(run))
                 else:
                     self._container.add_metadata(UNVERIFIED + name, entries)
-                    self._losses.append(f"metadata {name}: no checksum confirms it")
+                    self._unconfirmed.append(f"metadata {name}, which has no checksum")
         if run is not None and RUN_METADATA not in records:
             self._container.add_metadata(RUN_METADATA, describing(run))
 
@@ -184,8 +196,8 @@ class _Saver:
         known.update(found.defined)
         bare = set(known.channels) - set(found.defined.channels)
         if bare and not found.verified:
-            self._losses.append(
-                f"{part.name}: names and types of {len(bare)} topics: no checksum confirms them"
+            self._unconfirmed.append(
+                f"{part.name}: names and types of {len(bare)} topics, which have no checksum"
             )
         return known
 
@@ -194,7 +206,7 @@ class _Saver:
         if entry is None:
             return None
         schema = definitions.schemas.get(entry.schema_id)
-        key = (entry.topic, "" if schema is None else schema.name)
+        key = (entry.topic, "" if schema is None else schema.name, entry.message_encoding)
         known = self._channels.get(key)
         if known is None:
             schema_id = 0
@@ -268,8 +280,10 @@ def _run_in(parts: list[tuple[Path, bytes, Findings]]) -> RunDescription | None:
     return None
 
 
-def _losses(found: Findings, data: bytes) -> list[str]:
-    lines = []
+def _losses(found: Findings, data: bytes) -> tuple[list[str], list[str]]:
+    """Return lines for what was lost, and for what was saved unconfirmed."""
+    lines: list[str] = []
+    unconfirmed: list[str] = []
     for loss in found.losses:
         where = f"bytes {loss.start} to {loss.end} of {len(data)}"
         if loss.start == loss.end:
@@ -280,23 +294,22 @@ def _losses(found: Findings, data: bytes) -> list[str]:
             where += f" (messages between {times[0]} and {times[1]})"
         lines.append(f"{loss.why}: {where}")
     if found.loose and not found.verified:
-        lines.append(f"{len(found.loose)} messages outside chunks: no checksum confirms them")
+        unconfirmed.append(f"{len(found.loose)} messages outside chunks, which have no checksum")
     saved = sum(
         1 for start, end in found.chunks for _ in messages_in(unpacked(data, start, end) or b"")
     ) + len(found.loose)
     if found.written is not None and found.written != saved:
         lines.append(f"{found.written - saved} of {found.written} messages")
     if found.unconfirmed:
-        lines.append(
-            f"unconfirmed: {found.unconfirmed} of {len(found.chunks)} chunks carry no checksum"
+        unconfirmed.append(
+            f"{found.unconfirmed} of {len(found.chunks)} chunks, which have no checksum"
         )
-    if not found.verified and not lines:
-        lines.append(
-            "unconfirmed: the file has no checksum outside its chunks"
-            if found.unchecked
-            else "bytes outside chunks are damaged"
-        )
-    return lines
+    if not found.verified and not lines and not unconfirmed:
+        if found.unchecked:
+            unconfirmed.append("what stands outside the chunks, which has no checksum")
+        else:
+            lines.append("bytes outside chunks are damaged")
+    return lines, unconfirmed
 
 
 def _absent(parts: Iterable[Findings]) -> list[str]:
