@@ -103,8 +103,7 @@ class RunWriter:
             self._container = Container(self._file, CHUNK_SIZE)
             self._begin(dict(metadata or {}))
         except OSError as error:
-            self._give_up()
-            raise self._failed(error) from None
+            raise self._given_up(error) from None
 
     def write(self, topic: Topic, message: Message) -> None:
         """Write a message object of rosbags' classes.
@@ -131,8 +130,7 @@ class RunWriter:
         try:
             self._container.add(self._channels[topic], count, time, time, bytes(data))
         except OSError as error:
-            self._give_up()
-            raise self._failed(error) from None
+            raise self._given_up(error) from None
         self._counts[topic] = count + 1
         self._note_times(time, time)
 
@@ -164,8 +162,7 @@ class RunWriter:
             in_order = [records[i] for i in order.tolist()]
             self._container.add_records(in_order, channels, times[order])
         except OSError as error:
-            self._give_up()
-            raise self._failed(error) from None
+            raise self._given_up(error) from None
         self._note_times(int(times.min()), int(times.max()))
 
     def flush(self) -> None:
@@ -181,8 +178,7 @@ class RunWriter:
         try:
             self._container.flush()
         except OSError as error:
-            self._give_up()
-            raise self._failed(error) from None
+            raise self._given_up(error) from None
 
     def close(self) -> None:
         """Write index and summary and close the file; a second call does nothing.
@@ -204,8 +200,7 @@ class RunWriter:
             self._file.close()
             self._file = None
         except OSError as error:
-            self._give_up()
-            raise self._failed(error) from None
+            raise self._given_up(error) from None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -309,14 +304,12 @@ class RunWriter:
         if self._file is None:
             raise RecordingError(f"{self.path}: already closed")
 
-    def _give_up(self) -> None:
-        """Close the file as it is; buffered bytes that the disk refuses are lost."""
+    def _given_up(self, error: OSError) -> RecordingError:
+        """Close the file as it is, and say why; buffered bytes that the disk refuses are lost."""
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
             self._file = None
-
-    def _failed(self, error: OSError) -> RecordingError:
         return RecordingError(f"{self.path}: cannot write: {error.strerror or error}")
 
 
