@@ -88,6 +88,8 @@ def test_noise_is_found_in_the_series():
         (("run.t_end",), "parameter run.t_end: allowed are c_rr, e, mu, c_A, or a number of the"),
         (("mu", "detector.radius"), "parameter detector.radius: .* not of run, detector, sensors"),
         (("sensors.seed",), "parameter sensors.seed"),
+        (("probe.rod_mass",), "parameter probe.rod_mass"),
+        (("friction.mu.real",), "parameter friction.mu.real"),
         (("string.hanging_mass",), "parameter string.hanging_mass: .* as recorded"),
     ],
 )

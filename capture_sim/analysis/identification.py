@@ -23,23 +23,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from capture_sim.analysis.measurements import Measurements, Series, measured_in
+from capture_sim.analysis.scene_parameters import changed, get, paths_of, range_of, usual_size
 from capture_sim.analysis.touches import Touches
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.launching import LaunchPlan
 from capture_sim.scene import Scene
 
-#: Short names, and where the value stands in a scene.
-ALIASES: Mapping[str, tuple[str, ...]] = {
-    "c_rr": ("supports.chaser.c_rr", "supports.target.c_rr"),
-    "e": ("contact.restitution",),
-    "mu": ("friction.mu",),
-    "c_A": ("buffer.c_A",),
-}
-#: Parts of a scene that are how it is simulated, judged and measured, not what is on the bench.
-NO_PHYSICS = ("run", "detector", "sensors")
-#: How the chaser was launched, which is known.
-LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
 #: Least noise that is believed: rounding and what no sensor betters; m, rad, m, rad.
 NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
     "chaser": (1e-6, 1e-6, 1e-6),
@@ -190,17 +180,6 @@ def is_explained(fit: Fit) -> bool:
     return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)
 
 
-def value_of(scene: Scene, name: str) -> float:
-    """Return the value of a parameter in a scene.
-
-    Raises
-    ------
-    SceneError
-        It is no number there.
-    """
-    return float(_get(scene, paths_of(scene, name)[0]))
-
-
 class _Problem:
     """Residuals as a function of the scaled parameters."""
 
@@ -232,13 +211,13 @@ class _Problem:
                 "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
             )
         self._times = np.unique(np.concatenate([series.t for _, series, _ in self._series]))
-        values = [_get(scene, paths[0]) for paths in self._paths]
+        values = [get(scene, paths[0]) for paths in self._paths]
         # a value of zero has no scale of its own
         self._scale = np.array(
-            [abs(v) if v else _usual(n) for v, n in zip(values, names, strict=True)]
+            [abs(v) if v else usual_size(n) for v, n in zip(values, names, strict=True)]
         )
         self.begin = np.array(values) / self._scale
-        ranges = [_range(scene, paths[0]) for paths in self._paths]
+        ranges = [range_of(scene, paths[0]) for paths in self._paths]
         self._low = np.array([low for low, _ in ranges]) / self._scale
         self._high = np.array([high for _, high in ranges]) / self._scale
 
@@ -252,7 +231,7 @@ class _Problem:
         scene = self._scene
         for value, paths in zip(x * self._scale, self._paths, strict=True):
             for path in paths:
-                scene = _set(scene, path, float(value))
+                scene = changed(scene, path, float(value))
         if scene.string is not None:  # what hangs there does not follow the parameters
             scene = dataclasses.replace(
                 scene,
@@ -392,49 +371,3 @@ def scatter(series: Series) -> np.ndarray:
         return np.zeros(values.shape[1])
     rough = np.abs(np.diff(values, n=3, axis=0))
     return np.asarray(np.median(rough, axis=0) / 0.6745 / math.sqrt(20.0))
-
-
-def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
-    """Return where a parameter stands in a scene.
-
-    Raises
-    ------
-    SceneError
-        It is no number there, or no property of the bench.
-    """
-    paths = ALIASES.get(name, (name,))
-    for path in paths:
-        value = _get(scene, path)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not is_number or path.split(".")[0] in NO_PHYSICS or path in LAUNCH:
-            raise SceneError(
-                f"parameter {name}: allowed are {', '.join(ALIASES)}, or a number of the bench as "
-                f"buffer.k_A; not of {', '.join(NO_PHYSICS)}, and not {', '.join(LAUNCH)}, which "
-                "are as recorded"
-            )
-    return paths
-
-
-def _get(scene: Scene, path: str) -> Any:
-    value: Any = scene
-    for part in path.split("."):
-        value = getattr(value, part, None)
-    return value
-
-
-def _set(part: Any, path: str, value: float) -> Any:
-    name, _, rest = path.partition(".")
-    new = _set(getattr(part, name), rest, value) if rest else value
-    return dataclasses.replace(part, **{name: new})
-
-
-def _range(scene: Scene, path: str) -> tuple[float, float]:
-    *parents, name = path.split(".")
-    owner = _get(scene, ".".join(parents)) if parents else scene
-    (declared,) = (f for f in dataclasses.fields(owner) if f.name == name)
-    allowed = declared.metadata.get("allowed")
-    return (-math.inf, math.inf) if allowed is None else (allowed.low, allowed.high)
-
-
-def _usual(name: str) -> float:
-    return {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}.get(name, 1.0)

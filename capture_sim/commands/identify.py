@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.analysis.identification import ALIASES, identify, is_explained, value_of
+    from capture_sim.analysis.identification import identify, is_explained
+    from capture_sim.analysis.scene_parameters import ALIASES, value_of
     from capture_sim.commands.recorded import open_run, scene_of
     from capture_sim.recording.measured import first_touches, launch_of, measurements
 
