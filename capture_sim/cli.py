@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from capture_sim import __version__
+from capture_sim.apart import leave_if_busy
 from capture_sim.commands import COMMANDS
 from capture_sim.commands.arguments import BAD_INPUT, FAILED, INTERRUPTED
 from capture_sim.errors import CaptureSimError, SceneError
@@ -15,8 +16,8 @@ from capture_sim.errors import CaptureSimError, SceneError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return the exit status: 0 fine, 1 failed, 2 bad input, 130 interrupted."""
-    options = _parser().parse_args(arguments)
     try:
+        options = _parser().parse_args(arguments)
         return int(options.command(options))
     except SceneError as error:
         print(f"capture-sim: {error}", file=sys.stderr)
@@ -25,12 +26,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"capture-sim: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
-        print("capture-sim: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
+    except ImportError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            return _interrupted()  # while a compiled module was loaded
+        raise
     except BrokenPipeError:
         # the reader of our output has gone; there is nobody left to tell
         sys.stderr.close()
         return FAILED
+
+
+def _interrupted() -> int:
+    print("capture-sim: interrupted", file=sys.stderr)
+    leave_if_busy(INTERRUPTED)
+    return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
