@@ -1,13 +1,17 @@
 """Ctrl-C as a launch passes it on: twice, from the terminal and from `ros2 launch`."""
 
+import os
 import signal
 import subprocess
 import sys
+import textwrap
+import threading
 import time
 
 import pytest
 
 import capture_sim
+from capture_sim.apart import do_apart
 from capture_sim.recording import read_run, write_run
 
 
@@ -46,13 +50,150 @@ def test_signals_that_come_together_interrupt_once():
     from capture_sim.nodes.running import _Interrupt
 
     interrupt = _Interrupt()
-    with pytest.raises(KeyboardInterrupt):
+    before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupt(signal.SIGINT, None)
         interrupt(signal.SIGINT, None)
-    interrupt(signal.SIGINT, None)
-    interrupt(signal.SIGTERM, None)
-    time.sleep(_Interrupt.TOGETHER)
-    with pytest.raises(KeyboardInterrupt):
-        interrupt(signal.SIGINT, None)
+        interrupt(signal.SIGTERM, None)
+        time.sleep(_Interrupt.TOGETHER)
+        with pytest.raises(KeyboardInterrupt):
+            interrupt(signal.SIGINT, None)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def ended(program, tmp_path, *, words="", after=0.0):
+    """Run a program, interrupt it so long after its words; return its status and what it said."""
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", textwrap.dedent(program)],
+        cwd=tmp_path,
+        env=dict(os.environ, CAPTURE_SIM_CACHE=str(tmp_path / "cache")),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        said = ""
+        while words not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+        if words:
+            time.sleep(after)
+            process.send_signal(signal.SIGINT)
+        said += process.communicate(timeout=60)[0]
+        return process.returncode, said
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
+    pytest.importorskip("rclpy")
+    status, said = ended(
+        """
+        import os, signal, threading
+        from capture_sim.nodes.running import BenchNode, run
+
+        class Loses:
+            def __del__(self):
+                os.kill(os.getpid(), signal.SIGINT)
+                for _ in range(1000):
+                    pass
+                print("not raised")
+
+        class Bench(BenchNode):
+            def __init__(self):
+                super().__init__("bench")
+
+            def work(self):
+                Loses()
+                print("gone on")
+                threading.Event().wait(50.0)
+                return 1
+
+        raise SystemExit(run(Bench))
+        """,
+        tmp_path,
+    )
+    assert (status, said) == (0, "gone on\n")
+
+
+# At any moment of loading the compiler and of compiling; where that is over, in what comes then
+@pytest.mark.parametrize("after", [0.7, 4.0])
+@pytest.mark.parametrize("what", ["command", "node"])
+def test_compiling_is_interrupted_at_once(tmp_path, what, after):
+    program = "from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))"
+    expected = 130
+    if what == "node":
+        pytest.importorskip("rclpy")
+        program = "from capture_sim.nodes.simulator import main; raise SystemExit(main())"
+        expected = 0
+    status, said = ended(program, tmp_path, words="compiling", after=after)
+    assert "Traceback" not in said
+    assert status == expected, said
+
+
+def test_work_apart_gives_and_raises_as_in_place():
+    seen = []
+
+    def work():
+        seen.append(threading.current_thread())
+        return 1.0
+
+    assert do_apart(work) == 1.0
+    assert seen[0] is not threading.main_thread()
+    with pytest.raises(ZeroDivisionError):
+        do_apart(lambda: 1 / 0)
+    # from another thread it stays there: that one gets no signals
+    other = threading.Thread(target=do_apart, args=(work,))
+    other.start()
+    other.join()
+    assert seen[1] is other
+
+
+def test_interrupt_within_work_apart_is_not_lost():
+    over = threading.Event()
+
+    class Loses:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)
+
+    def work():
+        Loses()
+        over.wait(20.0)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            do_apart(work)
+    finally:
+        over.set()
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("held_up", [True, False])
+def test_end_is_bounded_also_where_python_is_locked(tmp_path, held_up):
+    pytest.importorskip("rclpy")
+    status, said = ended(
+        f"""
+        import ctypes
+        from capture_sim.nodes.ending import ended_within
+
+        print("said before")
+        with ended_within(1, 7):
+            ctypes.PyDLL(None).sleep(50 if {held_up} else 0)  # keeps Python's lock
+        ctypes.PyDLL(None).sleep(2)
+        print("through")
+        """,
+        tmp_path,
+    )
+    assert (status, said) == ((7, "said before\n") if held_up else (0, "said before\nthrough\n"))
 
 
 @pytest.mark.parametrize("followers", [(), ("recorder",)])

@@ -36,9 +36,11 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from capture_sim.apart import leave_if_busy
 from capture_sim.errors import CaptureSimError
 from capture_sim.messaging.messages import Messages
 from capture_sim.messaging.topics import Topic
+from capture_sim.nodes.ending import ended_within
 from capture_sim.resources import config_dir
 
 try:
@@ -54,8 +56,8 @@ OK, FAILED, REFUSED = 0, 1, 2
 
 #: Names of the threads that run callbacks and services.
 CALLBACKS, SERVICES = "callbacks", "services"
-#: Each of them ends within this long, on a busy machine too, s (wall).
-ENDING = 5.0
+#: Each of them ends within this long, on a busy machine too, and so does DDS, s (wall).
+ENDING = 5
 #: Where Fast DDS looks for a profile.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: A last message is given this long to arrive, s (wall).
@@ -296,10 +298,13 @@ class _Interrupt:
     """Ends the node's work by KeyboardInterrupt, once for signals that come together.
 
     Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
-    would tear the end that the first has begun, before that can ignore it.
+    would tear the end that the first has begun, before that can ignore it.  Raised within a
+    destructor it is lost, so it comes again until the node has taken it.
     """
 
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     TOGETHER = 1.0  # s
+    AGAIN = 1.2  # s
 
     def __init__(self) -> None:
         self._last = -math.inf
@@ -308,7 +313,26 @@ class _Interrupt:
         now = time.monotonic()
         if now - self._last > self.TOGETHER:
             self._last = now
+            signal.setitimer(signal.ITIMER_REAL, self.AGAIN)
             raise KeyboardInterrupt
+
+    def install(self) -> None:
+        """Take the signals from here on."""
+        for signum in self.SIGNALS:
+            signal.signal(signum, self)
+        sys.unraisablehook = self._lost
+
+    @classmethod
+    def ignore(cls) -> None:
+        """Let no signal tear what comes now."""
+        for signum in cls.SIGNALS:
+            signal.signal(signum, signal.SIG_IGN)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    @staticmethod
+    def _lost(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(unraisable)
 
 
 def run(
@@ -332,9 +356,7 @@ def run(
         scene is wrong.
     """
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
-    interrupt = _Interrupt()
-    for signum in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(signum, interrupt)
+    _Interrupt().install()
     try:
         # a supervisor blocks it until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
@@ -345,7 +367,7 @@ def run(
             status = _live(make, interrupted)
         finally:
             rclpy.try_shutdown()
-        _leave_if_held_up(status)
+        leave_if_busy(status, CALLBACKS, SERVICES)
         return status
     except CaptureSimError as error:
         return _refuse(str(error))
@@ -353,14 +375,8 @@ def run(
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
         return interrupted
-
-
-def _leave_if_held_up(status: int) -> None:
-    """End the process here and now if a thread is still within ROS: Python's own end would not."""
-    if any(thread.name in (CALLBACKS, SERVICES) for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def _refuse(reason: str) -> int:
@@ -384,15 +400,15 @@ def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
         log.error(str(error))
     finally:
         # the end is bounded in time: a second Ctrl-C would only tear it
-        for signum in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(signum, signal.SIG_IGN)
+        _Interrupt.ignore()
         callbacks.stop()
         if node.failure is not None:
             log.error(_one_line(node.failure))
             status = FAILED
         elif interrupted:
             node.interrupted()
-        node.destroy_node()
+        with ended_within(ENDING, status):
+            node.destroy_node()
     return status
 
 
