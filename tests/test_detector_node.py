@@ -11,6 +11,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import rclpy
+from bench_processes import SETTLING
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.context import Context
@@ -99,6 +100,7 @@ def experimenter():
     def call(kind, name, request):
         client = node.create_client(kind, f"capture_detector/{name}")
         assert client.wait_for_service(20.0)
+        time.sleep(SETTLING)
         answer = client.call_async(request)
         executor.spin_until_future_complete(answer, 20.0)
         node.destroy_client(client)

@@ -206,6 +206,7 @@ def spin(holds, limit=30.0):
 def call(name):
     client = node.create_client(Trigger, f"/player/{name}")
     assert client.wait_for_service(30.0)
+    time.sleep(0.2)  # until it knows where to answer
     future = client.call_async(Trigger.Request())
     rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
     return future.result().success
@@ -374,6 +375,7 @@ def ask(name, service, **fields):
     kind = getattr(services, service)
     client = node.create_client(kind, f"/player/{name}")
     assert client.wait_for_service(30.0)
+    time.sleep(0.2)  # until it knows where to answer
     request = kind.Request()
     for field, value in fields.items():
         setattr(request, field, value)
