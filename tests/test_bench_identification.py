@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
+from capture_sim.analysis.identification import RELEASE, identify, is_explained
 from capture_sim.analysis.touches import (
     quiet_before_contact,
     stretches_above,
@@ -87,21 +90,61 @@ def bench_bag(run, folder, force):
     return folder
 
 
-@pytest.mark.parametrize("name, seed", [("tilt_0", 21), ("tilt_m10", 22)])
-def test_bag_of_a_bench_gives_its_parameters_back(name, seed, tmp_path, capsys):
+@pytest.mark.parametrize(
+    "name, seed, release",
+    [
+        ("tilt_0", 21, ["--release", str(STOOD), "--fix-release"]),
+        ("tilt_m10", 22, ["--release", str(STOOD + 0.02)]),  # as read off a diagram
+        ("tilt_p10", 24, []),  # nothing is known: it begins at the first pose
+    ],
+)
+def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path, capsys):
     run = noisy_run(name, seed)
     force = measured_force(run, np.random.default_rng(seed))
     bag = bench_bag(run, tmp_path / "bag", force)
     command = ["identify", str(bag), *NAMES, "--scene", name]
-    assert main([*command, "--release", str(STOOD), "--touch-noise", "5e-5", "1"]) == 0
+    assert main([*command, *release, "--touch-noise", "5e-5", "1"]) == 0
     said = capsys.readouterr().out
     assert "touches are those of contact/wrench" in said
     assert " 4 touches" in said
-    rows = [line.split() for line in said.splitlines()[1:5]]
-    for row, expected in zip(rows, run.true, strict=True):
+    known = "--fix-release" in release
+    true = [*run.true] if known else [*run.true, STOOD]
+    rows = [line.split() for line in said.splitlines()[1 : 1 + len(true)]]
+    for row, expected in zip(rows, true, strict=True):
         assert abs(float(row[1]) - expected) < 3.0 * float(row[2]), row
+    if not known:
+        assert rows[4][0] == "release"
+        assert float(rows[4][2]) < 2e-4
+        assert "release=" not in said  # it is no field of the scene
     # without touches the restitution is known several times worse
     assert float(rows[1][2]) < 0.05 * run.true[1]
+
+
+@pytest.mark.parametrize("late", [-0.03, 0.03])
+def test_release_is_fitted_with_the_rest(late):
+    run = noisy_run("tilt_0", 23)
+    touches = dataclasses.replace(run.touches, start=run.touches.start + late)
+    names = [RELEASE, "mu"]
+    scene = with_parameters(run.scene, run.plan, *run.true)
+    fit = identify(scene, run.measured.shifted(late), names, plan=run.plan, touches=touches)
+    assert is_explained(fit)
+    assert np.all(np.abs(fit.values - [late, run.true[2]]) < 3.0 * fit.errors)
+    assert fit.errors[0] < 2e-4
+    assert fit.scene == dataclasses.replace(
+        scene, friction=dataclasses.replace(scene.friction, mu=fit.scene.friction.mu)
+    )
+
+
+def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
+    result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=2.0"]))
+    path = str(write_run(result, tmp_path / "run.mcap"))
+    main(["identify", path, "mu", "--starts", "1"])
+    assert "release" not in capsys.readouterr().out
+    main(["identify", path, "mu", "release", "--starts", "1"])
+    row = capsys.readouterr().out.splitlines()[2]
+    assert row.startswith("release ")
+    assert "s after the recorded release" in row
+    assert abs(float(row.split()[1])) < 1e-6
 
 
 def test_touches_in_the_force_are_those_that_were(tmp_path):

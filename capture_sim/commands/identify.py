@@ -18,9 +18,10 @@ HELP = "fit parameters of the bench to a recorded run"
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
     "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
-    "are fitted, and the first touches where they were recorded. Prints values with standard "
-    "errors. Exit status 1 when the model does not explain what was measured, or a parameter "
-    "does not show in it."
+    "are fitted, and the first touches where they were recorded. Where the recording does not tell "
+    "when the chaser was released, that is fitted as well, beginning at --release. Prints values "
+    "with standard errors. Exit status 1 when the model does not explain what was measured, or a "
+    "parameter does not show in it."
 )
 
 
@@ -35,6 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--until", type=not_negative, metavar="S", help="leave out what was measured later"
     )
     add_release(parser)
+    parser.add_argument(
+        "--fix-release",
+        action="store_true",
+        help="do not fit when the chaser was released: it is known to better than 0.1 ms",
+    )
     parser.add_argument(
         "--touches",
         type=whole,
@@ -58,14 +64,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.analysis.identification import identify, is_explained
+    from capture_sim.analysis.identification import RELEASE, identify, is_explained
     from capture_sim.analysis.scene_parameters import ALIASES, value_of
     from capture_sim.commands.recorded import open_run, scene_of
+    from capture_sim.messaging.bench_columns import release_told
     from capture_sim.recording.measured import first_touches, launch_of, measurements
 
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
+    names = list(options.parameters)
+    told = options.release is None and release_told(recorded) is not None
+    if not told and not options.fix_release and RELEASE not in names:
+        names.append(RELEASE)
     compile_first()
     touches, source = None, ""
     start_noise, peak_noise = options.touch_noise
@@ -76,19 +87,23 @@ def run(options: argparse.Namespace) -> int:
     fit = identify(
         scene,
         measured,
-        options.parameters,
+        names,
         plan=launch_of(recorded, scene),
         touches=touches,
         until=float("inf") if options.until is None else options.until,
         starts=options.starts,
     )
     say(f"{'parameter':16} {'value':>14} {'+-':>12} {'%':>8} {'began at':>14}")
+    given = options.release or 0.0
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
+        began, note = given, f"   s after the {'recorded release' if told else 'first pose'}"
+        if name != RELEASE:
+            began, note = value_of(scene, name), ""
+        else:
+            value += given
         share = f"{error / abs(value):.2%}" if value else "-"
         bound = "   at the bound of its range" if name in fit.at_bound else ""
-        say(
-            f"{name:16} {value:14.6g} {error:12.2g} {share:>8} {value_of(scene, name):14.6g}{bound}"
-        )
+        say(f"{name:16} {value:14.6g} {error:12.2g} {share:>8} {began:14.6g}{bound}{note}")
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
             if abs(fit.correlation[i, j]) > 0.9:
@@ -104,6 +119,7 @@ def run(options: argparse.Namespace) -> int:
     changes = [
         f"--set {path}={value:.9g}"
         for name, value in zip(fit.names, fit.values, strict=True)
+        if name != RELEASE
         for path in ALIASES.get(name, (name,))
     ]
     say(" ".join(changes))

@@ -64,15 +64,21 @@ def release_of(bag: Recorded, after: float | None = None) -> int:
     """
     if after is not None:
         return _after_first_pose(bag, after)
+    told = release_told(bag)
+    if told is not None:
+        return told
+    stamps = _pose_stamps(bag)
+    return EPOCH_NS if stamps is None else int(stamps.min())
+
+
+def release_told(bag: Recorded) -> int | None:
+    """Return the stamp of the release, ns, as the recording tells it; None where it does not."""
     commands = bag.columns(LAUNCH_COMMAND)
     if commands:
         released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
         if released.size:
             return int(stamps_of(commands)[released[0]])
-    if bag.columns(RUN_INFO) or bag.columns(BENCH_STATE):
-        return EPOCH_NS
-    stamps = _pose_stamps(bag)
-    return EPOCH_NS if stamps is None else int(stamps.min())
+    return EPOCH_NS if bag.columns(RUN_INFO) or bag.columns(BENCH_STATE) else None
 
 
 def _pose_stamps(bag: Recorded) -> np.ndarray | None:
