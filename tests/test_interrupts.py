@@ -125,13 +125,21 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
 
 # At any moment of loading the compiler and of compiling; where that is over, in what comes then
 @pytest.mark.parametrize("after", [0.7, 4.0])
-@pytest.mark.parametrize("what", ["command", "node"])
+@pytest.mark.parametrize("what", ["command", "node", "loop"])
 def test_compiling_is_interrupted_at_once(tmp_path, what, after):
     program = "from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))"
     expected = 130
     if what == "node":
         pytest.importorskip("rclpy")
         program = "from capture_sim.nodes.simulator import main; raise SystemExit(main())"
+        expected = 0
+    if what == "loop":  # it says nothing before
+        pytest.importorskip("rclpy")
+        program = """
+            from capture_sim.nodes.loop_simulator import main
+            print("compiling")
+            raise SystemExit(main())
+        """
         expected = 0
     status, said = ended(program, tmp_path, words="compiling", after=after)
     assert "Traceback" not in said

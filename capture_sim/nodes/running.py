@@ -374,6 +374,7 @@ def run(
     except RCLError as error:
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
+        leave_if_busy(interrupted)
         return interrupted
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
