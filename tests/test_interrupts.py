@@ -225,7 +225,9 @@ def test_interrupted_replay_says_so_by_its_status(tmp_path, followers):
         assert replay.poll() is None
         replay.send_signal(signal.SIGINT)
         out, err = replay.communicate(timeout=30)
-        assert replay.returncode == 130, out + err
+        # Python ends by the signal itself if that came within exec of a text, as rosbags does it
+        # for its classes; a shell shows 130 for either
+        assert replay.returncode in (130, -signal.SIGINT), out + err
         assert "interrupted" in err
         assert "Traceback" not in out + err
         if followers:

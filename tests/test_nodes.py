@@ -162,14 +162,15 @@ def test_two_suites_in_one_domain_do_not_mix(suites, scenes, tmp_path):
 
 
 def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
-    first = start("simulator", consumers="[launcher]", pace="1.0")
+    # still on when the second has started, on a busy machine too
+    first = start("simulator", consumers="[launcher]", pace="0.25")
     start("launcher")
     first.wait_for("released")
     second = start("simulator", consumers="[launcher]")
-    assert second.status(30.0) == 1
+    assert second.status(60.0) == 1
     assert re.search("another simulator, with tilt_0, publishes /bench/run_info", second.text)
     assert "Traceback" not in second.text
-    assert first.status(30.0) == 0
+    assert first.status(60.0) == 0
 
 
 def test_launcher_is_heard_and_delivers(suites):

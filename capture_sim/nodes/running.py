@@ -374,7 +374,7 @@ def run(
     except RCLError as error:
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
-        leave_if_busy(interrupted)
+        leave_if_busy(interrupted, CALLBACKS, SERVICES)
         return interrupted
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -387,12 +387,13 @@ def _refuse(reason: str) -> int:
 
 def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
     node = make()
-    node.warn_of_unknown_parameters()
     log = node.get_logger()
-    callbacks = _Spinner(node)
+    callbacks = None
     status = FAILED
     interrupted = False
     try:
+        node.warn_of_unknown_parameters()
+        callbacks = _Spinner(node)
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True
@@ -402,7 +403,8 @@ def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
     finally:
         # the end is bounded in time: a second Ctrl-C would only tear it
         _Interrupt.ignore()
-        callbacks.stop()
+        if callbacks is not None:
+            callbacks.stop()
         if node.failure is not None:
             log.error(_one_line(node.failure))
             status = FAILED

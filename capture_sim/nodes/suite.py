@@ -31,7 +31,7 @@ RECORDER = "recorder"
 #: After the simulator has ended, or a node died, the others get this long to end too, s.
 GRACE = 10.0
 #: ... and this long after a Ctrl-C, before they are killed, s.
-LAST_GRACE = 5.0
+LAST_GRACE = 15.0
 #: What a suite may take besides its runs, s.
 START_LIMIT = 180.0
 #: Wall time that an unpaced run may take for each simulated second, s.
