@@ -322,6 +322,7 @@ def test_resets_leave_nothing_in_the_memory_of_python(start):
         ),
         start("launcher", COUNTED + of_follower, exit_when_done="false"),
     ]
+    nodes[1].wait_for("ready")  # a step waits 5 s for the release
     with Client() as client:
         simulation = Simulation(client)
         assert simulation.set(State.PAUSED)[0] == Code.OK
