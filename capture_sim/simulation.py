@@ -318,7 +318,8 @@ def run_blocks(bench: Bench, extra: np.ndarray | None = None) -> Iterator[Block]
         else:
             statuses = [detector.update(observation(s)) for s in samples[(-first) % every :: every]]
         if bench.done or failure is not None:
-            statuses += [detector.finish()] if watch is None else watch.finish()
+            cut = failure is not None
+            statuses += [detector.finish(cut=cut)] if watch is None else watch.finish(cut=cut)
         events, seen = bench.events[seen:], len(bench.events)
         yield Block(samples, beside, events, statuses)
         first += BLOCK

@@ -135,6 +135,23 @@ def test_a_run_that_ends_early_still_gets_a_verdict(scene):
     assert (nothing.state, nothing.reason) == (CaptureState.MISSED, "nothing was measured")
 
 
+def test_a_run_that_is_cut_gets_no_verdict_that_it_has_not_come_to(scene):
+    def cut(*legs):
+        detector = CaptureDetector(scene)
+        for seen in tip_motion(scene, lead(*legs)):
+            detector.update(seen)
+        return detector.finish(cut=True)
+
+    before = cut((0.2, 0.0, 0), (0.15, 0.0, 0.5))
+    assert (before.state, before.final) == (CaptureState.APPROACH, False)
+    touching = cut((0.1, 0.03, 0), (0.03625, 0.03, 0.6))
+    assert (touching.state, touching.final) == (CaptureState.CONTACT, False)
+    held = cut((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5))
+    assert (held.state, held.final) == (CaptureState.CAPTURED, True)
+    nothing = CaptureDetector(scene).finish(cut=True)
+    assert (nothing.state, nothing.final) == (CaptureState.APPROACH, False)
+
+
 def test_a_verdict_does_not_change_any_more(scene):
     path = lead((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5), (0.2, 0.0, 1.0))
     statuses = verdict(scene, path)

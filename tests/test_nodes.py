@@ -22,6 +22,7 @@ from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class
 from capture_sim.nodes.suite import run_suite
 from capture_sim.recording import read_run, write_run
+from capture_sim.recording.judging import judge_recording
 from capture_sim.simulation import observation
 
 NAMES = ("tilt_0", "tilt_p10")
@@ -385,9 +386,16 @@ def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
 
     said = interrupted_suite(tmp_path, wait)
     assert "interrupted" in said
+    assert "no verdict, approach" in said
     run = read_run(tmp_path / "tilt_0.mcap")
     assert not run.damage
     assert run.samples.size > 100
+    # all that was sent is there, and nothing is claimed that the run has not come to
+    assert all("ended the run early" in line for line in run.problems), run.problems
+    assert len(run.problems) == 3  # simulator, launcher, detector
+    last = run.statuses[-1]
+    assert (last.state.label, last.final) == ("approach", False)
+    assert judge_recording(run)[-1] == last
 
 
 def test_ctrl_c_while_the_nodes_start_ends_them_too(tmp_path):

@@ -206,7 +206,7 @@ class SimulationControl:
                 return Request(Answer(Code.INCORRECT_STATE, "the simulator is quitting"))
             both = Scope.TIME | Scope.STATE
             if scope != Scope.DEFAULT and scope & both != both:
-                text = f"scope {scope}: time and state are reset together, by 0, 3 or 255"
+                text = f"scope {scope}: time and state are reset together, by 0, 3, 7 or 255"
                 return Request(Answer(Code.FEATURE_UNSUPPORTED, text))
             if self._state is State.STOPPED:
                 return Request(_OK)

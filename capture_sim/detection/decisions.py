@@ -178,19 +178,25 @@ class CaptureDetector:
             self._take(place)
         return self._status(seen, tip)
 
-    def finish(self) -> CaptureStatus:
+    def finish(self, *, cut: bool = False) -> CaptureStatus:
         """Close the run: a verdict is given even if none was reached.
 
         The status is that of the last measurement; without any, all of it is NaN.
+
+        Parameters
+        ----------
+        cut
+            The run was ended before its end: what was not decided by then stays so.
         """
         if self._last is None:
-            self._enter(CaptureState.MISSED, 0.0, "nothing was measured")
+            if not cut:
+                self._enter(CaptureState.MISSED, 0.0, "nothing was measured")
             nowhere = (math.nan,) * 3
             seen = Observation(0.0, nowhere, nowhere, math.nan, math.nan)
             return self._status(seen, self._tip(seen))
         for place in self._path.finish():
             self._take(place)
-        if not self._final and self._judged is not None:
+        if not self._final and self._judged is not None and not cut:
             self._judge_at_end(self._judged)
         return self._status(*self._last)
 

@@ -72,10 +72,13 @@ class Watch:
         """Take in a measurement, see :class:`capture_sim.detection.alignment.Source`."""
         return [self.detector.update(seen) for seen in self.aligner.add(source, t, values)]
 
-    def finish(self) -> list[CaptureStatus]:
-        """Return the judgements of what was still waiting, the final verdict last."""
+    def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
+        """Return the judgements of what was still waiting, the final verdict last.
+
+        ``cut``: the run was ended before its end, and may have come to no verdict.
+        """
         rest = [self.detector.update(seen) for seen in self.aligner.flush()]
-        return [*rest, self.detector.finish()]
+        return [*rest, self.detector.finish(cut=cut)]
 
 
 def measured(source: Source, message: Any) -> Values:

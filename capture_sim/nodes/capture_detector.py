@@ -76,10 +76,13 @@ class CaptureDetectorNode(RunFollower):
 
     def end(self, reason: str) -> list[str]:
         """Send the final verdict, and tell how much was sent."""
-        statuses = self._watch.finish()
+        statuses = self._watch.finish(cut=self.cut)
         self._send_all(statuses)
         verdict = statuses[-1]
-        self.get_logger().info(f"{self.run.name}: {verdict.state.label}, {verdict.reason}")
+        undecided = "" if verdict.final else "no verdict, "
+        self.get_logger().info(
+            f"{self.run.name}: {undecided}{verdict.state.label}, {verdict.reason}"
+        )
         if skipped := self._watch.aligner.skipped:
             self.get_logger().warning(
                 f"{self.run.name}: {skipped} instants not judged: a source had a hole there"

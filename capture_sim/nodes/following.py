@@ -68,6 +68,9 @@ SETTLING = 0.5
 OVERTAKING = 1.5
 #: Messages that were on their way when the simulator went are waited for this long, s (wall).
 GRACE = 0.5
+#: Ctrl-C mostly ends all nodes at once: a follower waits this long for the simulator's word on
+#: how the run has ended, s (wall).
+FAREWELL = 1.5
 
 
 def connections(topic: Topic, consumers: Sequence[str]) -> int:
@@ -112,6 +115,7 @@ class RunFollower(BenchNode):
         self._settled = threading.Event()  # the simulator may be greeted
         self._settling_ends = time.monotonic() + SETTLING
         self._alone = True  # no simulator is alive
+        self._leaving = False  # after Ctrl-C
         self._over = threading.Event()
         self._status = OK
         self._acknowledging = threading.Lock()
@@ -142,6 +146,13 @@ class RunFollower(BenchNode):
         return not self.missing()
 
     # what a subclass calls
+
+    @property
+    def cut(self) -> bool:
+        """Whether the run that is on does not come to the end that its simulator had in mind."""
+        if SIMULATOR not in self.run.publishers:
+            return False  # a bench without one: whoever ends it ends it
+        return self._counts is None or not self._counts.complete
 
     def missing(self) -> list[str]:
         """Return which of the followed streams lack messages that the simulator has sent."""
@@ -205,6 +216,15 @@ class RunFollower(BenchNode):
         while not self._over.wait(HEARTBEAT):
             self._acknowledge()
         return self._status
+
+    def farewell(self) -> None:
+        """Let the run that is on end as the simulator says, if it is ended too."""
+        self._leaving = True
+        deadline = time.monotonic() + FAREWELL
+        while self.run is not None and not self._alone and time.monotonic() < deadline:
+            time.sleep(0.02)
+        if STREAM_COUNTS in topics_of(self.get_name()):
+            self.linger(STREAM_COUNTS)
 
     def interrupted(self) -> None:
         """End the run that is on."""
@@ -318,7 +338,7 @@ class RunFollower(BenchNode):
         problems = self.end(reason)
         if reason == INTERRUPTED:
             problems = [reason]  # that something is missing goes without saying
-        elif reason in _AS_ASKED:
+        elif reason in _AS_ASKED or (self._leaving and reason == _EARLY + INTERRUPTED):
             self.get_logger().info(f"{self.run.name}: {reason}")
             problems = []
         for problem in problems:

@@ -121,6 +121,9 @@ class BenchNode(Node):
         """Do the node's work in the main thread; return the exit status."""
         raise NotImplementedError
 
+    def farewell(self) -> None:
+        """Wait after Ctrl-C for what is on its way; callbacks still run, no signal comes."""
+
     def interrupted(self) -> None:
         """End in order after Ctrl-C; no callback runs any more, sending still works."""
 
@@ -404,6 +407,8 @@ def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
         # the end is bounded in time: a second Ctrl-C would only tear it
         _Interrupt.ignore()
         if callbacks is not None:
+            if interrupted and node.failure is None:
+                node.farewell()
             callbacks.stop()
         if node.failure is not None:
             log.error(_one_line(node.failure))

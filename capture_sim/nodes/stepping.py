@@ -79,18 +79,20 @@ class Stepping:
 
         Raises
         ------
-        RunCut
-            The run is to end before its time.
+        RunCut, KeyboardInterrupt
+            The run is to end before its time; what was made ahead does not count as sent.
         """
         made, sent = self._telemetry.by_topic, Counter[Topic]()
 
         def send_counted(topic: Topic, message: Any) -> None:
-            send(topic, message)
-            sent[topic] += 1
+            try:
+                send(topic, message)
+            finally:
+                sent[topic] += 1  # Ctrl-C during it is raised when it has been sent
 
         try:
             return self._run(send_counted, leave_room, show)
-        except RunCut:
+        except (RunCut, KeyboardInterrupt):
             self._telemetry.cut(made, sent)
             raise
 

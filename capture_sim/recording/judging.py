@@ -49,4 +49,4 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
         for _, _, topic, data in stored
         for status in watch.take(topic.name, store.deserialize_cdr(data, topic.type_name))
     ]
-    return [*statuses, *watch.finish()]
+    return [*statuses, *watch.finish(cut=run.cut)]

@@ -21,6 +21,7 @@ from capture_sim.messaging.topics import (
     CAPTURE_STATUS,
     CONTACT_TRACE,
     RUN_INFO,
+    SIMULATOR,
     STREAM_COUNTS,
     Topic,
     topic_named,
@@ -121,7 +122,7 @@ class Run:
         for topic, messages in recorded.items():
             for data in messages:
                 tally.add(topic, sequence_of(topic, data))
-        told = self.columns(STREAM_COUNTS) if STREAM_COUNTS in recorded else {}
+        told = self._told
         for i, publisher in enumerate(told.get("publisher", ())):
             tally.end(
                 publisher,
@@ -130,6 +131,21 @@ class Run:
                 reason=told["reason"][i],
             )
         return tuple(tally.problems())
+
+    @property
+    def cut(self) -> bool:
+        """Whether a simulator's run does not come to its end: ended early, or not all recorded."""
+        if SIMULATOR not in self.metadata.get("publishers", "").split("\n"):
+            return False
+        ended = zip(self._told.get("publisher", ()), self._told.get("complete", ()), strict=True)
+        return not any(publisher == SIMULATOR and complete for publisher, complete in ended)
+
+    @property
+    def _told(self) -> Columns:
+        """How the publishers have ended the run; empty where that is not recorded."""
+        if self._contents.types.get(self._resolved(STREAM_COUNTS)) != STREAM_COUNTS.type_name:
+            return {}
+        return self.columns(STREAM_COUNTS)
 
     @property
     def metadata(self) -> dict[str, str]:
