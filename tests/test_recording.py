@@ -836,6 +836,20 @@ def test_tally_names_gaps():
     assert tally.problems() == ["bench/state: 7 messages missing (seq 2 to 3, 6 to 8, 10 to 11)"]
 
 
+def test_tally_knows_a_late_beginning_from_a_loss():
+    def told(numbers, sent):
+        tally = Tally()
+        for seq in numbers:
+            tally.add(BENCH_STATE, seq)
+        tally.end("simulator", {"bench/state": sent})
+        return tally.problems()
+
+    assert told(range(7, 12), sent=5) == []  # a replay from the middle on
+    assert told(range(7, 12), sent=12) == ["bench/state: 7 messages missing (seq 0 to 6)"]
+    # a repeated message does not stand for a lost one
+    assert told([0, 1, 1, 3], sent=4)[0] == "bench/state: 1 messages missing (seq 2)"
+
+
 def test_columns_of_texts_and_sequences_whose_length_varies():
     store, make = typestore(), offline_messages()
     texts = ["", "a", "bcd", "a", "bcde" * 100, "é"]

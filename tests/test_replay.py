@@ -11,6 +11,7 @@ import termios
 import threading
 import time
 
+import numpy as np
 import pytest
 import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -21,7 +22,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.messaging.topics import RECORDED, topic_named
 from capture_sim.recording import LiveRecorder, Split, read_run, write_run
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.playback import Playback
+from capture_sim.recording.playback import Playback, Rewritten
 
 NAME = "tilt_m10"
 
@@ -286,12 +287,51 @@ def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
     one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
     assert two.problems == ()
     for topic in RECORDED:
-        if topic.name not in ("capture/status", "bench/stream_counts"):
+        if topic.name not in ("capture/status", "bench/stream_counts", "bench/run_info"):
             assert two.raw(topic.name) == one.raw(topic.name), topic.name
+    # announced as recorded, but for those that take part now
+    announced = [dict(run.columns("bench/run_info")) for run in (one, two)]
+    assert announced[1].pop("consumers").tolist() == [["capture_detector", "recorder"]]
+    del announced[0]["consumers"]
+    for name, column in announced[0].items():
+        assert np.array_equal(column, announced[1][name]), name
     # judged anew, from the played messages: state by state at the same simulated time
     assert [(s.t, s.state, s.final, s.reason) for s in two.statuses] == [
         (s.t, s.state, s.final, s.reason) for s in one.statuses
     ]
+
+
+def test_what_is_left_out_is_not_missed(path, tmp_path):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0"]
+    command += ["--with", "recorder", "--out", str(tmp_path)]
+    state = ("/bench/state", "/bench/run_info", "/bench/stream_counts")
+    one = read_run(path)
+    for number, (options, first) in enumerate(
+        ((("--start", "3"), 3000), (("--topics", *state), 0))
+    ):
+        done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stdout + done.stderr
+        two = read_run(tmp_path / f"{NAME}{f'_{number + 1}' if number else ''}.mcap")
+        assert two.problems == ()
+        assert two.raw("bench/state") == one.raw("bench/state")[first:]
+
+
+def test_what_the_recording_lacks_is_missed_still(path):
+    run = read_run(path)
+    counts = run.raw("bench/stream_counts")[0]
+    store = typestore()
+    told = store.deserialize_cdr(counts, "capture_sim/msg/StreamCounts")
+    before = dict(zip(told.topics, told.counts.tolist(), strict=True))
+    skipped = Playback(path).skipped(3.0, {"/bench/state", "/bench/event"})
+    rewritten = Rewritten("/2", skipped=skipped)("/bench/stream_counts", counts)
+    told = store.deserialize_cdr(rewritten, "capture_sim/msg/StreamCounts")
+    after = dict(zip(told.topics, told.counts.tolist(), strict=True))
+    # what is promised does not hang on what the file holds: 3000 states come before 3 s
+    assert after["bench/state"] == before["bench/state"] - 3000
+    assert after["bench/event"] == before["bench/event"]  # latched: played from the start
+    assert "bench/buffer" not in after
+    assert told.run_id == "a run/2"
 
 
 @pytest.fixture(scope="module")

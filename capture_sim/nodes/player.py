@@ -34,7 +34,7 @@ from capture_sim.nodes.following import FOLLOWED
 from capture_sim.nodes.keyboard import Keyboard
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
 from capture_sim.nodes.simulation_services import SimulationServices
-from capture_sim.recording.playback import Playback, PlayedTopic, Renamed, run_id_of
+from capture_sim.recording.playback import Playback, PlayedTopic, Rewritten, run_id_of
 
 PLAYER = "player"
 #: Readers that a writer has found may need this long to find it too, s (wall).
@@ -199,7 +199,8 @@ class PlayerNode(BenchNode):
     def _play(self, suffix: str) -> int | None:
         """Play once; return how many messages were played, None when a follower was not ready."""
         log: Any = self.get_logger()
-        rename = Renamed(suffix, self._consumers)
+        skipped = self._playback.skipped(self._offset, self._outlets)
+        rewrite = Rewritten(suffix, self._consumers, skipped)
         if self._consumers:
             self._await(self._all_free, self._patience)
         elif not suffix:
@@ -215,7 +216,7 @@ class PlayerNode(BenchNode):
                 self._transport.wait_until(stamp)
                 if self._ticker is not None:
                     self._tick(ticks, stamp)
-                sent = rename(name, data)
+                sent = rewrite(name, data)
                 if sent is None:
                     continue
                 self._outlets[name].publish(sent)

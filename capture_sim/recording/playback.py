@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,6 +123,17 @@ class Playback:
                     name = names[owners[j]]
                     yield int(times[j]), name, contents.messages[name][places[j]]
 
+    def skipped(self, offset: float, topics: Collection[str]) -> dict[str, int]:
+        """Return how many messages of each topic :meth:`messages` leaves out, where it does."""
+        found = {name: count for name, count in self.counts.items() if name not in topics}
+        begin = self.start + round(offset * 1e9)
+        for i in range(len(self._files) if offset > 0.0 else 0):
+            for name, times in self._read(i).log_times.items():
+                if name in topics and not self._is_latched(name):
+                    early = sum(time < begin for time in times)
+                    found[name] = found.get(name, 0) + early
+        return {name: count for name, count in found.items() if count}
+
     def _is_latched(self, name: str) -> bool:
         return self.topics[name].qos.get("durability") in ("transient_local", 1)
 
@@ -132,34 +143,51 @@ class Playback:
         return self._last[1]
 
 
-class Renamed:
-    """Gives the run of a recording another id, so that it can be played again in one domain.
+class Rewritten:
+    """Makes the announcement and the end of a recorded run those of a played one.
 
     Parameters
     ----------
     suffix
-        Put behind the id.
-    without
-        Publishers whose StreamCounts are left out: they take part themselves.
+        Put behind the run's id, so that it can be played again in one domain.
+    consumers
+        Nodes that take part: the recorded ones are not awaited, and the counts of what these
+        publish themselves are left out.  Empty: the announcement stays as recorded.
+    skipped
+        Messages by topic that are not played: the counts promise so much less.
     """
 
-    def __init__(self, suffix: str, without: Collection[str] = ()) -> None:
+    def __init__(
+        self, suffix: str, consumers: Sequence[str] = (), skipped: Mapping[str, int] | None = None
+    ) -> None:
         self._suffix = suffix
-        self._without = without
+        self._consumers = list(consumers)
+        self._skipped = {name.lstrip("/"): n for name, n in (skipped or {}).items()}
 
     def __call__(self, name: str, data: bytes) -> bytes | None:
         """Return the message as it is to be sent; None when it is left out."""
         topic = topic_named(name)
         if topic is None or topic not in (RUN_INFO, STREAM_COUNTS):
             return data
-        if not self._suffix and topic is RUN_INFO:
+        if not (self._suffix or self._consumers or self._skipped):
             return data
         try:
             message: Any = typestore().deserialize_cdr(data, topic.type_name)
         except SerdeError as error:
             raise RecordingError(f"{name}: {error}") from None
-        if topic is STREAM_COUNTS and message.publisher in self._without:
+        if topic is STREAM_COUNTS and message.publisher in self._consumers:
             return None
+        if topic is RUN_INFO and self._consumers:
+            message.consumers = self._consumers
+        if topic is STREAM_COUNTS:
+            # of a topic that is not played at all nothing is said: a player has its own clock
+            said = [
+                (name, int(count) - self._skipped.get(name.lstrip("/"), 0), int(count))
+                for name, count in zip(message.topics, message.counts, strict=True)
+            ]
+            said = [(name, left, count) for name, left, count in said if left > 0 or count == 0]
+            message.topics = [name for name, _, _ in said]
+            message.counts = np.array([left for _, left, _ in said], dtype=np.uint64)
         message.run_id += self._suffix
         return bytes(typestore().serialize_cdr(message, topic.type_name))
 

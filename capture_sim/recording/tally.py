@@ -126,10 +126,11 @@ class Tally:
             if publisher not in self._ended
         ]
         for topic, entry in self._topics.items():
+            # by the numbers a stream may begin late without a loss: what was sent is known better
             lost = entry.missing
             if entry.expected is not None:
-                lost = max(lost, entry.expected - entry.seen)
-            if lost:
+                lost = entry.expected - entry.seen + entry.out_of_order
+            if lost > 0:
                 lines.append(f"{topic.name}: {lost} messages missing{_where(topic, entry)}")
             if entry.expected is not None and entry.seen > entry.expected:
                 lines.append(
