@@ -58,6 +58,8 @@ def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
 
 def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
     """Make the one-line error for a value that is not allowed."""
+    if isinstance(value, float) and not math.isfinite(value) and allowed != ANY:
+        allowed = f"finite and {allowed}"
     shown = f"{value!r} {unit}".rstrip() if unit not in ("", "1") else repr(value)
     return SceneError(f"{where} = {shown}: allowed is {allowed}")
 

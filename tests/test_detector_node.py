@@ -126,7 +126,7 @@ def setting(name, value):
     [
         ({"radius": "-0.001"}, "parameter radius = -0.001 m: allowed is > 0"),
         ({"dwell": "1"}, "parameter dwell = 1: allowed is a number with a decimal point, >= 0 s"),
-        ({"still_speed": ".nan"}, "parameter still_speed = nan m/s: allowed is > 0"),
+        ({"still_speed": ".nan"}, "parameter still_speed = nan m/s: allowed is finite and > 0"),
     ],
 )
 def test_a_wrong_criterion_ends_the_node_in_a_line(start, given, said):

@@ -471,6 +471,15 @@ def test_unknown_parameter_is_named(start):
     assert node.status(10.0) == 0
 
 
+def test_help_shows_the_parameters_and_starts_nothing():
+    command = [sys.executable, "-m", "capture_sim.nodes.simulator", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0
+    for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
+        assert word in done.stdout
+    assert "launcher:" not in done.stdout  # another node's
+
+
 def test_suite_ends_when_a_node_refuses(scenes, tmp_path, capfd):
     (tmp_path / "out").write_text("not a folder")
     assert run_suite(scenes[:1], tmp_path / "out") == 2

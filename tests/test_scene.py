@@ -120,6 +120,8 @@ def test_scene_is_frozen_and_checked_when_made_in_python():
     scene = load_scene("tilt_0")
     with pytest.raises(dataclasses.FrozenInstanceError):
         scene.chaser.mass = 3.0
+    with pytest.raises(SceneError, match=r"c_A = inf N s/m: allowed is finite and >= 0"):
+        load_scene("tilt_0", ["buffer.c_A=.inf"])
     with pytest.raises(SceneError, match=r"Vehicle.mass = -3 kg: allowed is > 0"):
         Vehicle(mass=-3, inertia=1.0)
     with pytest.raises(SceneError, match=r"PlanarState.theta"):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.folders import why_not_writable
 
 if TYPE_CHECKING:
     from capture_sim.scene import Scene
@@ -99,9 +99,5 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
 
 def prepare_folder(folder: Path) -> None:
     """Make sure, before anything runs, that results can be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise RecordingError(f"--out {folder}: cannot be written: {error.strerror}") from None
+    if reason := why_not_writable(folder):
+        raise RecordingError(f"--out {folder}: cannot be written: {reason}; allowed is a folder")

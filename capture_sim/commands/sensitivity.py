@@ -65,6 +65,8 @@ def run(options: argparse.Namespace) -> int:
     )
 
     scene = load(options.scene, options.overrides)
+    if not 0.0 < options.spread <= 50.0:
+        raise SceneError(f"--spread {options.spread:g} %: allowed is > 0 and <= 50")
     parameters = default_parameters(options.spread / 100.0)
     if not 0 <= options.workers <= 1024:
         raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")

@@ -83,10 +83,10 @@ class LauncherNode(RunFollower):
         self._actuator.hold()
         self.send(*self._telemetry.command(0.0, LaunchAction.ARM, plan))
         self.send(*self._telemetry.state(0.0, launcher.status))
-        self.get_logger().info(
-            f"{info.name}: armed, {plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m "
-            f"for {plan.impact_speed:.6g} m/s"
-        )
+        how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
+        if plan.hanging_mass > 0.0:
+            how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
+        self.get_logger().info(f"{info.name}: armed, {how} for {speed}")
         if self._auto_release:
             self._release(launcher)
 

@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from capture_sim.folders import why_not_writable
 from capture_sim.messaging.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
 from capture_sim.nodes.early import EarlyMessages
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
@@ -30,8 +31,10 @@ class RecorderNode(RunFollower):
     def __init__(self) -> None:
         super().__init__(RECORDER)
         self._out = Path(self.declare("out", "runs", "folder of the recordings"))
-        if self._out.exists() and not self._out.is_dir():
-            raise ParameterError(f"parameter out = '{self._out}': allowed is a folder")
+        if reason := why_not_writable(self._out):
+            raise ParameterError(
+                f"parameter out = '{self._out}': allowed is a folder that can be written: {reason}"
+            )
         wanted = self.declare("topics", list, "those that are recorded; all unless given")
         self._topics = self._chosen(wanted) if wanted else RECORDED
         self._split = Split(

@@ -41,6 +41,7 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.messaging.messages import Messages
 from capture_sim.messaging.topics import Topic
 from capture_sim.nodes.ending import ended_within
+from capture_sim.nodes.usage import usage_of
 from capture_sim.resources import config_dir
 
 try:
@@ -358,6 +359,9 @@ def run(
         0 done; ``interrupted`` when ended by Ctrl-C; 1 failed; 2 refused: a parameter or the
         scene is wrong.
     """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        print(usage_of(make), flush=True)
+        return OK
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
     _Interrupt().install()
     try:
