@@ -268,6 +268,16 @@ def test_detector_with_other_limits(path, capsys):
     said = capsys.readouterr().out
     assert "verdict: stuck" in said
     assert "DIFFERENT" in said
+    assert read_run(path).criteria == read_run(path).scene.detector
+
+
+@pytest.mark.parametrize("change", ["buffer.c_A=3", "detector.radus=0.004", "detector=1"])
+def test_detect_takes_limits_alone(change, path, capsys):
+    assert main(["detect", str(path), "--set", change]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"capture-sim: --set {change}: what is recorded is judged, so allowed")
+    assert "detector.radius, detector.dwell" in said
+    assert said.count("\n") == 1
 
 
 def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
