@@ -382,6 +382,25 @@ def test_both_runs_are_compared_by_a_series_that_both_hold(bench_bag, path):
     assert SAMPLED_FORCE in characteristics(bench, sampled=True)
 
 
+def test_a_fast_bench_is_compared_by_the_fast_series_of_the_run(result, path, tmp_path):
+    """The bench's encoders at 500 Hz: the run's bench/buffer at 100 Hz would be the slower."""
+    fast = capture_sim.load_scene("tilt_0", ["run.rate=500"])
+    recorded = write_run(capture_sim.simulate(fast), tmp_path / "fast.mcap")
+
+    def as_it_is(time, message):
+        yield time, message
+
+    sides = comparable(read_run(rewritten(recorded, tmp_path / "bag", as_it_is)), read_run(path))
+    assert [of.sources["stroke"] for of in sides] == [
+        "bench/buffer, 500 Hz",
+        "bench/state, 1000 Hz",
+    ]
+    assert [of.sources["chaser"] for of in sides] == ["chaser/odom, 500 Hz", "bench/state, 1000 Hz"]
+    mine, theirs = (characteristics(of)["largest torsion, mrad"].value for of in sides)
+    assert mine == pytest.approx(theirs, rel=1e-3)
+    assert theirs == result.summary["max_torsion"] * 1e3
+
+
 def test_with_motion_capture_the_true_path_is_taken_where_both_hold_it(path, tmp_path):
     scene = capture_sim.load_scene("tilt_0", ["sensors.motion_capture.rate=100"])
     seen = capture_sim.simulate(scene)

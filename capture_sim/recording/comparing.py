@@ -83,8 +83,8 @@ class Comparable(NamedTuple):
 def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
     """Choose what two runs are compared by.
 
-    Of each quantity the first of these that both hold: ``bench/state``, motion capture, the
-    topics of a bench.  Where they share none, each its own first.
+    Of each quantity the series, one of each run, of which the slower one is fastest; among equals
+    those of one topic, then motion capture before odometry.
 
     Raises
     ------
@@ -94,11 +94,11 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
     mine, theirs = _sources(a), _sources(b)
     chosen: list[dict[str, str]] = [{}, {}]
     for name in dict.fromkeys([*mine, *theirs]):
-        has = [list(of.get(name, ())) for of in (mine, theirs)]
-        shared = [topic for topic in has[0] if topic in has[1]]
-        for choice, topics in zip(chosen, has, strict=True):
-            if topics:
-                choice[name] = shared[0] if shared else topics[0]
+        has = [of.get(name, {}) for of in (mine, theirs)]
+        pair = _finest(name, *has) if all(has) else tuple(next(iter(of), "") for of in has)
+        for choice, topic in zip(chosen, pair, strict=True):
+            if topic:
+                choice[name] = topic
     first, second = (
         _comparable(run, of, choice)
         for run, of, choice in zip((a, b), (mine, theirs), chosen, strict=True)
@@ -107,8 +107,8 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
 
 
 def rate_of(series: Series) -> float:
-    """Return how often a series was sampled, Hz; the median of its intervals counts."""
-    return 1.0 / float(np.median(np.diff(series.t))) if series.t.size > 1 else float("nan")
+    """Return how often a series was sampled, Hz, by the median of its intervals; 0 for one sample."""
+    return 1.0 / float(np.median(np.diff(series.t))) if series.t.size > 1 else 0.0
 
 
 def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
@@ -177,6 +177,20 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
         for name, by_topic in found.items()
         if (kept := {topic: series for topic, series in by_topic.items() if series.t.size})
     }
+
+
+def _finest(name: str, mine: Mapping[str, Series], theirs: Mapping[str, Series]) -> tuple[str, str]:
+    """Return the topics that a quantity is compared by."""
+
+    def rank(pair: tuple[str, str]) -> tuple[float, bool, int]:
+        a, b = pair
+        slower = min(rate_of(mine[a]), rate_of(theirs[b]))
+        places = list(mine).index(a) + list(theirs).index(b)
+        # two topics do not mean quite the same there: filtered, or estimated
+        rate = float(f"{slower:.2g}") if name not in ("force", DISTANCE) else 0.0
+        return rate, a == b, -places
+
+    return max(((a, b) for a in mine for b in theirs), key=rank)
 
 
 def _comparable(
