@@ -493,7 +493,9 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     )
     (picture,) = tmp_path.glob("*.png")
     assert picture.stat().st_size > 20_000
+    assert "is aligned where" not in said
     assert main(["compare", str(bench_bag), str(path), "--out", str(tmp_path)]) == 0
+    assert "A is aligned where contact/wrench first shows a force" in capsys.readouterr().out
     far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
     untouched = write_run(far, tmp_path / "far.mcap")
     capsys.readouterr()

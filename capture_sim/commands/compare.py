@@ -58,6 +58,12 @@ def run(options: argparse.Namespace) -> int:
     for label in labels:
         say(label)
     _say_characteristics(a, b)
+    for label, of in (("A", a), ("B", b)):
+        if of.contact_may_be_late:
+            say(
+                f"{label} is aligned where {of.contact_source} first shows a force: touches "
+                "between its samples may have come before"
+            )
     _say_touches(a, b, options.window)
     over = min(options.window, ended)
     say(

@@ -74,6 +74,12 @@ class Comparable(NamedTuple):
     touch_source: str
     spacing: float
 
+    @property
+    def contact_may_be_late(self) -> bool:
+        """Whether it was met in a force between whose samples a touch may have come before."""
+        forces = (CONTACT_WRENCH.name, LOAD_CELL.name)
+        return self.touches is None and self.contact_source in forces
+
     def measured(self, *, force: bool = False) -> Measurements:
         """Return the series of poses, stroke and torsion, and of the force if that is asked for."""
         left_out = {DISTANCE} if force else {DISTANCE, "force"}
@@ -107,7 +113,7 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
 
 
 def rate_of(series: Series) -> float:
-    """Return how often a series was sampled, Hz, by the median of its intervals; 0 for one sample."""
+    """Return how often a series was sampled, Hz, by its median interval; 0 for one sample."""
     return 1.0 / float(np.median(np.diff(series.t))) if series.t.size > 1 else 0.0
 
 
