@@ -382,6 +382,23 @@ def test_both_runs_are_compared_by_a_series_that_both_hold(bench_bag, path):
     assert SAMPLED_FORCE in characteristics(bench, sampled=True)
 
 
+def test_peaks_between_messages_come_before_samples(path, tmp_path):
+    """bench/contact tells the first touch's peak at 100 Hz too; contact/wrench shows none."""
+
+    def as_it_is(time, message):
+        yield time, message
+
+    topics = [*BENCH_TOPICS, ("/bench/contact", "capture_sim/msg/ContactState")]
+    bag = read_run(rewritten(path, tmp_path / "bag", as_it_is, topics))
+    side, _ = comparable(bag, read_run(path))
+    assert side.touch_source == "bench/contact, 100 Hz, as long as each message tells of one"
+    assert side.touches.within(side.contact, 1.0).start[0] == 0.0
+    located = read_run(path).touches
+    assert side.touches.peak[0] == located["peak_force"][0]
+    assert side.touches.start[0] == pytest.approx(located["start"][0], abs=0.01)
+    assert np.isnan(side.touches.impulse).all()
+
+
 def test_a_fast_bench_is_compared_by_the_fast_series_of_the_run(result, path, tmp_path):
     """The bench's encoders at 500 Hz: the run's bench/buffer at 100 Hz would be the slower."""
     fast = capture_sim.load_scene("tilt_0", ["run.rate=500"])

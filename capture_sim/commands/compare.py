@@ -187,8 +187,9 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
     for label, table in zip("AB", tables, strict=True):
         if table.start.size:
             impulse = float(table.impulse.sum())
+            count = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
             say(
-                f"  {label}: {table.start.size} touches, largest {table.peak.max():.2f} N"
+                f"  {label}: {count}, largest {table.peak.max():.2f} N"
                 + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
             )
 
