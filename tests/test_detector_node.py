@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -28,6 +28,7 @@ from capture_sim.detection.decisions import CaptureState
 from capture_sim.messaging.messages import RunDescription
 from capture_sim.messaging.topics import (
     BUFFER_STATE,
+    CAPTURE_CRITERIA,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
     CHASER_POSE,
@@ -40,7 +41,7 @@ from capture_sim.messaging.topics import (
 )
 from capture_sim.nodes.running import BenchNode
 from capture_sim.nodes.suite import run_suite
-from capture_sim.recording import read_run, write_run
+from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.judging import judge_recording
 from capture_sim.scene import Detector
@@ -135,11 +136,12 @@ def test_a_wrong_criterion_ends_the_node_in_a_line(start, given, said):
     assert node.log.read_text().strip() == f"error: {said}"
 
 
-def test_criteria_are_described_and_refused_before_and_during_a_run(start):
+def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
     names = [field.name for field in fields(Detector)]
     nodes = [
         start("capture_detector", dwell=0.3),
         start("launcher"),
+        start("recorder", out=tmp_path),
     ]
     wait_for(nodes[0], "ready")
     with experimenter() as call:
@@ -158,7 +160,9 @@ def test_criteria_are_described_and_refused_before_and_during_a_run(start):
         assert refused.reason == "parameter radius = 0.0 m: allowed is > 0"
         (taken,) = call(SetParameters, "set_parameters", setting("leave", 0.03)).results
         assert taken.successful
-        nodes.append(start("simulator", pace=1.0, consumers="[launcher, capture_detector]"))
+        nodes.append(
+            start("simulator", pace=1.0, consumers="[launcher, capture_detector, recorder]")
+        )
         wait_for(nodes[-1], "released")
         (refused,) = call(SetParameters, "set_parameters", setting("dwell", -1.0)).results
         assert not refused.successful
@@ -166,10 +170,35 @@ def test_criteria_are_described_and_refused_before_and_during_a_run(start):
         # right, but of no effect on the run that is on
         (taken,) = call(SetParameters, "set_parameters", setting("radius", 1e-6)).results
         assert taken.successful
-    assert [node.wait(60.0) for node in nodes] == [0, 0, 0]
+    assert [node.wait(60.0) for node in nodes] == [0, 0, 0, 0]
     said = nodes[0].log.read_text()
     assert "judged by dwell = 0.3 s, leave = 0.03 m; else by the scene" in said
     assert "captured, within 5 mm of BE for 0.3 s" in said
+    path = tmp_path / "tilt_0.mcap"
+    run = read_run(path)
+    assert run.problems == ()
+    assert run.criteria == replace(run.scene.detector, dwell=0.3, leave=0.03)
+    assert judge_recording(run) == list(run.statuses)
+    assert main(["detect", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "recorded limit: dwell = 0.3 s (the scene's: 0.2 s)" in said
+    assert "; the same" in said
+    # a change stands over what was recorded, and over nothing else
+    assert main(["detect", str(path), "--set", "detector.dwell=0.2"]) == 0
+    said = capsys.readouterr().out
+    assert "within 5 mm of BE for 0.2 s" in said
+    assert "recorded limit: leave = 0.03 m" in said
+    # an older recording does not tell them
+    older = LiveRecorder(tmp_path / "older")
+    for topic in (*topics_of(SIMULATOR), *topics_of(CAPTURE_DETECTOR)):
+        for data in run.raw(topic) if topic is not CAPTURE_CRITERIA else ():
+            older.take(topic, data)
+    old = older.close().path
+    assert read_run(old).criteria is None
+    assert main(["detect", str(old)]) == 1
+    said = capsys.readouterr().out
+    assert "DIFFERENT" in said
+    assert "does not tell the detector's limits" in said
 
 
 # live, offline, bag
@@ -194,7 +223,14 @@ def test_live_offline_and_the_bag_agree_to_the_bit_on_sensed_poses(tmp_path, cap
     capsys.readouterr()
     path = str(tmp_path / "tilt_p10.mcap")
     assert main(["detect", path]) == 0
-    assert "verdict: captured" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    # times of judgement, whenever they were told
+    since = offline.statuses[-1].t - offline.statuses[-1].time_in_state
+    told = next(s.t for s in offline.statuses if s.state is CaptureState.CAPTURED)
+    assert told > since + 0.05
+    assert f"{since:10.3f} s  captured  within 5 mm of BE for 0.2 s, told at {told:.3f} s" in said
+    assert f"verdict: captured since {since:.3f} s" in said
+    assert f"recorded: captured since {since:.3f} s" in said
     assert main(["detect", path, "--set", "detector.radius=1e-4"]) == 0
     assert "verdict: captured" not in capsys.readouterr().out
 

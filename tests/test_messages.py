@@ -382,6 +382,7 @@ def test_every_message_is_the_same_bytes_from_rclpy_and_from_rosbags(result, str
         both.bench_event(k, event)
     for k, status in enumerate(result.statuses[::50]):
         both.capture_status(k, status.t, status)
+    both.capture_criteria("r", result.scene.detector)
     both.launcher_state(0, 0.0, launcher.status)
     both.launch_command(
         0.0, "r", LaunchAction.ARM, hanging_mass=0.2, drop_height=0.1, impact_speed=0.1

@@ -27,7 +27,7 @@ from capture_sim.simulation import observation
 
 NAMES = ("tilt_0", "tilt_p10")
 # These carry the run's id, or what was computed from odometry instead of the state.
-OF_THE_RUN = {"bench/run_info", "launcher/command", "bench/stream_counts"}
+OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/stream_counts"}
 JUDGED = {"capture/status"}
 # s; what the issue allows the others when a node is killed
 NOTICED = 5.0

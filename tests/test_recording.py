@@ -27,6 +27,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 import capture_sim
+from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messaging.messages import RunDescription
 from capture_sim.messaging.topics import (
@@ -38,7 +39,15 @@ from capture_sim.messaging.topics import (
     RUN_INFO,
     STREAM_COUNTS,
 )
-from capture_sim.recording import LiveRecorder, RunWriter, Split, Tally, read_run, write_run
+from capture_sim.recording import (
+    LiveRecorder,
+    RunWriter,
+    Split,
+    Tally,
+    read_run,
+    recover,
+    write_run,
+)
 from capture_sim.recording import live as live_module
 from capture_sim.recording.cdr import columns, sequence_of, stamp_of
 from capture_sim.recording.definitions import (
@@ -381,12 +390,47 @@ def test_flipped_bytes_never_give_wrong_numbers_silently(path, result, tmp_path)
         except RecordingError:
             refused += 1
             continue
-        # only in what is not needed to read it (index, summary), or read as a cut file
+        # read as a cut file, which it says
         n = len(run.samples)
         assert bits(run.samples) == bits(result.samples[:n])
-        assert n == len(result.samples) or not run.complete
-        assert run.damage or run.scene == result.scene
+        assert run.damage
     assert refused > 30
+
+
+@pytest.mark.parametrize("back", [10, 13, 20, 30, 700, 3000])
+def test_damaged_index_is_refused(back, path, tmp_path, capsys):
+    changed = bytearray(path.read_bytes())
+    changed[-back] ^= 1
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(changed)
+    assert main(["detect", str(broken)]) == 1
+    said = capsys.readouterr().err
+    assert f"{broken}: damaged at byte " in said
+    assert "`capture-sim recover` saves" in said
+    saved = recover(broken)
+    assert bits(read_run(saved.path).samples) == bits(read_run(path).samples)
+
+
+def test_index_without_checksum_is_read(path, tmp_path):
+    """As writers may leave it: 0 says that there is none."""
+    data = bytearray(path.read_bytes())
+    data[-12:-8] = bytes(4)
+    data[-700] ^= 1
+    other = tmp_path / "other.mcap"
+    other.write_bytes(data)
+    assert bits(read_run(other).samples) == bits(read_run(path).samples)
+
+
+@pytest.mark.parametrize("at, value", [(3, 0xFF), (-2, 0xEE)])
+def test_what_is_damaged_is_said_in_plain_words(at, value, path, tmp_path):
+    data = bytearray(path.read_bytes())
+    data[data.index(b"capture_sim/msg/") + at] = value  # the name of a type, behind its length
+    (tmp_path / "broken.mcap").write_bytes(data)
+    with pytest.raises(
+        RecordingError, match="what should be text is none; what is whole"
+    ) as caught:
+        read_run(tmp_path / "broken.mcap")
+    assert "codec" not in str(caught.value)
 
 
 def test_flipped_bytes_are_seen_in_a_cut_file_too(path, tmp_path):
@@ -834,6 +878,9 @@ def test_tally_names_gaps():
         tally.end("simulator", {"bench/state": 12})
     assert not tally.satisfied
     assert tally.problems() == ["bench/state: 7 messages missing (seq 2 to 3, 6 to 8, 10 to 11)"]
+    # as a follower says it of itself
+    tally.end("launcher", {}, complete=False, reason="ended early: reset")
+    assert tally.problems()[0] == "launcher ended the run early: reset"
 
 
 def test_tally_knows_a_late_beginning_from_a_loss():

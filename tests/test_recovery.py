@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 import numpy as np
@@ -17,6 +18,9 @@ from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.recording import LiveRecorder, Split, read_run, recover, write_run
 from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
+
+#: How the stretch is told that lost messages may have been in.
+TIMES = r"any messages between ([\d.]+) s and ([\d.]+) s since the release"
 
 
 @pytest.fixture(scope="module")
@@ -269,6 +273,60 @@ def test_command_says_what_it_saved_and_what_is_lost(path, tmp_path, capsys):
     assert "lost: the file ends within a record" in said
     assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_times_of_what_is_lost_count_from_the_release(path, chunks, tmp_path):
+    """As the samples' do: those that are missing lie in the stretch that is told."""
+    start, end, _ = chunks[len(chunks) // 2]
+    data = bytearray(path.read_bytes())
+    data[(start + end) // 2] ^= 4
+    saved = recover(damaged(tmp_path, bytes(data)))
+    (told,) = (re.search(TIMES, line) for line in saved.losses if re.search(TIMES, line))
+    after, before = map(float, told.groups())
+    kept, whole = (read_run(file).samples["t"] for file in (saved.path, path))
+    missing = np.setdiff1d(whole, kept)
+    assert missing.size
+    assert after - 0.0015 <= missing.min() <= missing.max() <= before + 0.0015
+    assert before - after < 0.5
+
+    # a log by the wall's clock tells the same
+    later = tmp_path / "later.mcap"
+    with later.open("wb") as file:
+        writer = Writer(file, chunk_size=100_000)
+        writer.start("ros2", "another")
+        ids = {}
+        with path.open("rb") as source:
+            for schema, channel, message in make_reader(source).iter_messages():
+                if channel.topic not in ids:
+                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    ids[channel.topic] = writer.register_channel(
+                        channel.topic, channel.message_encoding, schema_id, channel.metadata
+                    )
+                time = message.log_time + 1_700_000_000 * 10**9
+                writer.add_message(ids[channel.topic], time, message.data, time)
+        writer.finish()
+    start, end, _ = expected(later)[20]
+    data = bytearray(later.read_bytes())
+    data[(start + end) // 2] ^= 4
+    saved = recover(damaged(tmp_path, bytes(data)))
+    (told,) = (re.search(TIMES, line) for line in saved.losses if re.search(TIMES, line))
+    after, before = map(float, told.groups())
+    missing = np.setdiff1d(whole, read_run(saved.path).samples["t"])
+    assert after - 0.0015 <= missing.min() <= missing.max() <= before + 0.0015
+
+
+def test_damaged_head_loses_no_message_and_says_so(path, tmp_path):
+    data = bytearray(path.read_bytes())
+    data[60] ^= 4
+    saved = recover(damaged(tmp_path, bytes(data)))
+    count = sum(read_run(path).topics.values())
+    assert sum(saved.messages.values()) == count
+    assert any(f"no message was in them: all {count} are saved" in line for line in saved.losses)
+    assert "attachment scene.yaml; the announced run holds the scene too" in saved.losses
+    assert not any("metadata capture_sim" in line for line in saved.losses)
+    again = read_run(saved.path)
+    assert again.scene == read_run(path).scene
+    assert again.metadata["run_id"] == read_run(path).metadata["run_id"]
 
 
 def test_counting_agrees_with_the_library(path, chunks):

@@ -366,8 +366,9 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
     done = subprocess.run(
         [*command, "--with", "capture_detector"], capture_output=True, text=True, timeout=50
     )
-    assert done.returncode == 2
-    (said,) = [line for line in done.stderr.splitlines() if "error:" in line]
+    assert done.returncode == 1
+    (said,) = [line for line in done.stderr.splitlines() if line.startswith("capture-sim: ")]
+    assert "error:" not in done.stderr
     assert "consumers = ['capture_detector']: allowed are none, as no bench/run_info" in said
 
 
@@ -510,3 +511,27 @@ def test_bad_parameters_are_refused_in_one_line(path, play, parameters, said):
     assert process.returncode == 2
     assert said in output
     assert "Traceback" not in output
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["--start", "100"], "parameter start = 100 s: allowed is 0 to 6.0"),
+        (["--topics", "/no/such"], "/no/such not in the recording"),
+        (None, "damaged at byte"),
+    ],
+)
+def test_command_says_what_is_wrong_as_every_command(options, said, path, tmp_path):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    file = path
+    if options is None:
+        data = bytearray(path.read_bytes())
+        data[-700] ^= 1
+        file = tmp_path / "broken.mcap"
+        file.write_bytes(data)
+    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(file), *(options or ())]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.startswith("capture-sim: ")
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from capture_sim.commands.arguments import OK, not_negative, prepare_folder
 from capture_sim.commands.showing import say
 from capture_sim.errors import RecordingError
 
+if TYPE_CHECKING:
+    from capture_sim.analysis.comparison import TouchTable
+    from capture_sim.recording.comparing import Comparable
+    from capture_sim.viewing.comparison import Drawn
+
 HELP = "hold two recordings against each other, as measured and simulated"
 DESCRIPTION = (
     "Hold two recordings against each other, as measured and simulated, aligned at their first "
-    "contacts: differences of peak force, strokes and times, with a diagram."
+    "contacts: strokes and times, the touches one by one, poses over time, with a diagram. Each "
+    "number comes from the finest series that both files hold, which is named."
 )
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "theta": ("mrad", 1e3)}
-_SERIES = {"stroke": ("mm", 1e3), "torsion": ("mrad", 1e3), "force": ("N", 1.0)}
+_SERIES = {"stroke": ("mm", 1e3), "torsion": ("mrad", 1e3)}
+#: Touches that are listed.
+SHOWN = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,43 +48,192 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.analysis.comparison import gaps
     from capture_sim.commands.recorded import open_run
-    from capture_sim.recording.measured import characteristics, first_contact, measurements
+    from capture_sim.recording.comparing import comparable
 
     prepare_folder(options.out)
-    runs = [open_run(path) for path in (options.a, options.b)]
-    contacts = []
-    for path, recorded in zip((options.a, options.b), runs, strict=True):
-        met = first_contact(recorded)
-        if met is None:
-            raise RecordingError(f"{path}: no contact in it to align with")
-        contacts.append(met)
+    a, b = comparable(open_run(options.a), open_run(options.b))
+    measured = (a.measured(), b.measured())
+    ended = _check_window(a, b, options.window)
     labels = [f"A {options.a}", f"B {options.b}"]
-    a, b = (characteristics(recorded) for recorded in runs)
     for label in labels:
         say(label)
-    say(f"{'':32} {'A':>16} {'B':>16} {'B - A':>12} {'%':>8}")
-    for name in [*a, *(name for name in b if name not in a)]:
-        mine, theirs = a.get(name), b.get(name)
-        cells = ["-" if x is None else f"{x:.4f}" for x in (mine, theirs)]
-        gap = share = "-"
-        if mine is not None and theirs is not None:
-            gap = f"{theirs - mine:+.4f}"
-            share = f"{(theirs - mine) / mine:+.2%}" if mine else "-"
-        say(f"{name:32} {cells[0]:>16} {cells[1]:>16} {gap:>12} {share:>8}")
-    measured = [measurements(recorded) for recorded in runs]
-    say(f"\nA - B over {options.window:g} s from the first contact on, poses from there:")
-    for found in gaps(measured[0], measured[1], contacts[0], contacts[1], options.window):
-        unit, factor = _SERIES.get(found.name) or _UNITS[found.name.split(".")[-1]]
+    _say_characteristics(a, b)
+    for label, of in (("A", a), ("B", b)):
+        if of.contact_may_be_late:
+            say(
+                f"{label} is aligned where {of.contact_source} first shows a force: touches "
+                "between its samples may have come before"
+            )
+    _say_touches(a, b, options.window)
+    over = min(options.window, ended)
+    say(
+        f"\nA - B over {over:.4g} s from the first contact on, poses from there"
+        + (
+            f" ({options.window:g} s were asked for; one ends there):"
+            if over < options.window
+            else ":"
+        )
+    )
+    for found in gaps(*measured, a.contact, b.contact, options.window):
+        quantity, _, part = found.name.partition(".")
+        unit, factor = _UNITS[part] if part else _SERIES[quantity]
+        whole = found.begin < 0.02 * over and found.end > 0.98 * over
         say(
-            f"  {found.name:14} rms {found.rms * factor:10.4f} {unit:5} "
-            f"largest {found.largest * factor:+10.4f} {unit:5} at {found.at:.3f} s"
+            f"  {found.name:13} rms {found.rms * factor:9.4f} {unit:4} "
+            f"largest {found.largest * factor:+9.4f} {unit:4} at {found.at:.3f} s  "
+            f"{_source(a.sources[quantity], b.sources[quantity])}"
+            + ("" if whole else f", {found.begin:.4g} to {found.end:.4g} s")
         )
     try:
         from capture_sim.viewing.comparison import save_comparison
     except ImportError as error:
         say(f"no diagram: {error}")
         return OK
-    shifted = [m.shifted(-met) for m, met in zip(measured, contacts, strict=True)]
-    path = options.out / f"{runs[0].name}_compared.png"
-    say(f"diagram in {save_comparison(shifted, labels, options.window, path)}")
+    path = options.out / f"{a.run.name}_compared.png"
+    drawn = [_drawn(of, label, options.window) for of, label in zip((a, b), labels, strict=True)]
+    say(f"diagram in {save_comparison(drawn, over, path)}")
     return OK
+
+
+def _check_window(a: Comparable, b: Comparable, window: float) -> float:
+    """Return how long both were measured after their first contacts, s.
+
+    Raises
+    ------
+    RecordingError
+        The window, or what both hold, has too few samples of every quantity.
+    """
+    from capture_sim.analysis.comparison import LEAST, overlap
+    from capture_sim.recording.comparing import rate_of
+
+    mine, theirs = dict(a.measured().items()), dict(b.measured().items())
+    shared = [name for name in mine if name in theirs]
+    if not shared:
+        raise RecordingError("the recordings have no measured quantity in common")
+    ends = [min(mine[name].t[-1] - a.contact, theirs[name].t[-1] - b.contact) for name in shared]
+    ended = max(0.0, *ends)
+
+    def most(until: float) -> int:
+        return max(
+            int(overlap(mine[n], theirs[n], a.contact, b.contact, until)[1].min()) for n in shared
+        )
+
+    if most(ended) < LEAST:
+        raise RecordingError(
+            f"the recordings have only {ended:.4g} s after the first contact in common: that is "
+            f"fewer than {LEAST} samples"
+        )
+    if most(window) < LEAST:
+        rates = {n: min(rate_of(mine[n]), rate_of(theirs[n])) for n in shared}
+        finest = max(rates, key=lambda n: rates[n])
+        raise RecordingError(
+            f"--window {window:g} s: allowed is {LEAST / rates[finest]:.4g} s ({LEAST} samples of "
+            f"the {finest}: {_source(a.sources[finest], b.sources[finest])}) to {ended:.4g} s, "
+            "where one of the recordings ends"
+        )
+    return float(ended)
+
+
+def _say_characteristics(a: Comparable, b: Comparable) -> None:
+    from capture_sim.recording.comparing import characteristics
+
+    sampled = a.touches is None or b.touches is None
+    mine, theirs = (characteristics(of, sampled=sampled) for of in (a, b))
+    say(f"{'':31} {'A':>10} {'B':>10} {'B - A':>10} {'%':>8}  from")
+    for name in [*mine, *(name for name in theirs if name not in mine)]:
+        here, there = mine.get(name), theirs.get(name)
+        cells = ["-" if x is None else f"{x.value:.4f}" for x in (here, there)]
+        gap = share = "-"
+        if here is not None and there is not None:
+            gap = f"{there.value - here.value:+.4f}"
+            share = f"{(there.value - here.value) / here.value:+.2%}" if here.value else "-"
+        source = _source(*("" if x is None else x.source for x in (here, there)))
+        say(f"{name:31} {cells[0]:>10} {cells[1]:>10} {gap:>10} {share:>8}  {source}")
+
+
+def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
+    """Print the touches one by one, paired in their order."""
+    tables = []
+    for label, of in (("A", a), ("B", b)):
+        if of.touches is None:
+            say(f"\n{label} tells of no single touches: {of.touch_source}")
+        else:
+            tables.append(of.touches.within(of.contact, window))
+    if len(tables) < 2:
+        return
+    mine, theirs = tables
+    say(
+        f"\ntouches within {window:g} s, paired in their order, by "
+        f"{_source(a.touch_source, b.touch_source)}; +- the wall:"
+    )
+    say(f"{'':8} {'start, ms':^28} {'peak, N':^24} {'lasts, ms':^15} {'impulse, mN s':^24}")
+    numbers = f"{'A':>8} {'B':>8} {'%':>6}"
+    say(f"{'':4}{'A B':4} {'A':>9} {'B':>9} {'B - A':>8} {numbers} {'A':>7} {'B':>7} {numbers}")
+    rows = max(len(mine.start), len(theirs.start))
+    for i in range(min(rows, SHOWN)):
+        here, there = (_Row.of(table, i) for table in tables)
+        say(
+            f"{i + 1:3} {here.wall:1} {there.wall:2} "
+            f"{_number(here.start, 9, 3)} {_number(there.start, 9, 3)} "
+            f"{_number(there.start - here.start, 8, 3, '+')} "
+            f"{_number(here.peak, 8, 2)} {_number(there.peak, 8, 2)} "
+            f"{_percent(here.peak, there.peak)} "
+            f"{_number(here.lasted, 7, 3)} {_number(there.lasted, 7, 3)} "
+            f"{_number(here.impulse, 8, 3)} {_number(there.impulse, 8, 3)} "
+            f"{_percent(here.impulse, there.impulse)}"
+        )
+    if rows > SHOWN:
+        say(f"    and {rows - SHOWN} more in the diagram")
+    for label, table in zip("AB", tables, strict=True):
+        if table.start.size:
+            impulse = float(table.impulse.sum())
+            count = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
+            say(
+                f"  {label}: {count}, largest {table.peak.max():.2f} N"
+                + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
+            )
+
+
+class _Row(NamedTuple):
+    """A touch in the units of the table."""
+
+    start: float = math.nan
+    peak: float = math.nan
+    lasted: float = math.nan
+    impulse: float = math.nan
+    wall: str = " "
+
+    @classmethod
+    def of(cls, table: TouchTable, i: int) -> _Row:
+        if i >= len(table.start):
+            return cls()
+        return cls(
+            table.start[i] * 1e3,
+            table.peak[i],
+            table.lasted[i] * 1e3,
+            table.impulse[i] * 1e3,
+            {1: "+", -1: "-"}.get(int(table.wall[i]), " "),
+        )
+
+
+def _number(value: float, width: int, digits: int, sign: str = "") -> str:
+    return f"{value:{sign}{width}.{digits}f}" if math.isfinite(value) else f"{'-':>{width}}"
+
+
+def _percent(mine: float, theirs: float) -> str:
+    share = (theirs - mine) / mine if mine else math.nan
+    return f"{share:+6.1%}" if math.isfinite(share) else f"{'-':>6}"
+
+
+def _source(mine: str, theirs: str) -> str:
+    if mine == theirs or not theirs:
+        return mine
+    return f"A {mine}; B {theirs}" if mine else theirs
+
+
+def _drawn(of: Comparable, label: str, window: float) -> Drawn:
+    from capture_sim.viewing.comparison import Drawn
+
+    touches = None if of.touches is None else of.touches.within(of.contact, window)
+    shifted = of.measured(force=True).shifted(-of.contact)
+    return Drawn(label, shifted, of.sources, touches)

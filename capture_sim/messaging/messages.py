@@ -17,7 +17,7 @@ import hashlib
 import math
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ from capture_sim.samples import SAMPLE, TRACE, Event, Phase
 if TYPE_CHECKING:
     from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus
-    from capture_sim.scene import Scene
+    from capture_sim.scene import Detector, Scene
 
 #: Stamp of the release, t = 0, in ns.
 EPOCH_NS = 1_000_000_000
@@ -241,6 +241,7 @@ class Messages:
         self._string_state = ours("StringState")
         self._bench_event = ours("BenchEvent")
         self._capture_status = ours("CaptureStatus")
+        self._capture_criteria = ours("CaptureCriteria")
         self._launcher_state = ours("LauncherState")
         self._launch_command = ours("LaunchCommand")
         self._run_info = ours("RunInfo")
@@ -463,6 +464,12 @@ class Messages:
             nearest_distance=float(status.nearest_distance),
             time_in_state=float(status.time_in_state),
             reason=status.reason,
+        )
+
+    def capture_criteria(self, run_id: str, limits: Detector) -> Message:
+        """Return CaptureCriteria, stamped with the release: what a run is judged by."""
+        return self._capture_criteria(
+            header=self.header(0.0, CONE_FRAME), run_id=run_id, **asdict(limits)
         )
 
     def launcher_state(self, seq: int, t: float, status: LauncherStatus) -> Message:

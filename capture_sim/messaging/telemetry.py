@@ -27,6 +27,7 @@ from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     BUFFER_STATE,
+    CAPTURE_CRITERIA,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
@@ -54,7 +55,7 @@ from capture_sim.samples import SAMPLE, Event, EventKind
 if TYPE_CHECKING:
     from capture_sim.detection.decisions import CaptureStatus
     from capture_sim.launching import LauncherStatus, LaunchPlan
-    from capture_sim.scene import Scene
+    from capture_sim.scene import Detector, Scene
 
 Sent = tuple[Topic, Message]
 
@@ -348,9 +349,14 @@ class LauncherTelemetry(_Stream):
 
 
 class DetectorTelemetry(_Stream):
-    """What the capture detector sends: its judgement of every periodic sample."""
+    """What the capture detector sends: its limits, then its judgement of every instant."""
 
     publisher = CAPTURE_DETECTOR
+
+    def begin(self, limits: Detector) -> Sent:
+        """Return what the run is judged by."""
+        message = self._messages.capture_criteria(self._run_id, limits)
+        return self._sent(CAPTURE_CRITERIA, message)
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
         """Return the judgement of the sample at a time since the release, s."""

@@ -136,6 +136,14 @@ LAUNCHER_STATE = Topic(
     latched=True,
     sequenced=True,
 )
+CAPTURE_CRITERIA = Topic(
+    "capture/criteria",
+    "capture_sim/msg/CaptureCriteria",
+    (CAPTURE_DETECTOR,),
+    Rate.ONCE,
+    depth=1,
+    latched=True,
+)
 CAPTURE_STATUS = Topic(
     "capture/status",
     "capture_sim/msg/CaptureStatus",
@@ -181,6 +189,7 @@ TOPICS: tuple[Topic, ...] = (
     TARGET_POSE,
     LOAD_CELL,
     LAUNCHER_STATE,
+    CAPTURE_CRITERIA,
     CAPTURE_STATUS,
     STREAM_COUNTS,
     STREAM_ACK,

@@ -63,7 +63,8 @@ class CaptureDetectorNode(RunFollower):
 
     def begin(self, info: Any) -> None:
         """Start anew for the scene of this run."""
-        self._watch = Watch(self._criteria.of(load_scene_text(info.scene)))
+        scene = self._criteria.of(load_scene_text(info.scene))
+        self._watch = Watch(scene)
         self._decoders = {
             topic: (source, decoder(topic, source))
             for topic in FOLLOWED[CAPTURE_DETECTOR]
@@ -71,6 +72,7 @@ class CaptureDetectorNode(RunFollower):
         }
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self._sets = 0
+        self.send(*self._telemetry.begin(scene.detector))
         if given := self._criteria.given():
             self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
 

@@ -8,10 +8,11 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from capture_sim.messaging.topics import LAUNCH_COMMAND, STREAM_COUNTS, Topic
+from capture_sim.messaging.topics import CAPTURE_CRITERIA, LAUNCH_COMMAND, STREAM_COUNTS, Topic
 from capture_sim.nodes.running import message_class
 
-_NAMED = (LAUNCH_COMMAND, STREAM_COUNTS)  # these say which run they belong to
+# these say which run they belong to
+_NAMED = (LAUNCH_COMMAND, CAPTURE_CRITERIA, STREAM_COUNTS)
 
 
 class EarlyMessages:

@@ -34,10 +34,12 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 1 when a node failed, 2 when one refused its parameters.
+        0 when all went well, 1 when a node failed, 2 when a follower refused its parameters.
 
     Raises
     ------
+    CaptureSimError
+        The recording cannot be read, or a parameter does not fit it.
     KeyboardInterrupt
         After Ctrl-C, when all nodes have ended in order.
     """
@@ -65,14 +67,12 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         ]
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         try:
-            from capture_sim.nodes.player import main
-            from capture_sim.nodes.running import REFUSED
+            from capture_sim.nodes.player import PlayerNode
+            from capture_sim.nodes.running import run
 
-            status = main(arguments, interrupted=_INTERRUPTED)
+            status = run(PlayerNode, arguments, interrupted=_INTERRUPTED, command=True)
             if status == _INTERRUPTED:
                 raise KeyboardInterrupt
-            if status == REFUSED:  # there is no run that the followers could end with
-                return status
             return max([status, *_ended(followers)])
         finally:
             _end(followers)

@@ -340,7 +340,11 @@ class _Interrupt:
 
 
 def run(
-    make: Callable[[], BenchNode], args: Sequence[str] | None = None, *, interrupted: int = OK
+    make: Callable[[], BenchNode],
+    args: Sequence[str] | None = None,
+    *,
+    interrupted: int = OK,
+    command: bool = False,
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
@@ -352,12 +356,19 @@ def run(
         Command line; ``None`` for that of the process.
     interrupted
         What Ctrl-C makes of the status: to stop a node is its ordinary end.
+    command
+        Whether it runs inside a command, which says itself what is wrong.
 
     Returns
     -------
     int
         0 done; ``interrupted`` when ended by Ctrl-C; 1 failed; 2 refused: a parameter or the
         scene is wrong.
+
+    Raises
+    ------
+    CaptureSimError
+        A parameter is wrong, inside a command.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         print(usage_of(make), flush=True)
@@ -377,6 +388,8 @@ def run(
         leave_if_busy(status, CALLBACKS, SERVICES)
         return status
     except CaptureSimError as error:
+        if command:
+            raise
         return _refuse(str(error))
     except RCLError as error:
         return _refuse(str(error).splitlines()[0])

@@ -27,6 +27,7 @@ from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     BUFFER_STATE,
+    CAPTURE_CRITERIA,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
@@ -114,6 +115,9 @@ class ColumnStream:
         yield self._follower.state(0.0, self._launcher.status)
         yield self._follower.command(0.0, LaunchAction.RELEASE, plan)
         yield self._follower.state(0.0, self._launcher.release())
+        limits = self._result.scene.detector
+        criteria = self._messages.capture_criteria(self._run.run_id, limits)
+        yield CAPTURE_CRITERIA, criteria
 
     def blocks(self) -> Iterator[tuple[list[Rows], np.ndarray]]:
         """Yield the messages of some thousand samples each, and their order."""
@@ -153,7 +157,7 @@ class ColumnStream:
         placed = int((self._judged_places < told).sum())
         for seq, status in enumerate(result.statuses[placed:], placed):
             yield CAPTURE_STATUS, make.capture_status(seq, status.t, status)
-        sent = {CAPTURE_STATUS.name: len(result.statuses)}
+        sent = {CAPTURE_CRITERIA.name: 1, CAPTURE_STATUS.name: len(result.statuses)}
         yield counts(CAPTURE_DETECTOR, sent)
 
     def _block(self, first: int, samples: np.ndarray) -> tuple[list[Rows], np.ndarray]:

@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
 from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.detection.watching import Watch, watched
 from capture_sim.errors import RecordingError
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.reader import Run
-from capture_sim.scene import Scene
+from capture_sim.scene import Detector, Scene
+
+
+def with_limits(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:
+    """Return the scene with the detector's limits of then, but for those that are changed.
+
+    Parameters
+    ----------
+    scene
+        With the changes.
+    recorded
+        Limits that the recording tells; None where it tells none.
+    changed
+        Names of the limits that are taken from the scene.
+    """
+    if recorded is None:
+        return scene
+    kept = {name: getattr(scene.detector, name) for name in changed}
+    return replace(scene, detector=replace(recorded, **kept))
 
 
 def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
@@ -18,7 +39,8 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
     run
         From :func:`capture_sim.recording.read_run`.
     scene
-        With the criteria to judge by; None takes the recorded scene.
+        With the criteria to judge by; None takes the recorded scene and the criteria that the
+        detector had then.
 
     Returns
     -------
@@ -31,7 +53,7 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
         The file holds no scene, lacks a topic that the detector needs, or a message cannot be
         read.
     """
-    scene = run.scene if scene is None else scene
+    scene = with_limits(run.scene, run.criteria, ()) if scene is None else scene
     for topic in watched(scene):
         if not run.raw(topic):
             raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")

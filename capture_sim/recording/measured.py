@@ -30,11 +30,12 @@ from capture_sim.messaging.topics import (
     CONTACT_WRENCH,
     JOINT_STATES,
     LAUNCH_COMMAND,
+    LOAD_CELL,
     TARGET_ODOMETRY,
     TARGET_POSE,
+    Topic,
 )
 from capture_sim.recording.reader import Columns, Run
-from capture_sim.results import first_cluster
 from capture_sim.samples import EventKind
 from capture_sim.scene import Scene
 
@@ -57,52 +58,72 @@ def measurements(run: Run, released: float | None = None) -> Measurements:
     RecordingError
         The release lies outside the recording.
     """
-    found: dict[str, Series] = {}
-    release = release_of(run, released)
+    sources = measured_sources(run, release_of(run, released))
+    return Measurements(**{name: next(iter(series.values())) for name, series in sources.items()})
+
+
+def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
+    """Return every series that tells of a quantity, by the quantity's name and the topic's.
+
+    What motion capture saw comes before what an odometry made of it.  The names are those of
+    :class:`~capture_sim.analysis.measurements.Measurements`; what was not measured is absent.
+
+    Parameters
+    ----------
+    run
+        The recording.
+    release
+        Stamp at which time begins, ns.
+    """
+    found: dict[str, dict[str, Series]] = {}
     for name, pose, odometry in (
         ("chaser", CHASER_POSE, CHASER_ODOMETRY),
         ("target", TARGET_POSE, TARGET_ODOMETRY),
     ):
-        # what motion capture saw comes before what an odometry made of it
         for source, at in ((pose, "pose"), (odometry, "pose.pose")):
-            columns = run.columns(source)
-            if columns:
-                found[name] = _series(columns, release, np.stack(_pose(columns, at), axis=1))
-                break
-    columns = run.columns(BUFFER_STATE)
-    if columns:
-        found["stroke"] = _series(columns, release, columns["axial_stroke"])
-        found["torsion"] = _series(columns, release, columns["torsion"])
-    elif joints := run.columns(JOINT_STATES):
-        position, names = joints["position"], list(joints["name"][0])
-        if position.ndim == 2 and {HINGE_JOINT, SLIDE_JOINT} <= set(names):
-            found["stroke"] = _series(joints, release, position[:, names.index(SLIDE_JOINT)])
-            found["torsion"] = _series(joints, release, position[:, names.index(HINGE_JOINT)])
-    columns = run.columns(CONTACT_WRENCH)
-    if columns:
-        force = np.hypot(columns["wrench.force.x"], columns["wrench.force.y"])
-        found["force"] = _series(columns, release, force)
-    return Measurements(**found)
+            if columns := run.columns(source):
+                poses = np.stack(_pose(columns, at), axis=1)
+                found.setdefault(name, {})[source.name] = _series(columns, release, poses)
+    for topic, stroke, torsion in (
+        (BUFFER_STATE, *_buffer(run)),
+        (JOINT_STATES, *_joints(run)),
+    ):
+        for name, values in (("stroke", stroke), ("torsion", torsion)):
+            if values is not None:
+                series = _series(run.columns(topic), release, values)
+                found.setdefault(name, {})[topic.name] = series
+    if run.columns(CONTACT_WRENCH):
+        t, force = wrench(run, CONTACT_WRENCH, release)
+        found["force"] = {CONTACT_WRENCH.name: Series(t, np.hypot(*force.T))}
+    return found
 
 
 def first_contact(run: Run) -> float | None:
-    """Return when the tip first met the cone, s; None if it never did.
+    """Return when the tip first met the cone, s; None if it never did."""
+    met = first_contact_told(run)
+    return None if met is None else met[0]
+
+
+def first_contact_told(run: Run) -> tuple[float, Topic] | None:
+    """Return when the tip first met the cone, s, and the topic that tells; None if it never did.
 
     From the located event, else from the contact's topic, else from a force above its noise.
     """
     for event in run.events:
         if event.kind is EventKind.TOUCH:
-            return event.t
+            return event.t, BENCH_EVENT
     columns = run.columns(CONTACT_STATE)
     if columns:
         met = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
-        return float(_since(columns, release_of(run))[met[0]]) if met.size else None
-    t, force = _wrench(run, release_of(run))
+        at = _since(columns, release_of(run))
+        return (float(at[met[0]]), CONTACT_STATE) if met.size else None
+    topic = CONTACT_WRENCH if run.columns(CONTACT_WRENCH) else LOAD_CELL
+    t, force = wrench(run, topic, release_of(run))
     quiet = quiet_before_contact(force)
     if quiet is None:
         return None
     above = stretches_above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
-    return float(t[above[0].first]) if above else None
+    return (float(t[above[0].first]), topic) if above else None
 
 
 def first_touches(
@@ -151,7 +172,7 @@ def first_touches(
             )
         else:
             seen = measurements(run, released)
-            t, force = _wrench(run, release_of(run, released))
+            t, force = wrench(run, CONTACT_WRENCH, release_of(run, released))
             found_or_not = touches_in_force(
                 t, force, _attitude(seen, t), scene.cone, count, start_noise, peak_noise
             )
@@ -173,52 +194,34 @@ def launch_of(run: Run, scene: Scene) -> LaunchPlan:
     )
 
 
-def characteristics(run: Run) -> dict[str, float]:
-    """Return the run in a few numbers, by name with the unit; what was not measured is absent.
-
-    Peaks are those located between samples where the recording holds them, else the largest
-    sample.
-    """
-    found: dict[str, float] = {}
-    met = first_contact(run)
-    if met is not None:
-        found["first contact, s"] = met
-    touches = first_cluster(run.touches)
-    if touches.size:
-        lasted = float(touches["end"].max() - touches["start"].min())
-        found["first contact lasts, ms"] = lasted * 1e3
-        found["peak force of first contact, N"] = float(touches["peak_force"].max())
-        found["largest force, N"] = float(run.touches["peak_force"].max())
-        found["touches"] = float(run.touches.size)
-        found["normal impulse, N s"] = float(run.touches["impulse"].sum())
-    else:
-        told = run.columns(CONTACT_STATE)
-        force = told["peak_force"] if told else measurements(run).force.values
-        if len(force):
-            found["largest force, N"] = float(np.max(force))
-    seen = measurements(run)
-    if seen.stroke.t.size:
-        found["largest stroke inwards, mm"] = -float(seen.stroke.values.min()) * 1e3
-        found["largest stroke outwards, mm"] = float(seen.stroke.values.max()) * 1e3
-    if seen.torsion.t.size:
-        found["largest torsion, mrad"] = float(np.abs(seen.torsion.values).max()) * 1e3
-    if run.statuses:
-        found["nearest to BE, mm"] = run.statuses[-1].nearest_distance * 1e3
-    return found
-
-
 def _since(columns: Columns, release: int) -> np.ndarray:
     return (stamps_of(columns) - release) / 1e9
 
 
-def _wrench(run: Run, release: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,), s, and force on the tip in its own frame (n, 2), N."""
-    columns = run.columns(CONTACT_WRENCH)
+def wrench(run: Run, topic: Topic, release: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,), s, and force (n, 2), N, in the frame of the message."""
+    columns = run.columns(topic)
     if not columns:
         return np.zeros(0), np.zeros((0, 2))
     force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
     series = _series(columns, release, force)
     return series.t, series.values
+
+
+def _buffer(run: Run) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return stroke and torsion as the buffer's topic has them; None where it is not there."""
+    columns = run.columns(BUFFER_STATE)
+    return (columns["axial_stroke"], columns["torsion"]) if columns else (None, None)
+
+
+def _joints(run: Run) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return stroke and torsion as the joints' topic has them; None where it does not."""
+    joints = run.columns(JOINT_STATES)
+    if joints:
+        position, names = joints["position"], list(joints["name"][0])
+        if position.ndim == 2 and {HINGE_JOINT, SLIDE_JOINT} <= set(names):
+            return position[:, names.index(SLIDE_JOINT)], position[:, names.index(HINGE_JOINT)]
+    return None, None
 
 
 def _attitude(seen: Measurements, t: np.ndarray) -> np.ndarray:

@@ -125,6 +125,7 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     yield follower.state(0.0, launcher.status)
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
     yield follower.state(0.0, launcher.release())
+    yield detector.begin(scene.detector)
     *judged, verdict = result.statuses
     waiting = deque(judged)
     periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])

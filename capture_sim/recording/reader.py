@@ -18,6 +18,7 @@ from capture_sim.messaging.messages import RunDescription, stamp_seconds
 from capture_sim.messaging.topics import (
     BENCH_EVENT,
     BENCH_STATE,
+    CAPTURE_CRITERIA,
     CAPTURE_STATUS,
     CONTACT_TRACE,
     RUN_INFO,
@@ -38,6 +39,7 @@ from capture_sim.recording.writer import (
     describing,
 )
 from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
+from capture_sim.scene import Detector
 from capture_sim.scene_files import load_scene_text
 
 if TYPE_CHECKING:
@@ -347,6 +349,20 @@ class Run:
         by_name["state"] = [CaptureState(state) for state in by_name["state"]]
         rows = zip(*by_name.values(), strict=True)
         return tuple(CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+
+    @cached_property
+    def criteria(self) -> Detector | None:
+        """What the detector judged by, as it said; None where it did not, as in older files.
+
+        Raises
+        ------
+        SceneError
+            A value is none that a detector may have.
+        """
+        told = self.columns(CAPTURE_CRITERIA)
+        if not told:
+            return None
+        return Detector(**{f.name: float(told[f.name][-1]) for f in fields(Detector)})
 
     @property
     def verdict(self) -> CaptureState | None:

@@ -20,8 +20,17 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from capture_sim.errors import RecordingError
@@ -33,6 +42,7 @@ CDR = "cdr"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CRC = struct.Struct("<I")
+_FOOTER_LENGTH = 20
 
 #: What parsing of a damaged record may raise.
 DAMAGE = (
@@ -162,6 +172,19 @@ def _number(path: Path) -> tuple[int, str]:
     return (int(digits) if digits.isdecimal() else -1, path.name)
 
 
+def in_words(error: Exception) -> str:
+    """Return what is wrong with a record whose parsing raised one of DAMAGE."""
+    if isinstance(error, UnicodeDecodeError):
+        return "what should be text is none"
+    if isinstance(error, CRCValidationError):
+        return "wrong checksum"
+    if isinstance(error, zstandard.ZstdError):
+        return "a chunk that cannot be unpacked"
+    if isinstance(error, struct.error | EndOfFile | OverflowError | MemoryError):
+        return "a length that does not fit"
+    return str(error) or "a record that cannot be read"
+
+
 class _Reader:
     def __init__(self, path: Path, data: bytes, contents: Contents) -> None:
         self._path = path
@@ -178,6 +201,7 @@ class _Reader:
         for opcode, start, end in self._records():
             if opcode == Opcode.DATA_END:
                 self._check_data_section(start, end)
+                self._check_summary(end)
                 finished = True
             elif finished:
                 if opcode == Opcode.STATISTICS:
@@ -233,7 +257,7 @@ class _Reader:
         try:
             return read(ReadDataStream(BytesIO(self._data[start:end])))
         except DAMAGE as error:
-            raise self._damaged(start, str(error) or type(error).__name__) from None
+            raise self._damaged(start, in_words(error)) from None
 
     def _chunk(self, start: int, end: int) -> None:
         chunk = self._parsed(Chunk.read, start, end)
@@ -241,11 +265,11 @@ class _Reader:
             stream, length = get_chunk_data_stream(chunk, validate_crc=True)
             records = stream.read(length)
         except DAMAGE as error:
-            raise self._damaged(start, str(error) or type(error).__name__) from None
+            raise self._damaged(start, in_words(error)) from None
         try:
             self._messages(records, 0, len(records))
         except DAMAGE as error:
-            raise self._damaged(start, str(error) or type(error).__name__) from None
+            raise self._damaged(start, in_words(error)) from None
 
     def _messages(self, data: bytes, position: int, end: int) -> None:
         """Take in records of messages, schemas and channels; a plain loop, it is the hot one."""
@@ -294,6 +318,26 @@ class _Reader:
         crc = self._parsed(DataEnd.read, start, end).data_section_crc
         if crc and zlib.crc32(self._data[: start - _RECORD.size]) != crc:
             raise self._damaged(start, "the data section does not match its checksum")
+
+    def _check_summary(self, begin: int) -> None:
+        """Check index, statistics and footer behind the data, where all of the file is there.
+
+        Nothing is read by the index; but others find messages by it, and what is damaged there
+        may be damaged elsewhere.
+        """
+        data = self._data
+        if data[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
+            return  # it was cut: that is told
+        start = len(data) - len(MCAP0_MAGIC) - _FOOTER_LENGTH
+        head = start - _RECORD.size
+        if head < begin or _RECORD.unpack_from(data, head) != (Opcode.FOOTER, _FOOTER_LENGTH):
+            raise self._damaged(begin, "index and end mark do not fit together")
+        told = self._parsed(Footer.read, start, start + _FOOTER_LENGTH)
+        if not told.summary_crc:
+            return  # not available
+        summary = data[told.summary_start or head : start + _FOOTER_LENGTH - _CRC.size]
+        if zlib.crc32(summary) != told.summary_crc:
+            raise self._damaged(begin, "the index does not match its checksum")
 
     def _check_count(self, start: int, end: int) -> None:
         counted = self._parsed(Statistics.read, start, end).message_count

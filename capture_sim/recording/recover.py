@@ -14,9 +14,10 @@ from mcap.records import Channel
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import EPOCH_NS, RunDescription
-from capture_sim.messaging.topics import RUN_INFO
+from capture_sim.messaging.messages import EPOCH_NS, LaunchAction, RunDescription
+from capture_sim.messaging.topics import BENCH_STATE, LAUNCH_COMMAND, RUN_INFO, topic_named
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
+from capture_sim.recording.cdr import stamp_of
 from capture_sim.recording.container import Container
 from capture_sim.recording.definitions import type_hash, typestore
 from capture_sim.recording.records import bag_files, file_bytes
@@ -30,6 +31,7 @@ from capture_sim.recording.salvage import (
 from capture_sim.recording.writer import (
     CHUNK_SIZE,
     RUN_METADATA,
+    SCENE_ATTACHMENT,
     describing,
     free_path,
 )
@@ -121,13 +123,15 @@ class _Saver:
     def save(self, parts: list[tuple[Path, bytes, Findings]]) -> Recovery:
         """Write all that was found."""
         several = len(parts) + len(self._losses) > 1
+        run, release = _run_in(parts), _release_in(parts)
         for part, data, found in parts:
             where = f"{part.name}: " if several else ""
-            lost, unconfirmed = _losses(found, data)
+            lost, unconfirmed = _losses(found, data, release)
             self._losses += [where + line for line in lost]
             self._unconfirmed += [where + line for line in unconfirmed]
-        self._losses += _absent(found for _, _, found in parts)
-        run = _run_in(parts)
+            absent = _absent(found, run)
+            self._losses += [where + line for line in absent]
+        self._losses += _absent_parts(found for _, _, found in parts)
         self._describe(parts, run)
         chunks = 0
         for part, data, found in parts:
@@ -280,7 +284,30 @@ def _run_in(parts: list[tuple[Path, bytes, Findings]]) -> RunDescription | None:
     return None
 
 
-def _losses(found: Findings, data: bytes) -> tuple[list[str], list[str]]:
+def _release_in(parts: list[tuple[Path, bytes, Findings]]) -> int | None:
+    """Return the log time of the release, ns; None where nothing whole tells of it."""
+    started = None
+    for _, data, found in parts:
+        topics = {
+            i: topic
+            for i, channel in found.defined.channels.items()
+            if (topic := topic_named(channel.topic))
+            and channel.metadata.get("topic_type_hash") == type_hash(topic.type_name)
+        }
+        for channel, _, log_time, _, message in _all_messages(found, data):
+            topic = topics.get(channel)
+            with suppress(SerdeError, RecordingError):
+                if topic is LAUNCH_COMMAND:
+                    command: Any = typestore().deserialize_cdr(message, topic.type_name)
+                    if command.action == LaunchAction.RELEASE:
+                        return log_time
+                elif topic is BENCH_STATE and started is None:
+                    # simulated time, by whatever clock the log's is
+                    started = log_time - (stamp_of(topic, message) or log_time) + EPOCH_NS
+    return started
+
+
+def _losses(found: Findings, data: bytes, release: int | None) -> tuple[list[str], list[str]]:
     """Return lines for what was lost, and for what was saved unconfirmed."""
     lines: list[str] = []
     unconfirmed: list[str] = []
@@ -289,17 +316,15 @@ def _losses(found: Findings, data: bytes) -> tuple[list[str], list[str]]:
         if loss.start == loss.end:
             lines.append(loss.why)
             continue
-        if loss.after is not None or loss.before is not None:
-            times = [_seconds(loss.after, "the start"), _seconds(loss.before, "the end")]
-            where += f" (messages between {times[0]} and {times[1]})"
+        if found.all_saved:
+            where += f" (no message was in them: all {found.written} are saved)"
+        elif loss.after is not None or loss.before is not None:
+            where += f" (any messages {_between(loss.after, loss.before, release)})"
         lines.append(f"{loss.why}: {where}")
     if found.loose and not found.verified:
         unconfirmed.append(f"{len(found.loose)} messages outside chunks, which have no checksum")
-    saved = sum(
-        1 for start, end in found.chunks for _ in messages_in(unpacked(data, start, end) or b"")
-    ) + len(found.loose)
-    if found.written is not None and found.written != saved:
-        lines.append(f"{found.written - saved} of {found.written} messages")
+    if found.written is not None and not found.all_saved:
+        lines.append(f"{found.written - found.saved} of {found.written} messages")
     if found.unconfirmed:
         unconfirmed.append(
             f"{found.unconfirmed} of {len(found.chunks)} chunks, which have no checksum"
@@ -308,11 +333,23 @@ def _losses(found: Findings, data: bytes) -> tuple[list[str], list[str]]:
         if found.unchecked:
             unconfirmed.append("what stands outside the chunks, which has no checksum")
         else:
-            lines.append("bytes outside chunks are damaged")
+            whole = f"; all {found.written} messages are saved" if found.all_saved else ""
+            lines.append(f"some bytes outside chunks are damaged, in their index perhaps{whole}")
     return lines, unconfirmed
 
 
-def _absent(parts: Iterable[Findings]) -> list[str]:
+def _absent(found: Findings, run: RunDescription | None) -> list[str]:
+    """Return a line for attachments and metadata that were in the file and are lost."""
+    lines = []
+    for what, name in found.absent:
+        if run is not None and name == RUN_METADATA:
+            continue  # made anew, from the announcement
+        again = run is not None and name == SCENE_ATTACHMENT
+        lines.append(f"{what} {name}" + ("; the announced run holds the scene too" * again))
+    return lines
+
+
+def _absent_parts(parts: Iterable[Findings]) -> list[str]:
     """Return a line for the parts of a split recording that are not there."""
     told = (found.metadata.get(RUN_METADATA, {}).get("part", "") for found in parts)
     there = {int(number) for number in told if number.isdecimal()}
@@ -320,5 +357,17 @@ def _absent(parts: Iterable[Findings]) -> list[str]:
     return [f"part {number} of the recording is not there" for number in gone]
 
 
-def _seconds(stamp: int | None, otherwise: str) -> str:
-    return otherwise if stamp is None else f"{stamp / 1e9:.6f} s"
+def _between(after: int | None, before: int | None, release: int | None) -> str:
+    """Return a stretch of log times in words, since the release where that is known."""
+    zero, meaning = (0, "of the log") if release is None else (release, "since the release")
+
+    def at(stamp: int) -> str:
+        return f"{(stamp - zero) / 1e9:.3f} s"
+
+    if after is not None and before is not None:
+        return f"between {at(after)} and {at(before)} {meaning}"
+    return (
+        f"before {at(before)} {meaning}"
+        if before is not None
+        else f"after {at(after or 0)} {meaning}"
+    )

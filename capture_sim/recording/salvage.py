@@ -18,7 +18,17 @@ from typing import TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
@@ -29,6 +39,8 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CRC = struct.Struct("<I")
 _U4 = struct.Struct("<I")
 _FOOTER_LENGTH = 20
+#: What stands in a file beside messages, in words.
+ATTACHMENT, METADATA = "attachment", "metadata"
 # opcode of a chunk, and a length below 4 GB; looked ahead, so that hits may overlap
 _CHUNK_HEAD = re.compile(rb"(?=\x06[\s\S]{4}\x00\x00\x00\x00)")
 
@@ -77,6 +89,8 @@ class Findings:
         Whole ones, by name.
     metadata
         By name; under a checksum only if ``verified``.
+    inside
+        Messages in whole chunks.
     loose
         Start and end of the bodies of messages outside chunks, under a checksum only if
         ``verified``.
@@ -88,6 +102,8 @@ class Findings:
         The file was closed, and the data section carries no checksum.
     written
         Messages that the file's summary tells; None when the summary is not whole.
+    named
+        Attachments and metadata that the summary tells, in words and by name.
     """
 
     chunks: list[tuple[int, int]] = field(default_factory=list)
@@ -96,11 +112,29 @@ class Findings:
     bare: Definitions = field(default_factory=Definitions)
     attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    inside: int = 0
     loose: list[tuple[int, int]] = field(default_factory=list)
     losses: list[Loss] = field(default_factory=list)
     verified: bool = False
     unchecked: bool = False
     written: int | None = None
+    named: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def saved(self) -> int:
+        """Messages in whole chunks and outside chunks."""
+        return self.inside + len(self.loose)
+
+    @property
+    def all_saved(self) -> bool:
+        """Whether the summary confirms that no message is lost."""
+        return self.written is not None and self.written == self.saved
+
+    @property
+    def absent(self) -> list[tuple[str, str]]:
+        """Attachments and metadata that the summary tells and that are not whole."""
+        there = {ATTACHMENT: self.attachments, METADATA: self.metadata}
+        return [(what, name) for what, name in self.named if name not in there[what]]
 
 
 def search(data: bytes) -> Findings:
@@ -246,6 +280,7 @@ class _Search:
             elif opcode == Opcode.MESSAGE:
                 times.append(_MESSAGE.unpack_from(records, begin)[2])
         self._found.chunks.append((start, end))
+        self._found.inside += len(times)
         if times:
             for loss in self._found.losses:
                 if loss.before is None and loss.end <= position:
@@ -318,8 +353,16 @@ class _Search:
                 statistics = self._parsed(Statistics.read, summary, begin, end)
                 if statistics is not None:
                     self._found.written = statistics.message_count
+            elif opcode == Opcode.ATTACHMENT_INDEX:
+                self._name(ATTACHMENT, self._parsed(AttachmentIndex.read, summary, begin, end))
+            elif opcode == Opcode.METADATA_INDEX:
+                self._name(METADATA, self._parsed(MetadataIndex.read, summary, begin, end))
         told.update(self._found.defined)
         self._found.defined = told
+
+    def _name(self, what: str, entry: AttachmentIndex | MetadataIndex | None) -> None:
+        if entry is not None:
+            self._found.named.append((what, entry.name))
 
     def _summary_is_whole(self, start: int) -> bool:
         """Whether the summary that begins there, up to the file's end, fits its checksum."""

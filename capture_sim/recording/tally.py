@@ -116,7 +116,8 @@ class Tally:
     def problems(self) -> list[str]:
         """Return one line for everything that was lost, repeated, disordered or cut short."""
         lines = [
-            f"{publisher} ended the run early: {reason}"
+            # a follower says it in these words itself
+            f"{publisher} ended the run early: {reason.removeprefix('ended early: ')}"
             for publisher, reason in self._ended.items()
             if reason is not None
         ]

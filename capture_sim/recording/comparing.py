@@ -1,0 +1,281 @@
+"""What two recordings are compared by: of each quantity the finest series that both hold.
+
+A simulated run holds it all at ``bench/state``'s rate, a bench's bag only at that of its sensors:
+a peak of one found at 1 kHz and of the other at 100 Hz would differ by their sampling alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.analysis.comparison import TouchTable, table_of_force, table_of_touches
+from capture_sim.analysis.measurements import Measurements, Series, measured_in
+from capture_sim.analysis.touches import RESOLVED, touches_told
+from capture_sim.errors import RecordingError
+from capture_sim.messaging.bench_columns import release_of, stamps_of
+from capture_sim.messaging.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    LOAD_CELL,
+    Topic,
+)
+from capture_sim.recording.measured import first_contact_told, measured_sources, wrench
+from capture_sim.recording.reader import Run
+from capture_sim.results import first_cluster
+
+#: Name of the tip's distance to BE, beside the fields of Measurements.
+DISTANCE = "distance"
+#: Name of the largest force that a sampled series holds, which a touch between two samples passes.
+SAMPLED_FORCE = "largest sampled force, N"
+
+
+class Figure(NamedTuple):
+    """One number of a run, and the topic with its rate that it was found in."""
+
+    value: float
+    source: str
+
+
+class Comparable(NamedTuple):
+    """What of a run is held against another one's.
+
+    Attributes
+    ----------
+    run
+        The recording.
+    contact
+        First contact, s since the release.
+    contact_source
+        Topic that tells of it.
+    series
+        By quantity: the fields of Measurements, and DISTANCE.
+    sources
+        Topic and rate of each.
+    touches
+        One by one; None where nothing tells of them.
+    touch_source
+        What tells of them; why nothing does.
+    spacing
+        s between the samples of the force that they were found in; 0 where they were located.
+    """
+
+    run: Run
+    contact: float
+    contact_source: str
+    series: Mapping[str, Series]
+    sources: Mapping[str, str]
+    touches: TouchTable | None
+    touch_source: str
+    spacing: float
+
+    @property
+    def contact_may_be_late(self) -> bool:
+        """Whether it was met in a force between whose samples a touch may have come before."""
+        forces = (CONTACT_WRENCH.name, LOAD_CELL.name)
+        return self.touches is None and self.contact_source in forces
+
+    def measured(self, *, force: bool = False) -> Measurements:
+        """Return the series of poses, stroke and torsion, and of the force if that is asked for."""
+        left_out = {DISTANCE} if force else {DISTANCE, "force"}
+        return Measurements(**{n: s for n, s in self.series.items() if n not in left_out})
+
+
+def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
+    """Choose what two runs are compared by.
+
+    Of each quantity the series, one of each run, of which the slower one is fastest; among equals
+    those of one topic, then motion capture before odometry.
+
+    Raises
+    ------
+    RecordingError
+        One of them tells of no contact that it could be aligned by.
+    """
+    mine, theirs = _sources(a), _sources(b)
+    chosen: list[dict[str, str]] = [{}, {}]
+    for name in dict.fromkeys([*mine, *theirs]):
+        has = [of.get(name, {}) for of in (mine, theirs)]
+        pair = _finest(name, *has) if all(has) else tuple(next(iter(of), "") for of in has)
+        for choice, topic in zip(chosen, pair, strict=True):
+            if topic:
+                choice[name] = topic
+    first, second = (
+        _comparable(run, of, choice)
+        for run, of, choice in zip((a, b), (mine, theirs), chosen, strict=True)
+    )
+    return _seen_as_well(first, second), _seen_as_well(second, first)
+
+
+def rate_of(series: Series) -> float:
+    """Return how often a series was sampled, Hz, by its median interval; 0 for one sample."""
+    return 1.0 / float(np.median(np.diff(series.t))) if series.t.size > 1 else 0.0
+
+
+def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
+    """Return the run in a few numbers, by name with the unit; what was not measured is absent.
+
+    Forces and times are those of the touches located between samples, where the recording
+    holds them.
+
+    Parameters
+    ----------
+    of
+        From :func:`comparable`.
+    sampled
+        Whether the largest sample of the force is told as well, as nothing else is known of the
+        other run.
+    """
+    found = {"first contact, s": Figure(of.contact, of.contact_source)}
+    touches = of.run.touches
+    if touches.size:
+        first = first_cluster(touches)
+        for name, value in (
+            ("first contact lasts, ms", (first["end"].max() - first["start"].min()) * 1e3),
+            ("peak force of first contact, N", first["peak_force"].max()),
+            ("largest force, N", touches["peak_force"].max()),
+            ("touches", touches.size),
+            ("normal impulse, N s", touches["impulse"].sum()),
+        ):
+            found[name] = Figure(float(value), BENCH_EVENT.name)
+    elif told := of.run.columns(CONTACT_STATE):
+        found["largest force, N"] = Figure(float(told["peak_force"].max()), CONTACT_STATE.name)
+    if sampled and "force" in of.series:
+        largest = float(of.series["force"].values.max())
+        found[SAMPLED_FORCE] = Figure(largest, of.sources["force"])
+    for quantity, name, value in (
+        ("stroke", "largest stroke inwards, mm", lambda x: -x.min() * 1e3),
+        ("stroke", "largest stroke outwards, mm", lambda x: x.max() * 1e3),
+        ("torsion", "largest torsion, mrad", lambda x: np.abs(x).max() * 1e3),
+        (DISTANCE, "nearest to BE, mm", lambda x: x.min() * 1e3),
+    ):
+        if quantity in of.series:
+            found[name] = Figure(float(value(of.series[quantity].values)), of.sources[quantity])
+    return found
+
+
+def _sources(run: Run) -> dict[str, dict[str, Series]]:
+    """Return every series of each quantity by its topic, the finest first."""
+    found: dict[str, dict[str, Series]] = {}
+    samples = run.samples
+    if samples.size:
+        exact = dict(measured_in(samples).items())
+        exact[DISTANCE] = Series(samples["t"], samples["tip_distance"])
+        found = {name: {BENCH_STATE.name: series} for name, series in exact.items()}
+    release = release_of(run)
+    for name, by_topic in measured_sources(run, release).items():
+        found.setdefault(name, {}).update(by_topic)
+    if run.columns(LOAD_CELL):
+        t, force = wrench(run, LOAD_CELL, release)
+        found.setdefault("force", {})[LOAD_CELL.name] = Series(t, np.hypot(*force.T))
+    # the detector's own path: the nearest place so far
+    told = [(status.t, status.nearest_distance) for status in run.statuses]
+    near = np.array([row for row in told if np.isfinite(row).all()]).reshape(-1, 2)
+    if near.size:
+        found.setdefault(DISTANCE, {})[CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])
+    return {
+        name: kept
+        for name, by_topic in found.items()
+        if (kept := {topic: series for topic, series in by_topic.items() if series.t.size})
+    }
+
+
+def _finest(name: str, mine: Mapping[str, Series], theirs: Mapping[str, Series]) -> tuple[str, str]:
+    """Return the topics that a quantity is compared by."""
+
+    def rank(pair: tuple[str, str]) -> tuple[float, bool, int]:
+        a, b = pair
+        slower = min(rate_of(mine[a]), rate_of(theirs[b]))
+        places = list(mine).index(a) + list(theirs).index(b)
+        # two topics do not mean quite the same there: filtered, or estimated
+        rate = float(f"{slower:.2g}") if name not in ("force", DISTANCE) else 0.0
+        return rate, a == b, -places
+
+    return max(((a, b) for a in mine for b in theirs), key=rank)
+
+
+def _comparable(
+    run: Run, sources: Mapping[str, Mapping[str, Series]], choice: Mapping[str, str]
+) -> Comparable:
+    met = first_contact_told(run)
+    if met is None:
+        raise RecordingError(f"{run.path}: no contact in it to align with")
+    series = {name: sources[name][topic] for name, topic in choice.items()}
+    touches, source, spacing = _touches(run)
+    return Comparable(
+        run=run,
+        # a message tells that it was since the one before
+        contact=met[0] if touches is None else min(met[0], float(touches.start[0])),
+        contact_source=met[1].name,
+        series=series,
+        sources={name: f"{choice[name]}, {rate_of(series[name]):.4g} Hz" for name in series},
+        touches=touches,
+        touch_source=source,
+        spacing=spacing,
+    )
+
+
+def _seen_as_well(of: Comparable, other: Comparable) -> Comparable:
+    """Return a run without its touches if the force they are from misses such as the other has."""
+    if of.touches is None or other.touches is None or not of.spacing:
+        return of
+    shortest = float(np.nanmin(other.touches.lasted, initial=np.inf))
+    if RESOLVED * of.spacing <= shortest:
+        return of
+    source = of.touch_source.partition(", which")[0]
+    reason = f"{source}: too slow for touches of {shortest * 1e3:.3g} ms as the other has"
+    return of._replace(touches=None, touch_source=reason)
+
+
+def _touches(run: Run) -> tuple[TouchTable | None, str, float]:
+    """Return the touches, what tells of them, and its spacing; else None, and why nothing does."""
+    if run.touches.size:
+        return table_of_touches(run.touches), BENCH_EVENT.name, 0.0
+    tried = []
+    forces = (CONTACT_WRENCH, LOAD_CELL)
+    # at equal rates bench/contact, whose peaks are those between its messages
+    for topic in sorted((CONTACT_STATE, *forces), key=lambda topic: -len(run.raw(topic))):
+        if not run.columns(topic):
+            continue
+        t, found = _in_force(run, topic) if topic in forces else _told(run)
+        rate = rate_of(Series(t, t))
+        source = f"{topic.name}, {rate:.4g} Hz"
+        if found is not None and topic in forces:
+            lasts = RESOLVED / rate
+            return found, f"{source}, which may miss those below {lasts * 1e3:.3g} ms", 1.0 / rate
+        if found is not None:
+            return found, f"{source}, as long as each message tells of one", 0.0
+        tried.append(source)
+    if not tried:
+        return None, "no force was recorded", 0.0
+    return None, f"{' and '.join(tried)}: too slow to show touches", 0.0
+
+
+def _in_force(run: Run, topic: Topic) -> tuple[np.ndarray, TouchTable | None]:
+    t, force = wrench(run, topic, release_of(run))
+    return t, table_of_force(t, force)
+
+
+def _told(run: Run) -> tuple[np.ndarray, TouchTable | None]:
+    columns = run.columns(CONTACT_STATE)
+    t = (stamps_of(columns) - release_of(run)) / 1e9
+    told = touches_told(
+        t,
+        columns["touches"],
+        columns["peak_force"],
+        columns["in_touch"],
+        count=len(t),
+        start_noise=0.0,
+        peak_noise=0.0,
+    )
+    if told is None:
+        return t, None
+    unknown = np.full(told.start.shape, np.nan)
+    return t, TouchTable(
+        told.start, unknown, told.start, told.peak, unknown, np.zeros(told.start.shape)
+    )
