@@ -63,8 +63,9 @@ def run(options: argparse.Namespace) -> int:
             state = status.state
     verdict = statuses[-1]
     since = verdict.t - verdict.time_in_state
+    word = "verdict" if verdict.final else "no verdict, the run was ended in state"
     say(
-        f"verdict: {verdict.state.label} since {since:.3f} s; nearest "
+        f"{word}: {verdict.state.label} since {since:.3f} s; nearest "
         f"{verdict.nearest_distance * 1e3:.3f} mm, {len(statuses) - 1} measurements"
     )
     if not recorded.statuses:

@@ -345,9 +345,9 @@ def qos_from(recorded: dict[str, Any]) -> QoSProfile:
     return profile
 
 
-def main(args: Sequence[str] | None = None, *, interrupted: int = OK) -> int:
-    """Run the node; return the exit status, ``interrupted`` after Ctrl-C."""
-    return run(PlayerNode, args, interrupted=interrupted)
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit status."""
+    return run(PlayerNode, args)
 
 
 if __name__ == "__main__":
