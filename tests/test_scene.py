@@ -51,6 +51,12 @@ BAD = [
     ("chaser.mass", ["override 'chaser.mass'", "part.field=value"]),
     ("chaser.mass=[", ["override", "not valid YAML"]),
     ("detector.radius=0", ["detector.radius = 0 m", "> 0"]),
+    ("name=../../evil", ["name = '../../evil'", "up to 64 letters", "digits and _ . -"]),
+    ("name=sub/evil", ["name = 'sub/evil'", "beginning with a letter or digit"]),
+    ("name='a b \"c\"'", ["name = 'a b \"c\"'", "up to 64 letters"]),
+    ("name=..", ["name = '..'", "beginning with a letter or digit"]),
+    ("name=''", ["name = ''", "beginning with a letter or digit"]),
+    ("name=" + 65 * "x", ["name = 'xxx", "up to 64 letters"]),
 ]
 
 
