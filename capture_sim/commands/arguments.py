@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -62,6 +63,17 @@ def not_negative(text: str) -> float:
         value = -1.0
     if not 0.0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number >= 0")
+    return value
+
+
+def factor(text: str) -> float:
+    """Read simulated (or recorded) seconds per second off the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if value not in FACTORS:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {FACTORS}")
     return value
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import add_experiments, load_all, not_negative, prepare_folder
+from capture_sim.commands.arguments import add_experiments, factor, load_all, prepare_folder
 from capture_sim.commands.showing import compile_first, draw, report, summary_of
 
 HELP = "run experiments with the ROS 2 nodes"
@@ -19,10 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_experiments(parser)
     parser.add_argument(
         "--rtf",
-        type=not_negative,
+        type=factor,
         default=0.0,
         metavar="FACTOR",
-        help="real-time factor; 0 runs as fast as it goes (default: 0)",
+        help="real-time factor, up to 1000; 0 runs as fast as it goes (default: 0)",
     )
 
 
