@@ -27,7 +27,13 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("runs"), help="folder of the results (default: runs)"
+        "--out",
+        type=Path,
+        default=Path("runs"),
+        help="folder of the results (default: runs). A recording of the nodes or of a bench is "
+        "never overwritten: the new one and its picture get a number behind their name. "
+        "results.txt, results.json, overview.png and runs.rrd are of the last command that made "
+        "a run",
     )
     add_overrides(parser)
 

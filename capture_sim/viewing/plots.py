@@ -26,6 +26,7 @@ from capture_sim.viewing.series import label_zone
 from capture_sim.viewing.source import (
     ViewableRun,
     decided_at,
+    distinct_names,
     headline,
     start_word,
     time_window,
@@ -37,9 +38,16 @@ _FONT = 13.5
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
 
 
-def save_figure(run: ViewableRun, path: Path | str) -> Path:
+def save_figure(run: ViewableRun, path: Path | str, label: str | None = None) -> Path:
     """Draw a run and save it, as PNG or whatever the path's ending says.
 
+    Parameters
+    ----------
+    run, path
+        What, and where to.
+    label
+        The run's name; None for its scene's.
+
     Returns
     -------
     Path
@@ -50,12 +58,21 @@ def save_figure(run: ViewableRun, path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return save(draw_run(run), path)
+    return save(draw_run(run, label), path)
 
 
-def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
+def save_overview(
+    runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
+) -> Path:
     """Draw several runs side by side and save them, as PNG or whatever the ending says.
 
+    Parameters
+    ----------
+    runs, path
+        What, and where to.
+    labels
+        Names of the runs, one each; None for their scenes', numbered where they are the same.
+
     Returns
     -------
     Path
@@ -66,13 +83,13 @@ def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return save(draw_overview(runs), path)
+    return save(draw_overview(runs, labels), path)
 
 
-def draw_run(run: ViewableRun) -> Figure:
-    """Return the figure of one run."""
+def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
+    """Return the figure of one run, under its label or its scene's name."""
     figure = new_figure(15.5, 10.0)
-    figure.suptitle(headline(run), fontsize=19, fontweight="bold")
+    figure.suptitle(headline(run, label), fontsize=19, fontweight="bold")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.15])[0]
     bench, cone = left.subplots(2, 1, height_ratios=[1.0, 3.2])
     force, stroke, torsion, distance = right.subplots(
@@ -89,13 +106,16 @@ def draw_run(run: ViewableRun) -> Figure:
     return figure
 
 
-def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
-    """Return the figure of several runs side by side, one column each."""
+def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = None) -> Figure:
+    """Return the figure of several runs side by side, one column each, under their labels."""
+    if labels is None:
+        labels = distinct_names([run.scene.name for run in runs])
+    titles = [headline(run, label) for run, label in zip(runs, labels, strict=True)]
     figure = new_figure(6.0 * len(runs), 14.0)
     rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
-    for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
+    for (bench, cone, force, distance), run, title in zip(rows.T, runs, titles, strict=True):
         seen = draw_bench(bench, run)
-        bench.set_title(headline(run), fontsize=16, fontweight="bold", pad=12)
+        bench.set_title(title, fontsize=16, fontweight="bold", pad=12)
         dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         _draw_trajectory(cone, run)

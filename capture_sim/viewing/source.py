@@ -12,6 +12,7 @@ import numpy as np
 from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.samples import Event, EventKind
 from capture_sim.scene import Scene
+from capture_sim.scene_rules import as_name
 
 
 class ViewableRun(Protocol):
@@ -69,12 +70,16 @@ def start_word(scene: Scene) -> str:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Number names that occur more than once."""
-    counted: dict[str, int] = {}
-    distinct = []
+    """Number names that occur more than once; no number makes one name another's."""
+    taken, distinct = set(names), []
     for name in names:
-        counted[name] = counted.get(name, 0) + 1
-        distinct.append(name if names.count(name) == 1 else f"{name}_{counted[name]}")
+        number = 0
+        chosen = name
+        while names.count(name) > 1 and chosen in taken:
+            number += 1
+            chosen = f"{name}_{number}"
+        taken.add(chosen)
+        distinct.append(chosen)
     return distinct
 
 
@@ -114,13 +119,32 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     return t, force[first]
 
 
-def headline(run: ViewableRun) -> str:
-    """Return name, verdict and impact speed in one line, and what was changed in another."""
+def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:
+    """Return name, verdict and impact speed in one line, and what was changed in another.
+
+    Parameters
+    ----------
+    run
+        Of which.
+    label
+        Its name; None for its scene's.  One that does not tell the scene gets it behind it.
+    width
+        Letters in a line: what does not fit goes on in another, or is cut.
+    """
+    scene = run.scene.name
+    name = scene if label is None else label
+    if not as_name(name).startswith(scene) and f"-{scene}" not in name:
+        name += f" ({scene})"
     speed = impact_speed(run)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
+    lines = [f"{name}: {verdict(run)}, {impact}"]
+    if len(lines[0]) > width:
+        # a long name is broken anywhere
+        lines = [*textwrap.wrap(f"{name}:", width), f"{verdict(run)}, {impact}"]
     changed = run.scene.title.partition("; with ")[2]
-    line = f"{run.scene.name}: {verdict(run)}, {impact}"
-    return line + ("\nwith " + textwrap.shorten(changed, 90) if changed else "")
+    if changed:
+        lines.append("with " + textwrap.shorten(changed, width - 5, placeholder=" ..."))
+    return "\n".join(lines)
 
 
 def in_contact(run: ViewableRun) -> np.ndarray:
