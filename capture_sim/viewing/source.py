@@ -83,19 +83,59 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     return distinct
 
 
+def open_touches(run: ViewableRun) -> list[tuple[float, int]]:
+    """Return start, s, and wall, +1 or -1, of touches that a run broke off in the middle of."""
+    touches, found = run.touches, []
+    for side, bit in ((1, 1), (-1, 2)):
+        if not len(run.samples) or not run.samples["walls"][-1] & bit:
+            continue
+        begun = [e.t for e in run.events if e.kind is EventKind.TOUCH and e.wall == side]
+        ended = touches["end"][touches["wall"] == side]
+        if begun and not np.any(ended >= begun[-1]):
+            found.append((begun[-1], side))
+    return found
+
+
+def contacts(run: ViewableRun) -> list[tuple[float, float]]:
+    """Return start and end of every touch, s; one that was broken off lasts to the last sample."""
+    ended = [(float(touch["start"]), float(touch["end"])) for touch in run.touches]
+    return ended + [(start, float(run.samples["t"][-1])) for start, _ in open_touches(run)]
+
+
+def strongest(run: ViewableRun) -> tuple[float, float]:
+    """Return when the tip was pressed most against a wall, s, and by how much, N; nan and 0.
+
+    The peak of a touch that was broken off is not located: it is that of the samples.
+    """
+    peaks = [(float(touch["peak_time"]), float(touch["peak_force"])) for touch in run.touches]
+    samples = run.samples
+    for start, side in open_touches(run):
+        within = samples[samples["t"] >= start]
+        force = np.nan_to_num(within["normal_force"][:, 0 if side > 0 else 1])
+        if force.size:
+            peaks.append((float(within["t"][np.argmax(force)]), float(force.max())))
+    return max(peaks, key=lambda peak: peak[1], default=(math.nan, 0.0))
+
+
 def time_window(run: ViewableRun) -> tuple[float, float]:
-    """Return from when to when something happens: shortly round contact and verdict, s."""
+    """Return from when to when something happens: shortly round contact and verdict, s.
+
+    What has not been judged to its end, as a run that was broken off, is seen to its end.
+    """
     t = run.samples["t"]
     touch = first_touch(run)
     if touch is None:
         return float(t[0]), float(t[-1])
-    action = [touch.t, *run.touches["end"].tolist()]
+    action = [touch.t, *(end for _, end in contacts(run))]
     action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
     decided = decided_at(run)
     if decided is not None:
         action.append(decided)
-    margin = 0.12 * max(max(action) - touch.t, 0.1)
-    start, end = max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+    elif run.statuses:
+        action.append(float(t[-1]))
+    # a verdict may even fall before the touch
+    margin = 0.12 * max(max(action) - min(action), 0.1)
+    start, end = max(float(t[0]), min(action) - margin), min(float(t[-1]), max(action) + margin)
     # samples of a window that holds nothing of it
     return (start, end) if start < end else (float(t[0]), float(t[-1]))
 
