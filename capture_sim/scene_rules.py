@@ -24,7 +24,7 @@ def check_scene(scene: Scene) -> None:
 
 
 #: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 
 
 def as_name(text: str) -> str:
@@ -37,7 +37,7 @@ def _name(scene: Scene) -> None:
     if not _NAME.fullmatch(scene.name):
         raise SceneError(
             f"name = {scene.name!r}: allowed are up to 64 letters (a to z), digits and _ . -, "
-            "beginning with a letter or digit: files bear it"
+            "beginning with neither . nor -: files bear it"
         )
 
 
