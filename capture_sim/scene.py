@@ -40,6 +40,8 @@ CONTACT_LAWS = (
     "exact",
 )
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
+#: Of the detector's lengths, m: more than a metre is no part of a cone, but a wrong unit.
+REACH = Range(0.0, 1.0, low_open=True)
 METHODS = ("dop853", "dopri5", "rk4")
 FILTERS = ("first", "second")
 
@@ -310,13 +312,13 @@ class Run(Checked):
 class Detector(Checked):
     """What counts as captured, rebounding, missed and stuck."""
 
-    radius: float = quantity("m", POSITIVE, default=0.005, doc="of the capture zone round BE")
+    radius: float = quantity("m", REACH, default=0.005, doc="of the capture zone round BE")
     dwell: float = quantity("s", NOT_NEGATIVE, default=0.2, doc="time in the zone for a capture")
     contact_gap: float = quantity(
-        "m", POSITIVE, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
+        "m", REACH, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
     )
     leave: float = quantity(
-        "m", POSITIVE, default=0.02, doc="retreat from the nearest approach that is a rebound"
+        "m", REACH, default=0.02, doc="retreat from the nearest approach that is a rebound"
     )
     still_speed: float = quantity(
         "m/s", POSITIVE, default=5e-4, doc="tip speed in the cone's frame below which it stands"

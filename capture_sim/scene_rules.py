@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +16,29 @@ if TYPE_CHECKING:
 
 def check_scene(scene: Scene) -> None:
     """Raise SceneError for the first rule that the scene breaks."""
-    for rule in (_contact, _friction, _throat, _rates, _start, _supports, _rail, _string, _latch):
+    for rule in (
+        *(_name, _contact, _friction, _throat, _rates),
+        *(_start, _supports, _rail, _string, _latch),
+    ):
         rule(scene)
+
+
+#: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+
+
+def as_name(text: str) -> str:
+    """Return a name that a scene may have, of any text: what is not allowed becomes ``_``."""
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
+    return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
+
+
+def _name(scene: Scene) -> None:
+    if not _NAME.fullmatch(scene.name):
+        raise SceneError(
+            f"name = {scene.name!r}: allowed are up to 64 letters (a to z), digits and _ . -, "
+            "beginning with neither . nor -: files bear it"
+        )
 
 
 def _contact(scene: Scene) -> None:

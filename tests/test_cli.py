@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 import pytest
 from test_scene import BAD
+from test_viewing_bag import STANDARD, of_a_bench
 
 from capture_sim.cli import main
 
@@ -58,6 +59,35 @@ def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys
     capsys.readouterr()
 
 
+def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys):
+    recording, picture = tmp_path / "tilt_p10.mcap", tmp_path / "tilt_p10.png"
+    assert main(["run", "tilt_p10", "--out", str(tmp_path / "made")]) == 0
+    of_a_bench(tmp_path / "made" / "tilt_p10.mcap", recording, STANDARD)
+    command = ["view", str(recording), "--scene", "tilt_p10", "--out", str(tmp_path)]
+    assert main(command) == 0
+    before = recording.read_bytes(), picture.read_bytes()
+    capsys.readouterr()
+    assert main(["run", "tilt_p10", "--out", str(tmp_path)]) == 0
+    assert (recording.read_bytes(), picture.read_bytes()) == before
+    assert (tmp_path / "tilt_p10_2.mcap").is_file()
+    assert (tmp_path / "tilt_p10_2.png").stat().st_size > 50_000
+    assert f"picture in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
+
+
+def test_command_that_made_no_run_leaves_earlier_results(tmp_path, capsys, monkeypatch):
+    """The nodes find no middleware, so that each dies at its start."""
+    assert main(["run", "tilt_0", "tilt_p10", "--out", str(tmp_path)]) == 0
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.is_file()}
+    assert {"results.txt", "results.json", "overview.png"} <= set(before)
+    capsys.readouterr()
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_of_nobody")
+    assert main(["bench", "tilt_0", "--out", str(tmp_path)]) != 0
+    seen = capsys.readouterr()
+    assert "no result of tilt_0" in seen.err
+    assert "verdict" not in seen.out
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.is_file()} == before
+
+
 @pytest.mark.parametrize("override", [b[0] for b in BAD])
 def test_bad_configuration_ends_with_one_line_and_status_2(override, tmp_path, capsys):
     folder = tmp_path / "none"
@@ -81,6 +111,16 @@ def test_bad_input_in_a_process_of_its_own_has_no_traceback(tmp_path):
     assert done.returncode == 2
     assert done.stderr == "capture-sim: chaser.mass = -1 kg: allowed is > 0\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", [["bench", "tilt_0", "--rtf"], ["replay", "x.mcap", "--rate"]])
+@pytest.mark.parametrize("value", ["2000", "1000.1", "nan", "inf", "fast"])
+def test_factor_that_a_node_would_refuse_is_refused_at_once(command, value, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([*command, value])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert f"{command[-1]}: {value!r}: allowed is a number >= 0 and <= 1000" in error
 
 
 def test_unwritable_folder_is_refused_before_anything_runs(tmp_path, capsys):

@@ -125,7 +125,7 @@ def setting(name, value):
 @pytest.mark.parametrize(
     "given, said",
     [
-        ({"radius": "-0.001"}, "parameter radius = -0.001 m: allowed is > 0"),
+        ({"radius": "-0.001"}, "parameter radius = -0.001 m: allowed is > 0 and <= 1"),
         ({"dwell": "1"}, "parameter dwell = 1: allowed is a number with a decimal point, >= 0 s"),
         ({"still_speed": ".nan"}, "parameter still_speed = nan m/s: allowed is finite and > 0"),
     ],
@@ -157,7 +157,7 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
             assert descriptor.additional_constraints == allowed
         (refused,) = call(SetParameters, "set_parameters", setting("radius", 0.0)).results
         assert not refused.successful
-        assert refused.reason == "parameter radius = 0.0 m: allowed is > 0"
+        assert refused.reason == "parameter radius = 0.0 m: allowed is > 0 and <= 1"
         (taken,) = call(SetParameters, "set_parameters", setting("leave", 0.03)).results
         assert taken.successful
         nodes.append(

@@ -31,7 +31,10 @@ WRONG = {
         "auto_release": ["no", 0],
         "speed_tolerance": [0.0, 10.5, float("nan"), "large"],
     },
-    "capture_detector": {field.name: [-1.0, float("nan"), "small"] for field in fields(Detector)},
+    "capture_detector": {
+        field.name: [-1.0, float("nan"), "small", *([5.0] if field.metadata["unit"] == "m" else [])]
+        for field in fields(Detector)
+    },
     "recorder": {},
 }
 

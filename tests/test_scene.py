@@ -51,6 +51,15 @@ BAD = [
     ("chaser.mass", ["override 'chaser.mass'", "part.field=value"]),
     ("chaser.mass=[", ["override", "not valid YAML"]),
     ("detector.radius=0", ["detector.radius = 0 m", "> 0"]),
+    ("detector.radius=5", ["detector.radius = 5 m", "> 0 and <= 1"]),
+    ("detector.leave=20", ["detector.leave = 20 m", "> 0 and <= 1"]),
+    ("name=../../evil", ["name = '../../evil'", "up to 64 letters", "digits and _ . -"]),
+    ("name=sub/evil", ["name = 'sub/evil'", "beginning with neither . nor -"]),
+    ("name='a b \"c\"'", ["name = 'a b \"c\"'", "up to 64 letters"]),
+    ("name=-x", ["name = '-x'", "beginning with neither . nor -"]),
+    ("name=..", ["name = '..'", "beginning with neither . nor -"]),
+    ("name=''", ["name = ''", "beginning with neither . nor -"]),
+    ("name=" + 65 * "x", ["name = 'xxx", "up to 64 letters"]),
 ]
 
 

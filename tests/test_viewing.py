@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 import capture_sim
 from capture_sim.errors import RecordingError
@@ -20,7 +23,15 @@ from capture_sim.viewing.bench_model import cone_mesh
 from capture_sim.viewing.cone_drawing import key_moments
 from capture_sim.viewing.energy_drawing import LAYERS
 from capture_sim.viewing.geometry import tip_bound, tip_in_cone, tip_in_world, wall
-from capture_sim.viewing.source import decided_at, headline, in_contact, time_window, verdict
+from capture_sim.viewing.source import (
+    contacts,
+    decided_at,
+    headline,
+    in_contact,
+    open_touches,
+    time_window,
+    verdict,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
@@ -34,6 +45,28 @@ def runs():
 @pytest.fixture(scope="module")
 def rebound():
     return capture_sim.simulate(capture_sim.load_scene("paper_undamped"))
+
+
+@pytest.fixture(scope="module")
+def papers(rebound):
+    names = ("designed", "case_1", "case_2", "case_3", "clamped")
+    scenes = [capture_sim.load_scene(f"paper_{name}") for name in names]
+    return [rebound, *map(capture_sim.simulate, scenes)]
+
+
+@pytest.fixture(scope="module")
+def interrupted(runs):
+    """A run as its recording holds it after Ctrl-C: in a touch, with nothing decided."""
+    run = runs[0]
+    longest = run.touches[np.argmax(run.touches["end"] - run.touches["start"])]
+    until = 0.5 * (longest["start"] + longest["end"])
+    return dataclasses.replace(
+        run,
+        samples=run.samples[run.samples["t"] <= until],
+        touches=run.touches[run.touches["end"] <= until],
+        events=[event for event in run.events if event.t <= until],
+        statuses=[status for status in run.statuses if status.t <= until],
+    )
 
 
 # shapes
@@ -219,9 +252,10 @@ def test_columns_of_the_overview_are_of_one_size(runs):
         assert np.ptp(titles) < 1e-6
 
 
-def test_no_name_lies_under_a_box(runs, rebound):
+def test_no_name_lies_under_a_box_or_another(runs, papers, interrupted):
     """Names of the walls and letters of the moments against legend and list of moments."""
-    for figure in (plots.draw_overview(runs), plots.draw_run(rebound)):
+    drawn = [plots.draw_overview(runs), plots.draw_overview(papers)]
+    for figure in (*drawn, *map(plots.draw_run, [*papers, interrupted])):
         figure.draw_without_rendering()
         for axes in figure.axes:
             if "cone's frame" not in axes.get_ylabel():
@@ -232,6 +266,75 @@ def test_no_name_lies_under_a_box(runs, rebound):
             for box in (boxes[0], boxes[1].get_window_extent()):
                 for name in names:
                     assert not box.overlaps(name.get_window_extent()), name.get_text()
+            letters = [name for name in names if len(name.get_text()) == 1]
+            assert len(letters) == len(moments.get_text().splitlines())
+            for i, letter in enumerate(letters):
+                for other in letters[:i]:
+                    assert not extent(letter).overlaps(extent(other)), moments.get_text()
+
+
+def extent(text):
+    """Return where a text's letters are; what it points at may be far away."""
+    return Text.get_window_extent(text)
+
+
+def test_headings_stay_within_their_panels_and_columns(runs, papers):
+    for drawn in (runs, papers):
+        figure = plots.draw_overview(drawn, [f"{run.scene.name}_12" for run in drawn])
+        figure.draw_without_rendering()
+        column = figure.bbox.width / len(drawn)
+        for i, axes in enumerate(figure.axes):
+            heading = axes.title.get_window_extent()
+            if "impact" in axes.get_title():  # of the whole column
+                assert i % len(drawn) * column <= heading.x0
+                assert heading.x1 <= (i % len(drawn) + 1) * column
+            else:
+                assert axes.bbox.x0 <= heading.x0
+                assert heading.x1 <= axes.bbox.x1
+
+
+def test_no_line_runs_through_a_text(runs, papers):
+    for run in (*runs, *papers):
+        figure = plots.draw_run(run)
+        figure.draw_without_rendering()
+        axes = figure.axes[-1]
+        assert "capture zone, 5 mm" in axes.get_title()
+        for line in axes.get_lines():
+            x = line.get_xdata()
+            if len(x) == 2 and x[0] == x[1]:  # an instant's
+                at = axes.transData.transform((x[0], 0.0))[0]
+                assert not any(extent(text).x0 <= at <= extent(text).x1 for text in axes.texts)
+
+
+def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted):
+    last = interrupted.samples["t"][-1]
+    begun = runs[0].touches["start"][runs[0].touches["start"] < last].max()
+    assert open_touches(interrupted) == [(begun, 1)]
+    assert contacts(interrupted)[-1] == (begun, last)
+    assert time_window(interrupted)[1] == last
+    figure = plots.draw_run(interrupted)
+    force, stroke = figure.axes[2:4]
+    shaded = force.collections[-1].get_paths()[-1].get_extents()
+    assert (shaded.x0, shaded.x1) == pytest.approx((begun, last))
+    # the extremes that the headings tell are in sight
+    lowest = min(np.nanmin(line.get_ydata()) for line in stroke.get_lines())
+    assert f"down to {lowest:.3g} mm" in stroke.get_title()
+    assert stroke.get_xlim()[1] == last
+    count = (runs[0].touches["start"] < last).sum()
+    assert f"+y wall: {count} touches" in [line.get_label() for line in force.get_lines()]
+    assert not any(open_touches(run) for run in runs)
+
+
+def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):
+    """The verdict then falls before the first touch."""
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["detector.radius=1"]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plots.save_figure(run, tmp_path / "x.png")
+    start, end = time_window(run)
+    assert start < decided_at(run) < run.touches["start"].min() < end
+    axes = plots.draw_run(run).axes[-1]
+    assert "captured" in [text.get_text() for text in axes.texts]
 
 
 def test_overview_has_a_column_for_each_run(runs, tmp_path):

@@ -117,8 +117,9 @@ def test_target_keeps_its_attitude_though_the_geometry_is_of_another_scene(recor
 
 
 def test_it_is_drawn_by_everything(recorded, tmp_path):
-    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", STANDARD))
+    bag = read_run(of_a_bench(recorded, tmp_path / "trial of 6 May.mcap", STANDARD))
     seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    assert seen.scene.name == "trial_of_6_May"  # a scene's name, whatever the file is called
     assert plots.save_figure(seen, tmp_path / "x.png").stat().st_size > 50_000
     pytest.importorskip("rerun", reason="needs rerun")
     from capture_sim.viewing import save_rrd

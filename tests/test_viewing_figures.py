@@ -138,6 +138,25 @@ def test_overlaid_runs_start_together_at_their_first_touch(tilts):
     assert names[:3] == ["tilt_0", "tilt_p10", "tilt_m10"]
 
 
+def test_legend_of_the_loops_lies_beside_them(undamped, tilts):
+    for runs in (undamped, tilts):
+        figure = figures.load_stroke(runs)
+        figure.draw_without_rendering()
+        [legend] = figure.legends
+        assert not legend.get_window_extent().overlaps(figure.axes[0].bbox)
+
+
+def test_legend_of_many_runs_leaves_the_curves_free(tilts):
+    figure = figures.distance([*tilts, *tilts], aligned=True)
+    figure.draw_without_rendering()
+    [legend] = figure.legends
+    box = legend.get_window_extent()
+    assert not box.overlaps(figure.axes[0].bbox)
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+    assert "capture zone, 5 mm" in [text.get_text() for text in legend.get_texts()]
+
+
 def test_curves_from_elsewhere_are_drawn_over_the_run(undamped):
     t, v = undamped.samples["t"], undamped.samples["v"]
     figure = figures.velocities(undamped, traces=[Trace("other engine", t, v)])

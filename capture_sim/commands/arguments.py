@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.folders import why_not_writable
 
@@ -26,7 +27,13 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("runs"), help="folder of the results (default: runs)"
+        "--out",
+        type=Path,
+        default=Path("runs"),
+        help="folder of the results (default: runs). A recording of the nodes or of a bench is "
+        "never overwritten: the new one and its picture get a number behind their name. "
+        "results.txt, results.json, overview.png and runs.rrd are of the last command that made "
+        "a run",
     )
     add_overrides(parser)
 
@@ -62,6 +69,17 @@ def not_negative(text: str) -> float:
         value = -1.0
     if not 0.0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number >= 0")
+    return value
+
+
+def factor(text: str) -> float:
+    """Read simulated (or recorded) seconds per second off the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if value not in FACTORS:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {FACTORS}")
     return value
 
 

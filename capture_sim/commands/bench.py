@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
-from capture_sim.commands.arguments import add_experiments, load_all, not_negative, prepare_folder
+from capture_sim.commands.arguments import FAILED, add_experiments, factor, load_all, prepare_folder
 from capture_sim.commands.showing import compile_first, draw, report, summary_of
 
 HELP = "run experiments with the ROS 2 nodes"
@@ -19,10 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_experiments(parser)
     parser.add_argument(
         "--rtf",
-        type=not_negative,
+        type=factor,
         default=0.0,
         metavar="FACTOR",
-        help="real-time factor; 0 runs as fast as it goes (default: 0)",
+        help="real-time factor, up to 1000; 0 runs as fast as it goes (default: 0)",
     )
 
 
@@ -38,7 +39,11 @@ def run(options: argparse.Namespace) -> int:
     status = run_suite(scenes, options.out, pace=options.rtf)
     # an earlier recording is never overwritten: what is new may have a number behind its name
     fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
-    runs = [read_run(path) for path in fresh]
-    report([summary_of(run) for run in runs if run.samples.size], options.out)
-    draw([run for run in runs if run.samples.size], options.out)
+    runs = [run for run in map(read_run, fresh) if run.samples.size]
+    report([summary_of(run) for run in runs], options.out)
+    draw(runs, [run.path.stem for run in runs], options.out)
+    lacking = {scene.name for scene in scenes} - {run.name for run in runs}
+    if lacking:
+        print(f"capture-sim: no result of {', '.join(sorted(lacking))}", file=sys.stderr)
+        return int(status) or FAILED
     return int(status)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from capture_sim.errors import RecordingError, SceneError
@@ -21,6 +23,8 @@ class Opened:
     ----------
     run
         To be drawn.
+    label
+        Its name, no other's of those opened with it: the recording's, or the experiment's.
     source
         Where it comes from, in words.
     software
@@ -34,6 +38,7 @@ class Opened:
     """
 
     run: ViewableRun
+    label: str
     source: str
     software: Sequence[str]
     wall_time: float | None = None
@@ -78,10 +83,33 @@ def open_runs(
         _open_recording(source, scene, release) if is_recording(source) else _run_now(source)
         for source in sources
     ]
+    opened = [
+        dataclasses.replace(one, label=label)
+        for one, label in zip(opened, _labels(opened, sources), strict=True)
+    ]
     for one in opened:
         for problem in one.problems:
-            print(f"capture-sim: {one.run.scene.name}: {problem}", file=sys.stderr)
+            print(f"capture-sim: {one.label}: {problem}", file=sys.stderr)
     return opened
+
+
+def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
+    """Name runs, with the folder in front where recordings in several are called the same."""
+    from capture_sim.commands.recorded import is_recording
+    from capture_sim.viewing.source import distinct_names
+
+    folders: dict[str, set[Path]] = {}
+    for one, source in zip(opened, sources, strict=True):
+        if is_recording(source):
+            folders.setdefault(one.label, set()).add(Path(source).resolve().parent)
+    return distinct_names(
+        [
+            f"{Path(source).resolve().parent.name}-{one.label}"
+            if is_recording(source) and len(folders[one.label]) > 1
+            else one.label
+            for one, source in zip(opened, sources, strict=True)
+        ]
+    )
 
 
 def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
@@ -90,17 +118,21 @@ def _open_recording(path: str, scene: str | None, release: float | None) -> Open
     from capture_sim.viewing.bag import run_from_bag
 
     recorded = open_run(path, tell=False)
+    place = Path(path).resolve()  # the path may be . or end in ..
+    label = place.stem if path.endswith(".mcap") else place.name
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
     problems = (*recorded.left_out, *recorded.problems)
     if recorded.samples.size:
-        return Opened(recorded, f"recorded in {path}", software, recorded.wall_time, problems)
+        return Opened(
+            recorded, label, f"recorded in {path}", software, recorded.wall_time, problems
+        )
     if scene is None:
         raise RecordingError(
             f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
             "experiment of the same geometry by --scene"
         )
     run = run_from_bag(recorded, load_scene(scene), release)
-    return Opened(run, f"measured, in {path}", software, problems=problems, measured=True)
+    return Opened(run, label, f"measured, in {path}", software, problems=problems, measured=True)
 
 
 def _run_now(name: str) -> Opened:
@@ -115,4 +147,4 @@ def _run_now(name: str) -> Opened:
         raise SceneError(f"{error}; a recording ends in .mcap, or is a bag's folder") from None
     compile_first()
     result = simulate(scene)
-    return Opened(result, "run now", software_versions(), result.wall_time)
+    return Opened(result, scene.name, "run now", software_versions(), result.wall_time)

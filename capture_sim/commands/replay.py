@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.arguments import not_negative, prepare_folder
+from capture_sim.commands.arguments import factor, not_negative, prepare_folder
 from capture_sim.errors import RecordingError
 
 HELP = "play a recording with ROS 2"
@@ -26,9 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
     parser.add_argument(
         "--rate",
-        type=not_negative,
+        type=factor,
         default=1.0,
-        help="recorded seconds per second; 0 as fast as it goes (default: 1)",
+        help="recorded seconds per second, up to 1000; 0 as fast as it goes (default: 1)",
     )
     parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(

@@ -47,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
     reported = [
         ReportedRun(
             run=one.run,
+            label=one.label,
             source=one.source,
             summary=one.summary(),
             software=one.software,

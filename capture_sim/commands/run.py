@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     results: list[Result] = []
+    recordings: list[str] = []
     status = OK
     for scene in scenes:
         try:
@@ -48,8 +49,9 @@ def run(options: argparse.Namespace) -> int:
             from capture_sim.recording import write_run
 
             path = write_run(result, options.out / f"{scene.name}.mcap")
+            recordings.append(path.stem)
             say(f"{scene.name}: recorded in {path}")
     report([result.summary for result in results], options.out)
     if not options.no_record:
-        draw(results, options.out)
+        draw(results, recordings, options.out)
     return status

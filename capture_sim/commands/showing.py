@@ -41,9 +41,14 @@ def summary_of(run: Run) -> dict[str, Any]:
 
 
 def report(summaries: list[dict[str, Any]], folder: Path) -> None:
-    """Print the table of results, and keep it and its numbers in ``folder``."""
+    """Print the table of results, and keep it and its numbers in ``folder``.
+
+    Without a result nothing is written: what an earlier command left there is kept.
+    """
     from capture_sim.results import table
 
+    if not summaries:
+        return
     text = table(summaries)
     print()
     print(text)
@@ -64,6 +69,7 @@ OVERVIEW = "overview.png"
 
 def draw(
     runs: Sequence[ViewableRun],
+    labels: Sequence[str],
     folder: Path,
     rrd: Path | None = None,
     *,
@@ -75,6 +81,8 @@ def draw(
     ----------
     runs
         To be drawn.
+    labels
+        Their names, one each, none twice: of the recordings, as a scene may have several.
     folder
         Where the pictures go.
     rrd
@@ -86,28 +94,29 @@ def draw(
         return
     try:
         if pictures:
-            _draw_pictures(runs, folder)
+            _draw_pictures(runs, labels, folder)
     except ImportError as error:
         say(f"no pictures: {error}")
     try:
         from capture_sim.viewing import save_rrd
 
-        say(f"for rerun in {save_rrd(runs, folder / 'runs.rrd' if rrd is None else rrd)}")
+        path = folder / "runs.rrd" if rrd is None else rrd
+        say(f"for rerun in {save_rrd(runs, path, labels)}")
     except ImportError as error:
         # an ordinary workstation's ROS bears no rerun: the recording is what counts there
         say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
 
 
-def _draw_pictures(runs: Sequence[ViewableRun], folder: Path) -> None:
+def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
     from capture_sim.viewing import save_figure, save_overview
-    from capture_sim.viewing.source import distinct_names
 
-    names = distinct_names([run.scene.name for run in runs])
-    for run, name in zip(runs, names, strict=True):
-        say(f"picture in {save_figure(run, folder / f'{name}.png')}")
+    for run, label in zip(runs, labels, strict=True):
+        # that name is taken
+        name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
+        say(f"picture in {save_figure(run, folder / name, label)}")
     overview = folder / OVERVIEW
     if len(runs) > 1:
-        say(f"side by side in {save_overview(runs, overview)}")
+        say(f"side by side in {save_overview(runs, overview, labels)}")
     elif overview.is_file():
         overview.unlink()  # it shows other runs than those that lie beside it now
         say(f"removed {overview}: it showed earlier runs")

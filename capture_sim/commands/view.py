@@ -59,9 +59,10 @@ def run(options: argparse.Namespace) -> int:
     if window is not None:
         opened = [_seen_closely(one, window) for one in opened]
     runs = [one.run for one in opened]
-    draw(runs, options.out, options.save, pictures=window is None)
+    labels = [one.label for one in opened]
+    draw(runs, labels, options.out, options.save, pictures=window is None)
     if options.figures:
-        _draw_figures(runs, options.out / "figures", window)
+        _draw_figures(runs, labels, options.out / "figures", window)
     return OK
 
 
@@ -72,7 +73,9 @@ def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
     return dataclasses.replace(one, run=cut_or_resolved(one.run, window))
 
 
-def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) -> None:
+def _draw_figures(
+    runs: list, labels: list[str], folder: Path, window: tuple[float, float] | None
+) -> None:
     from capture_sim.viewing.canvas import save_both
     from capture_sim.viewing.figures import FIGURES, OVER_TIME
     from capture_sim.viewing.resolving import resolved_or_not
@@ -83,7 +86,7 @@ def _draw_figures(runs: list, folder: Path, window: tuple[float, float] | None) 
         runs = [resolved_or_not(run) for run in runs]
     for name, figure in FIGURES.items():
         aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
-        save_both(figure(runs, **aligned), folder / name)
+        save_both(figure(runs, labels=labels, **aligned), folder / name)
     if window is None:
-        save_both(snapshots(runs), folder / "snapshots")
+        save_both(snapshots(runs, labels=labels), folder / "snapshots")
     say(f"figures of the paper in {folder}")

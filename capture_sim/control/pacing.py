@@ -9,6 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.quantities import Range
+
+#: Allowed simulated (or recorded) seconds per second; 0 does not wait at all.
+FACTORS = Range(0.0, 1000.0)
 #: What a run is late by more than this is given up, not caught up with, s (wall).
 MOST_BEHIND = 1.0
 #: Ticks whose lateness is kept; the oldest are overwritten beyond.

@@ -17,6 +17,7 @@ from rclpy.qos import (
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from capture_sim.control.pacing import FACTORS
 from capture_sim.control.playing import Transport
 from capture_sim.control.playing_control import FEATURES, INFO, PlayerControl
 from capture_sim.errors import CaptureSimError
@@ -57,7 +58,11 @@ class PlayerNode(BenchNode):
         if not path:
             raise ParameterError("parameter bag = '': allowed is an .mcap file or a bag's folder")
         rate = self.declare(
-            "rate", 1.0, "recorded seconds per second; 0 as fast as it goes", low=0.0, high=1000.0
+            "rate",
+            1.0,
+            "recorded seconds per second; 0 as fast as it goes",
+            low=FACTORS.low,
+            high=FACTORS.high,
         )
         self._loop = self.declare("loop", False, "play again and again")
         self._offset = self.declare(

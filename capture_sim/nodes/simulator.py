@@ -13,7 +13,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
-from capture_sim.control.pacing import Pacer
+from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation_control import RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.kernels import is_compiled
@@ -90,8 +90,8 @@ class SimulatorNode(BenchNode):
             "pace",
             0.0,
             "real-time factor: simulated seconds per second; 0 as fast as it goes",
-            low=0.0,
-            high=1000.0,
+            low=FACTORS.low,
+            high=FACTORS.high,
             read_only=False,
         )
         state = self.declare(

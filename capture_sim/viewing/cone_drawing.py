@@ -13,11 +13,23 @@ from capture_sim.samples import EventKind
 from capture_sim.scene import Scene
 from capture_sim.viewing import palette
 from capture_sim.viewing.geometry import circle, tip_bound, tip_in_cone, wall
-from capture_sim.viewing.source import ViewableRun, first_touch, in_contact
+from capture_sim.viewing.source import (
+    ViewableRun,
+    contacts,
+    first_touch,
+    in_contact,
+    strongest,
+)
 
 _MM = 1e3
 _WALL_THICKNESS = 0.006  # m, for the eye only
 LETTERS = "abcdefgh"
+_ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
+# of a letter from its dot, points, the best first: above, below, beside, then farther away
+_LETTER_PLACES = (
+    *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
+    *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
+)
 FREE_LINE = (0, (4, 3))  # dashes
 
 
@@ -43,16 +55,15 @@ def key_moments(run: ViewableRun) -> list[Moment]:
         found.append(Moment(time, place, meaning))
 
     touch = first_touch(run)
-    if touch is not None and len(run.touches):
-        strongest = run.touches[int(np.argmax(run.touches["peak_force"]))]
-        peak = f"{strongest['peak_force']:.0f} N"
-        if strongest["start"] == touch.t:
-            add(touch.t, f"first touch, {peak}")
+    if touch is not None:
+        peak_time, peak = strongest(run)
+        first_end = min((end for start, end in contacts(run) if start == touch.t), default=touch.t)
+        if peak > 0.0 and touch.t <= peak_time <= first_end:
+            add(touch.t, f"first touch, {peak:.0f} N")
         else:
             add(touch.t, "first touch")
-            add(float(strongest["peak_time"]), f"strongest, {peak}")
-    elif touch is not None:
-        add(touch.t, "first touch")
+            if peak > 0.0:
+                add(peak_time, f"strongest, {peak:.0f} N")
     latched = next((e for e in run.events if e.kind is EventKind.LATCHED), None)
     if latched is not None:
         add(latched.t, "latched")
@@ -61,7 +72,10 @@ def key_moments(run: ViewableRun) -> list[Moment]:
         add(float(t[nearest]), f"nearest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
         (left, right), (low, high) = frame_bounds(run.scene)
         x, y = places[-1] * _MM
-        if left < x < right and low < y < high:
+        if nearest == len(t) - 1:
+            # as of a run that was broken off: one place, one letter
+            found[-1] = found[-1]._replace(meaning=f"{found[-1].meaning} (end)")
+        elif left < x < right and low < y < high:
             add(float(t[-1]), "end of the run")
     return sorted(found, key=lambda moment: moment.t)
 
@@ -95,7 +109,7 @@ def draw_cone(axes: Axes, scene: Scene, *, coloured: bool = True) -> None:
             label="centre when touching" if side > 0 and not explained else None,
         )
         # where neither legend nor list of moments is
-        share = 0.6 if side > 0 else 0.33
+        share = 0.6 if side > 0 else 0.15
         middle = (1.0 - share) * face[0] + share * face[1] + 1.9 * out
         axes.text(
             middle[0],
@@ -134,6 +148,7 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
     """Draw the tip as a circle at each moment, marked a, b, c..."""
     radius = scene.probe.tip_radius * _MM
     halo = [patheffects.withStroke(linewidth=3, foreground="white")]
+    offsets = _letter_places(scene, moments)
     for i, moment in enumerate(moments):
         x, y = moment.place * _MM
         axes.add_patch(
@@ -146,7 +161,7 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
         axes.annotate(
             LETTERS[i],
             (x, y),
-            xytext=(0, 13 if i % 2 == 0 else -14),  # up and down, so that near ones part
+            xytext=offsets[i],
             textcoords="offset points",
             fontsize=14,
             fontweight="bold",
@@ -155,6 +170,35 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
             path_effects=halo,
             zorder=8,
         )
+
+
+def _letter_places(scene: Scene, moments: list[Moment]) -> list[tuple[float, float]]:
+    """Return where each moment's letter stands, points from its dot, clear of the others."""
+    (left, right), _ = frame_bounds(scene)
+    # before it is laid out, the width of the axes is known about
+    dots = np.array([moment.place for moment in moments]).reshape(-1, 2) * _MM
+    dots *= _ABOUT_WIDTH / (right - left)
+    letters: list[np.ndarray] = []
+    chosen: list[tuple[float, float]] = []
+    for i, dot in enumerate(dots):
+        # up and down in turn, so that near ones part
+        sign = 1 if i % 2 == 0 else -1
+        others = np.delete(dots, i, axis=0)
+
+        def room(
+            place: tuple[float, float], dot: np.ndarray = dot, others: np.ndarray = others
+        ) -> float:
+            """Return how far a letter is from what it must not cover; 1 is enough."""
+            at = dot + place
+            from_letters = [float(np.linalg.norm(at - other)) / 17.0 for other in letters]
+            from_dots = [float(np.linalg.norm(at - other)) / 10.0 for other in others]
+            return min([1.0, *from_letters, *from_dots])
+
+        # max takes the first of those that are equally good
+        place = max([(float(x), float(sign * y)) for x, y in _LETTER_PLACES], key=room)
+        letters.append(dot + place)
+        chosen.append(place)
+    return chosen
 
 
 def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -31,7 +31,6 @@ from capture_sim.viewing.series import (
     draw_line,
     finish_time_axis,
     label_runs,
-    label_zone,
     trace_colour,
 )
 from capture_sim.viewing.source import ViewableRun, normal_force_with_peaks
@@ -42,6 +41,7 @@ Window = tuple[float, float] | None
 _MM = 1e3
 _UM = 1e6
 _WIDTH, _HEIGHT = 8.0, 4.6  # inches
+_MANY = 3  # runs beyond which a legend covers too much of its axes
 
 
 def intrusion(
@@ -184,7 +184,8 @@ def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     axes.set_xlabel("axial stroke, compression is negative  [mm]")
     axes.set_ylabel("force of spring and damper  [N]")
     axes.grid(color=palette.LIGHT, lw=0.6)
-    axes.legend(fontsize=SMALL)
+    # above: inside, the loops are everywhere
+    figure.legend(loc="outside upper center", fontsize=SMALL)
     set_fonts([axes])
     return figure
 
@@ -236,7 +237,7 @@ def _over_time(
     panel(axes, shown, span)
     finish_time_axis(axes, shown, span)
     if contact or len(shown) > 1:
-        label_runs(axes, shown, traces, contact=contact)
+        label_runs(axes, shown, traces, contact=contact, outside=len(shown) > _MANY)
     set_fonts([axes])
     return figure
 
@@ -306,8 +307,8 @@ def _draw_torsion(axes: Axes, shown: Sequence[Shown], window: tuple[float, float
 
 def _draw_distance(axes: Axes, shown: Sequence[Shown], window: tuple[float, float]) -> None:
     for radius in sorted({one.run.scene.detector.radius for one in shown}):
-        axes.axhspan(0.0, radius * _MM, color=palette.GREEN, alpha=0.2, lw=0)
-        label_zone(axes, radius * _MM)
+        name = f"capture zone, {radius * _MM:g} mm"
+        axes.axhspan(0.0, radius * _MM, color=palette.GREEN, alpha=0.2, lw=0, label=name)
     for one in shown:
         draw_line(axes, one, one.run.samples["tip_distance"] * _MM, window)
     axes.set_ylim(bottom=0.0)

@@ -17,6 +17,7 @@ from capture_sim.errors import SceneError
 from capture_sim.messaging.messages import StringPhase
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene import PlanarState, Scene
+from capture_sim.scene_rules import as_name
 from capture_sim.viewing.geometry import tip_in_world, wall
 
 #: Of dtype SAMPLE and not known from measurements.
@@ -223,7 +224,7 @@ def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
 def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
     """Return the scene with the run's name, and its vehicles where they were measured first."""
     q = samples["q"][0]
-    scene = dataclasses.replace(scene, name=name, title=f"Measured; drawn as {scene.name}")
+    scene = dataclasses.replace(scene, name=as_name(name), title=f"Measured; drawn as {scene.name}")
     initial = dataclasses.replace(
         scene.initial,
         chaser=PlanarState(*(float(x) for x in q[:3])),

@@ -22,24 +22,35 @@ from capture_sim.viewing.cone_drawing import (
     key_moments,
     label_path,
 )
-from capture_sim.viewing.series import label_zone
 from capture_sim.viewing.source import (
     ViewableRun,
+    contacts,
     decided_at,
+    distinct_names,
     headline,
+    open_touches,
     start_word,
+    strongest,
     time_window,
     verdict,
 )
 
 _MM = 1e3
 _FONT = 13.5
+_COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
 
 
-def save_figure(run: ViewableRun, path: Path | str) -> Path:
+def save_figure(run: ViewableRun, path: Path | str, label: str | None = None) -> Path:
     """Draw a run and save it, as PNG or whatever the path's ending says.
 
+    Parameters
+    ----------
+    run, path
+        What, and where to.
+    label
+        The run's name; None for its scene's.
+
     Returns
     -------
     Path
@@ -50,12 +61,21 @@ def save_figure(run: ViewableRun, path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return save(draw_run(run), path)
+    return save(draw_run(run, label), path)
 
 
-def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
+def save_overview(
+    runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
+) -> Path:
     """Draw several runs side by side and save them, as PNG or whatever the ending says.
 
+    Parameters
+    ----------
+    runs, path
+        What, and where to.
+    labels
+        Names of the runs, one each; None for their scenes', numbered where they are the same.
+
     Returns
     -------
     Path
@@ -66,13 +86,13 @@ def save_overview(runs: Sequence[ViewableRun], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    return save(draw_overview(runs), path)
+    return save(draw_overview(runs, labels), path)
 
 
-def draw_run(run: ViewableRun) -> Figure:
-    """Return the figure of one run."""
+def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
+    """Return the figure of one run, under its label or its scene's name."""
     figure = new_figure(15.5, 10.0)
-    figure.suptitle(headline(run), fontsize=19, fontweight="bold")
+    figure.suptitle(headline(run, label), fontsize=19, fontweight="bold")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.15])[0]
     bench, cone = left.subplots(2, 1, height_ratios=[1.0, 3.2])
     force, stroke, torsion, distance = right.subplots(
@@ -89,18 +109,22 @@ def draw_run(run: ViewableRun) -> Figure:
     return figure
 
 
-def draw_overview(runs: Sequence[ViewableRun]) -> Figure:
-    """Return the figure of several runs side by side, one column each."""
+def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = None) -> Figure:
+    """Return the figure of several runs side by side, one column each, under their labels."""
+    if labels is None:
+        labels = distinct_names([run.scene.name for run in runs])
+    titles = [headline(run, label, _COLUMN) for run, label in zip(runs, labels, strict=True)]
     figure = new_figure(6.0 * len(runs), 14.0)
     rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
-    for (bench, cone, force, distance), run in zip(rows.T, runs, strict=True):
+    for (bench, cone, force, distance), run, title in zip(rows.T, runs, titles, strict=True):
         seen = draw_bench(bench, run)
-        bench.set_title(headline(run), fontsize=16, fontweight="bold", pad=12)
+        bench.set_title(title, fontsize=16, fontweight="bold", pad=12)
         dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         _draw_trajectory(cone, run)
+        cone.set_title("The tip in the cone", fontsize=_FONT + 1)  # as wide as the column allows
         _draw_force(force, run)
-        _draw_distance(distance, run)
+        _draw_distance(distance, run, "zone:")
         _finish_time_axes(run, force, distance)
         force.tick_params(labelbottom=False)
     _give_common_limits(rows[0])
@@ -155,9 +179,10 @@ def _draw_force(axes: Axes, run: ViewableRun) -> None:
         touches = run.touches[run.touches["wall"] == side]
         when, peak = touches["peak_time"], touches["peak_force"]
         axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
-        label = f"{name}: {len(touches)} touches"
+        count = len(touches) + [wall for _, wall in open_touches(run)].count(side)
+        label = f"{name}: {count} touches"
         axes.plot(when, peak, marker, color=colour, ms=5, label=label)
-    highest = float(run.touches["peak_force"].max(initial=0.0))
+    _, highest = strongest(run)
     axes.set_yscale("log")
     axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
     axes.set_ylabel("normal force\n[N], log scale")
@@ -181,21 +206,24 @@ def _draw_torsion(axes: Axes, run: ViewableRun) -> None:
     axes.set_title(f"Buffer, torsion: up to {np.abs(torsion).max():.2g} deg", fontsize=_FONT + 1)
 
 
-def _draw_distance(axes: Axes, run: ViewableRun) -> None:
+def _draw_distance(axes: Axes, run: ViewableRun, zone: str = "green: capture zone,") -> None:
     distance = run.samples["tip_distance"] * _MM
     radius = run.scene.detector.radius * _MM
     _plot_shown(axes, run, distance)
     axes.axhspan(0.0, radius, color=palette.GREEN, alpha=0.25, lw=0)
     axes.set_ylim(bottom=0.0)
-    label_zone(axes, radius)
     axes.set_ylabel("distance\n[mm]")
-    axes.set_title(f"Tip to the centre of BE: nearest {distance.min():.1f} mm", fontsize=_FONT + 1)
+    # within the axes, the zone's name would lie under the curve or the verdict
+    nearest = f"Tip to BE: nearest {distance.min():.1f} mm"
+    axes.set_title(f"{nearest} ({zone} {radius:g} mm)", fontsize=_FONT + 1)
+    start, end = time_window(run)
     for event in run.events:
-        if event.kind is EventKind.LATCHED:
-            _mark(axes, event.t, "latched", palette.PURPLE, 0.95)
+        if event.kind is EventKind.LATCHED and start <= event.t <= end:
+            _mark(axes, run, event.t, "latched", palette.PURPLE, 0.95)
     decided = decided_at(run)
-    if decided is not None:
-        _mark(axes, decided, verdict(run), palette.BLUE, 0.72)
+    # of a run that is cut, it may lie outside
+    if decided is not None and start <= decided <= end:
+        _mark(axes, run, decided, verdict(run), palette.BLUE, 0.72)
 
 
 def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray) -> None:
@@ -206,26 +234,28 @@ def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray) -> None:
     axes.plot(t[shown], values[shown], color=palette.BLACK, lw=1.7)
 
 
-def _mark(axes: Axes, t: float, text: str, colour: str, height: float) -> None:
-    """Mark an instant; the text stands left of it, where there is always room."""
+def _mark(axes: Axes, run: ViewableRun, t: float, text: str, colour: str, height: float) -> None:
+    """Mark an instant; the text stands left of it, or right where it would leave the axes."""
+    start, end = time_window(run)
+    side = -1 if t - start > 0.3 * (end - start) else 1
     axes.axvline(t, color=colour, lw=2.0)
     axes.annotate(
         text,
         (t, height),
         xycoords=axes.get_xaxis_transform(),
-        xytext=(-7, 0),
+        xytext=(7 * side, 0),
         textcoords="offset points",
-        ha="right",
+        ha="right" if side < 0 else "left",
         va="top",
         fontsize=_FONT,
         fontweight="bold",
         color=colour,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.9, "pad": 1},
     )
 
 
 def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
-    touching = [(touch["start"], touch["end"] - touch["start"]) for touch in run.touches]
+    touching = [(start, end - start) for start, end in contacts(run)]
     for axes in all_axes:
         axes.broken_barh(
             touching,

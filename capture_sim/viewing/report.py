@@ -38,6 +38,8 @@ class ReportedRun:
     ----------
     run
         To be drawn.
+    label
+        Its name, no other's of the report; empty for its scene's.
     source
         Where it comes from, in words.
     summary
@@ -56,6 +58,7 @@ class ReportedRun:
     software: Sequence[str]
     error: ErrorStatement
     problems: Sequence[str] = ()
+    label: str = ""
 
 
 def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
@@ -83,7 +86,7 @@ def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
 
 def report(reported: Sequence[ReportedRun]) -> str:
     """Return the report of runs as one page of HTML."""
-    names = distinct_names([one.run.scene.name for one in reported])
+    names = distinct_names([one.label or one.run.scene.name for one in reported])
     title = f"Docking and capture: {', '.join(names)}"
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -97,7 +100,7 @@ def report(reported: Sequence[ReportedRun]) -> str:
         "<h2>How far to trust the numbers</h2>",
         *(f"<p><b>{escape(n)}</b>: {escape(r.error.text)}</p>" for n, r in _named(reported, names)),
         "<h2>Events</h2>",
-        *(_events(one) for one in reported),
+        *(_events(one, name) for name, one in _named(reported, names)),
         "<h2>Parameters</h2>",
         *_parameters([one.run.scene for one in reported], names),
         "<h2>Versions</h2>",
@@ -206,7 +209,7 @@ def _energy(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]:
     return parts
 
 
-def _events(one: ReportedRun) -> str:
+def _events(one: ReportedRun, name: str) -> str:
     run = one.run
     lines = []
     touches = iter(run.touches)
@@ -218,7 +221,7 @@ def _events(one: ReportedRun) -> str:
                 detail = f"{'+' if event.wall > 0 else '-'}y wall"
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
     decided = decided_at(run)
-    said = f"{headline(run)}."
+    said = f"{headline(run, name)}."
     if decided is not None:
         reason = next((s.reason for s in run.statuses if s.final), "")
         said += f" Decided at {decided:.3f} s: {reason}."

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
-from capture_sim.viewing.source import ViewableRun, decided_at, first_touch
+from capture_sim.viewing.source import ViewableRun, contacts, decided_at, first_touch
 
 SIM_TIME = "sim_time"
 ALIGNED = "since_first_touch"
@@ -37,7 +37,7 @@ def aligned_span(run: ViewableRun) -> Span | None:
     touch, t = first_touch(run), run.samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
-    last = float(run.touches["end"].max(initial=touch.t))
+    last = max((end for _, end in contacts(run)), default=touch.t)
     decided = decided_at(run)
     end = max(last, touch.t if decided is None else decided) + _TRAIL
     return Span(touch.t, end) if t[0] <= end else None

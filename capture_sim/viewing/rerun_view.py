@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.errors import RecordingError
+from capture_sim.scene_rules import as_name
 from capture_sim.viewing import palette
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
@@ -31,15 +32,19 @@ from capture_sim.viewing.source import (
 _MM = 1e3
 
 
-def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
+def save_rrd(
+    runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
+) -> Path:
     """Save runs side by side as one rerun recording.
 
     Parameters
     ----------
     runs
-        At least one; runs of the same name are numbered.
+        At least one.
     path
         File to write; one that exists is replaced.
+    labels
+        Names of the runs, one each; None for their scenes', numbered where they are the same.
 
     Returns
     -------
@@ -52,12 +57,18 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
         The file cannot be written.
     """
     path = Path(path)
-    names = distinct_names([run.scene.name for run in runs])
+    if labels is None:
+        labels = distinct_names([run.scene.name for run in runs])
+    # a file may be called what no path in the viewer can be
+    names = distinct_names([as_name(label) for label in labels])
+    titles = [
+        headline(run, label).replace("\n", " ") for run, label in zip(runs, labels, strict=True)
+    ]
     spans = [aligned_span(run) for run in runs]
     layout = blueprint(
         [run.scene for run in runs],
         names,
-        [headline(run).replace("\n", " ") for run in runs],
+        titles,
         aligned=any(span is not None for span in spans),
         energies=any(np.isfinite(run.samples["kinetic"]).any() for run in runs),
     )
@@ -70,7 +81,7 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
         recording.save(path, default_blueprint=layout)
         for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
             colour = palette.RUNS[i % len(palette.RUNS)]
-            _log_run(RunStream(recording, name, span), run, colour)
+            _log_run(RunStream(recording, name, span), run, titles[i], colour)
         _log_limits(recording, runs)
         recording.flush()
         recording.disconnect()
@@ -79,7 +90,7 @@ def save_rrd(runs: Sequence[ViewableRun], path: Path | str) -> Path:
     return path
 
 
-def _log_run(stream: RunStream, run: ViewableRun, colour: str) -> None:
+def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> None:
     touching = in_contact(run)
     bench = BenchLog(stream, run.scene, colour)
     bench.shapes()
@@ -93,7 +104,7 @@ def _log_run(stream: RunStream, run: ViewableRun, colour: str) -> None:
     plots.states("verdict", *verdicts(run))
     plots.events(run)
     text = run.scene.to_yaml()
-    stream.document(f"{stream.name}/scene", f"# {headline(run)}\n\n```yaml\n{text}\n```\n")
+    stream.document(f"{stream.name}/scene", f"# {title}\n\n```yaml\n{text}\n```\n")
     stream.property(
         title=run.scene.title, verdict=verdict(run), impact_speed=impact_speed(run), scene=text
     )

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 
 from capture_sim.viewing import palette
@@ -23,6 +22,7 @@ from capture_sim.viewing.source import (
     time_window,
 )
 
+_ENTRY = 2.3  # inches, about the width of an entry of a legend
 _FREE = (0, (4.0, 2.2))  # dashes
 
 
@@ -130,7 +130,7 @@ def label_runs(
     contact: bool = True,
     outside: bool = False,
 ) -> None:
-    """Explain colours and dashes in a legend, in the axes or above the whole figure."""
+    """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
     if len(shown) > 1:
         for one in shown:
             axes.plot([], [], color=one.colour, lw=2.6, label=one.label)
@@ -141,30 +141,17 @@ def label_runs(
     for i, trace in enumerate(traces):
         axes.plot([], [], color=trace_colour(i), lw=0, marker="o", ms=5, label=trace.label)
     if outside:
-        handles, names = axes.get_legend_handles_labels()
         figure = axes.get_figure(root=True)
         if figure is not None:
-            figure.legend(
-                handles, names, loc="outside upper center", ncols=len(names), fontsize=SMALL
-            )
+            handles, names = axes.get_legend_handles_labels()
+            for other in figure.axes:
+                if other is not axes:
+                    more = other.get_legend_handles_labels()
+                    handles, names = handles + more[0], names + more[1]
+            columns = min(len(names), int(figure.get_figwidth() // _ENTRY))
+            figure.legend(handles, names, loc="outside upper center", ncols=columns, fontsize=SMALL)
     else:
         axes.legend(fontsize=SMALL, framealpha=0.9, loc="best", handlelength=2.2)
-
-
-def label_zone(axes: Axes, radius: float) -> None:
-    """Name the band of the capture zone, mm, on the right just above it."""
-    axes.text(
-        0.985,
-        radius,
-        f"capture zone, {radius:g} mm",
-        transform=axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        fontsize=SMALL,
-        color=palette.DARK_GREEN,
-        path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
-        zorder=6,
-    )
 
 
 def trace_colour(i: int) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from capture_sim.detection.decisions import CaptureStatus
 from capture_sim.samples import Event, EventKind
 from capture_sim.scene import Scene
+from capture_sim.scene_rules import as_name
 
 
 class ViewableRun(Protocol):
@@ -69,28 +70,72 @@ def start_word(scene: Scene) -> str:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Number names that occur more than once."""
-    counted: dict[str, int] = {}
-    distinct = []
+    """Number names that occur more than once; no number makes one name another's."""
+    taken, distinct = set(names), []
     for name in names:
-        counted[name] = counted.get(name, 0) + 1
-        distinct.append(name if names.count(name) == 1 else f"{name}_{counted[name]}")
+        number = 0
+        chosen = name
+        while names.count(name) > 1 and chosen in taken:
+            number += 1
+            chosen = f"{name}_{number}"
+        taken.add(chosen)
+        distinct.append(chosen)
     return distinct
 
 
+def open_touches(run: ViewableRun) -> list[tuple[float, int]]:
+    """Return start, s, and wall, +1 or -1, of touches that a run broke off in the middle of."""
+    touches, found = run.touches, []
+    for side, bit in ((1, 1), (-1, 2)):
+        if not len(run.samples) or not run.samples["walls"][-1] & bit:
+            continue
+        begun = [e.t for e in run.events if e.kind is EventKind.TOUCH and e.wall == side]
+        ended = touches["end"][touches["wall"] == side]
+        if begun and not np.any(ended >= begun[-1]):
+            found.append((begun[-1], side))
+    return found
+
+
+def contacts(run: ViewableRun) -> list[tuple[float, float]]:
+    """Return start and end of every touch, s; one that was broken off lasts to the last sample."""
+    ended = [(float(touch["start"]), float(touch["end"])) for touch in run.touches]
+    return ended + [(start, float(run.samples["t"][-1])) for start, _ in open_touches(run)]
+
+
+def strongest(run: ViewableRun) -> tuple[float, float]:
+    """Return when the tip was pressed most against a wall, s, and by how much, N; nan and 0.
+
+    The peak of a touch that was broken off is not located: it is that of the samples.
+    """
+    peaks = [(float(touch["peak_time"]), float(touch["peak_force"])) for touch in run.touches]
+    samples = run.samples
+    for start, side in open_touches(run):
+        within = samples[samples["t"] >= start]
+        force = np.nan_to_num(within["normal_force"][:, 0 if side > 0 else 1])
+        if force.size:
+            peaks.append((float(within["t"][np.argmax(force)]), float(force.max())))
+    return max(peaks, key=lambda peak: peak[1], default=(math.nan, 0.0))
+
+
 def time_window(run: ViewableRun) -> tuple[float, float]:
-    """Return from when to when something happens: shortly round contact and verdict, s."""
+    """Return from when to when something happens: shortly round contact and verdict, s.
+
+    What has not been judged to its end, as a run that was broken off, is seen to its end.
+    """
     t = run.samples["t"]
     touch = first_touch(run)
     if touch is None:
         return float(t[0]), float(t[-1])
-    action = [touch.t, *run.touches["end"].tolist()]
+    action = [touch.t, *(end for _, end in contacts(run))]
     action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
     decided = decided_at(run)
     if decided is not None:
         action.append(decided)
-    margin = 0.12 * max(max(action) - touch.t, 0.1)
-    start, end = max(float(t[0]), touch.t - margin), min(float(t[-1]), max(action) + margin)
+    elif run.statuses:
+        action.append(float(t[-1]))
+    # a verdict may even fall before the touch
+    margin = 0.12 * max(max(action) - min(action), 0.1)
+    start, end = max(float(t[0]), min(action) - margin), min(float(t[-1]), max(action) + margin)
     # samples of a window that holds nothing of it
     return (start, end) if start < end else (float(t[0]), float(t[-1]))
 
@@ -114,13 +159,32 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     return t, force[first]
 
 
-def headline(run: ViewableRun) -> str:
-    """Return name, verdict and impact speed in one line, and what was changed in another."""
+def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:
+    """Return name, verdict and impact speed in one line, and what was changed in another.
+
+    Parameters
+    ----------
+    run
+        Of which.
+    label
+        Its name; None for its scene's.  One that does not tell the scene gets it behind it.
+    width
+        Letters in a line: what does not fit goes on in another, or is cut.
+    """
+    scene = run.scene.name
+    name = scene if label is None else label
+    if not as_name(name).startswith(scene) and f"-{scene}" not in name:
+        name += f" ({scene})"
     speed = impact_speed(run)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
+    lines = [f"{name}: {verdict(run)}, {impact}"]
+    if len(lines[0]) > width:
+        # a long name is broken anywhere
+        lines = [*textwrap.wrap(f"{name}:", width), f"{verdict(run)}, {impact}"]
     changed = run.scene.title.partition("; with ")[2]
-    line = f"{run.scene.name}: {verdict(run)}, {impact}"
-    return line + ("\nwith " + textwrap.shorten(changed, 90) if changed else "")
+    if changed:
+        lines.append("with " + textwrap.shorten(changed, width - 5, placeholder=" ..."))
+    return "\n".join(lines)
 
 
 def in_contact(run: ViewableRun) -> np.ndarray:
