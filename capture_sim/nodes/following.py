@@ -70,7 +70,7 @@ OVERTAKING = 1.5
 GRACE = 0.5
 #: Ctrl-C mostly ends all nodes at once: a follower waits this long for the simulator's word on
 #: how the run has ended, s (wall).
-FAREWELL = 1.5
+FAREWELL = 3.0
 
 
 def connections(topic: Topic, consumers: Sequence[str]) -> int:
