@@ -11,7 +11,10 @@ import time
 import pytest
 
 import capture_sim
+from capture_sim import load_scene
 from capture_sim.apart import do_apart
+from capture_sim.nodes.suite import run_suite
+from capture_sim.nodes.uninterrupted import uninterrupted
 from capture_sim.recording import read_run, write_run
 
 
@@ -237,3 +240,38 @@ def test_interrupted_replay_says_so_by_its_status(tmp_path, followers):
         if replay.poll() is None:
             replay.kill()
             replay.wait()
+
+
+def test_interrupt_waits_for_what_must_not_be_torn():
+    released = threading.Event()
+    other = threading.Thread(target=released.wait, daemon=True)  # one that has blocked nothing
+    other.start()
+    done = False
+    try:
+        with pytest.raises(KeyboardInterrupt), uninterrupted():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            done = True
+    finally:
+        released.set()
+    assert done
+    with uninterrupted():
+        pass  # what came before is forgotten
+
+
+def test_interrupt_while_nodes_are_started_leaves_none_behind(tmp_path, monkeypatch):
+    pytest.importorskip("rclpy", reason="needs ROS")
+    started = []
+    start = subprocess.Popen
+
+    def start_and_interrupt(*args, **options):
+        started.append(start(*args, **options))
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start_and_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run_suite([load_scene("tilt_0")], tmp_path)
+    assert len(started) == 4
+    assert all(process.poll() is not None for process in started)

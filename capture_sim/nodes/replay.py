@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from capture_sim.nodes.following import RECORDER
+from capture_sim.nodes.uninterrupted import uninterrupted
 
 #: Followers get this long to end by themselves, and again after SIGINT, s.
 GRACE = 10.0
@@ -56,17 +57,16 @@ def replay(parameters: Mapping[str, Any], out: Path | None = None) -> int:
         path = Path(folder) / "parameters.yaml"
         path.write_text(yaml.safe_dump(content), encoding="utf-8")
         arguments = ["--ros-args", "--params-file", str(path)]
-        # they inherit a blocked SIGINT and open it once they can end in order
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-        followers = [
-            subprocess.Popen(
-                [sys.executable, "-m", f"capture_sim.nodes.{name}", *arguments],
-                process_group=0,  # Ctrl-C reaches them through us alone
-            )
-            for name in names
-        ]
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
+        followers: list[subprocess.Popen[bytes]] = []
         try:
+            with uninterrupted():
+                followers += [
+                    subprocess.Popen(
+                        [sys.executable, "-m", f"capture_sim.nodes.{name}", *arguments],
+                        process_group=0,  # Ctrl-C reaches them through us alone
+                    )
+                    for name in names
+                ]
             from capture_sim.nodes.player import PlayerNode
             from capture_sim.nodes.running import run
 

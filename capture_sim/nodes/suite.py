@@ -23,6 +23,7 @@ import yaml
 
 from capture_sim.messaging.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.nodes.places import Place, claim_place
+from capture_sim.nodes.uninterrupted import uninterrupted
 from capture_sim.scene import Scene
 
 OK, FAILED, REFUSED = 0, 1, 2
@@ -160,17 +161,13 @@ class _Processes:
         self._readers: list[threading.Thread] = []
 
     def __enter__(self) -> _Processes:
-        # The nodes inherit a blocked SIGINT and open it once they can end in order; and they
-        # get a process group each, so that Ctrl-C reaches them through us alone.
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
-            for name in self._names:
-                self._start(name)
+            with uninterrupted():
+                for name in self._names:
+                    self._start(name)
         except BaseException:
             self._end()
             raise
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -213,7 +210,7 @@ class _Processes:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            process_group=0,
+            process_group=0,  # Ctrl-C reaches them through us alone
         )
         self._running[name] = process
         reader = threading.Thread(target=_forward, args=(name, process.stdout), daemon=True)
@@ -231,8 +228,7 @@ class _Processes:
 
     def _end(self) -> None:
         """End what still runs: by SIGINT, and by SIGKILL what does not follow."""
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-        try:
+        with uninterrupted():
             for process in self._running.values():
                 process.send_signal(signal.SIGINT)
             deadline = time.monotonic() + LAST_GRACE
@@ -246,8 +242,6 @@ class _Processes:
             self._running.clear()
             for reader in self._readers:
                 reader.join(1.0)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _forward(name: str, stream: Any) -> None:
