@@ -24,7 +24,8 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
 
 import capture_sim
 from capture_sim.cli import main
@@ -930,3 +931,13 @@ def test_whole_data_section_has_a_checksum(path):
         records = list(StreamReader(file, validate_crcs=True).records)
     (end,) = [record for record in records if isinstance(record, DataEnd)]
     assert end.data_section_crc != 0
+
+
+def test_topic_of_another_type_does_not_tell_how_the_run_ended(tmp_path):
+    with BagWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kind = "std_msgs/msg/Float64"
+        topic = writer.add_connection("/bench/stream_counts", kind, typestore=typestore())
+        data = typestore().serialize_cdr(typestore().types[kind](1.0), kind)
+        writer.write(topic, 10**9, bytes(data))
+    run = read_run(tmp_path / "bag")
+    assert (run.problems, run.cut) == ((), False)

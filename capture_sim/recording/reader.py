@@ -145,9 +145,12 @@ class Run:
     @property
     def _told(self) -> Columns:
         """How the publishers have ended the run; empty where that is not recorded."""
-        if self._contents.types.get(self._resolved(STREAM_COUNTS)) != STREAM_COUNTS.type_name:
-            return {}
-        return self.columns(STREAM_COUNTS)
+        # one of another type is a bag's of others: nothing is told by it
+        recorded = any(
+            topic_named(name) is STREAM_COUNTS and type_name == STREAM_COUNTS.type_name
+            for name, type_name in self._contents.types.items()
+        )
+        return self.columns(STREAM_COUNTS) if recorded else {}
 
     @property
     def metadata(self) -> dict[str, str]:
