@@ -23,13 +23,13 @@ from tqdm import tqdm
 
 from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.design.first_contact import run_first_contact
-from capture_sim.design.flow import Design, Wish, design_buffer, trade_off
-from capture_sim.design.stroke_matching import ACCEPTED, with_buffer
 from capture_sim.errors import RecordingError
 from capture_sim.results import first_cluster
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
+from capture_sim.studies.design import Design, Wish, design_buffer, trade_off
+from capture_sim.studies.first_contact import run_first_contact
+from capture_sim.studies.stroke_matching import ACCEPTED, with_buffer
 from capture_sim.viewing.design_plots import save_design, save_trade_off
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

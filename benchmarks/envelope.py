@@ -26,7 +26,7 @@ import numpy as np
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.commands.envelope import read_axis
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
 from capture_sim.recording.envelope_file import write_envelope
 from capture_sim.studies.envelope import Envelope, Plan, evaluate
 from capture_sim.studies.envelope_runs import CHUNK, map_envelope

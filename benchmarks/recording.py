@@ -26,14 +26,14 @@ import numpy as np
 import yaml
 
 import capture_sim
-from capture_sim.analysis.identification import RELEASE, identify, is_explained
 from capture_sim.benchmarking.machine import clock_rate, describe, load
 from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run
-from capture_sim.messaging.messages import RunDescription
+from capture_sim.messages.convert import RunDescription
 from capture_sim.recording import LiveRecorder, RunWriter, read_run, write_run
 from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.studies.identify import RELEASE, identify, is_explained
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")

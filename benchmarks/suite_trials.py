@@ -299,7 +299,7 @@ class Latency:
     TITLE = "Latency from simulator to detector"
     SENDER = """
         import atexit, struct, time
-        from capture_sim.messaging.topics import BUFFER_STATE, TARGET_ODOMETRY, CAPTURE_STATUS
+        from capture_sim.messages.topics import BUFFER_STATE, TARGET_ODOMETRY, CAPTURE_STATUS
         watched = {{BUFFER_STATE: [], TARGET_ODOMETRY: [], CAPTURE_STATUS: []}}
         send = node.{cls}.send
         def stamp_of(message):

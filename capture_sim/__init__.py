@@ -23,11 +23,11 @@ _EXPORTS = {
     "CaptureSimError": "errors",
     "RecordingError": "errors",
     "Result": "simulation",
-    "Scene": "scene",
+    "Scene": "scene.parts",
     "SceneError": "errors",
     "SimulationError": "errors",
-    "load_scene": "scene_files",
-    "scene_names": "scene_files",
+    "load_scene": "scene.files",
+    "scene_names": "scene.files",
     "simulate": "simulation",
 }
 

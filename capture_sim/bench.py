@@ -11,18 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.apart import do_apart
-from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
-from capture_sim.dynamics.parameters import pack
 from capture_sim.engine import loop, notebook
 from capture_sim.engine.steps import N_WATCHED
 from capture_sim.errors import SimulationError
-from capture_sim.integration.implicit import make_work
-from capture_sim.integration.pairs import PAIRS
-from capture_sim.launching import LaunchPlan, plan_launch
+from capture_sim.interrupts import do_apart
+from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
+from capture_sim.model.parameters import pack
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import Scene
+from capture_sim.solver.pairs import PAIRS
+from capture_sim.solver.radau import make_work
 
 _EVENT_ROOM = 256
 _TRACE_ROOM = 1024
@@ -77,7 +77,7 @@ class Bench:
     scene
         What is on the bench.
     plan
-        How it is launched; None lets :func:`capture_sim.launching.plan_launch` decide.
+        How it is launched; None lets :func:`capture_sim.launch.plan.plan_launch` decide.
     trace
         Keep the contact at the integrator's own resolution, see :attr:`trace`; also where
         ``scene.run.trace`` asks for it.

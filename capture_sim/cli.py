@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from capture_sim import __version__
-from capture_sim.apart import leave_if_busy
 from capture_sim.commands import COMMANDS
 from capture_sim.commands.arguments import BAD_INPUT, FAILED, INTERRUPTED
 from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.interrupts import leave_if_busy
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -19,9 +19,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent
 _SOURCES = sorted(
-    path
-    for folder in ("dynamics", "engine", "integration")
-    for path in (_PACKAGE / folder).glob("*.py")
+    path for folder in ("model", "engine", "solver") for path in (_PACKAGE / folder).glob("*.py")
 ) + [_PACKAGE / name for name in ("kernels.py", "samples.py")]
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capture_sim.samples import Event, EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 #: A cluster of touches ends when none follows for this long, s.
 CLUSTER_GAP = 0.05

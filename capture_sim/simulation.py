@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capture_sim.bench import Bench, Statistics, compile_kernels
-from capture_sim.detection.decisions import (
+from capture_sim.detection.exact import (
     CaptureDetector,
     CaptureState,
     CaptureStatus,
@@ -20,10 +20,10 @@ from capture_sim.detection.decisions import (
 )
 from capture_sim.detection.watching import MotionCaptureWatch
 from capture_sim.errors import SimulationError
-from capture_sim.launching import LaunchPlan
+from capture_sim.launch.plan import LaunchPlan
 from capture_sim.results import summarize
 from capture_sim.samples import ENERGIES, Event, EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 #: Samples per call into the core; large enough to make the call's own cost vanish.
 BLOCK = 4096

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from capture_sim.control.simulation_control import State
-from capture_sim.messaging.topics import BENCH_STATE, CLOCK, RUN_INFO
+from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
 from capture_sim.nodes.simulation_services import definitions
 
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 STEP = 1e-30
 

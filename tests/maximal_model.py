@@ -23,7 +23,7 @@ import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 from scipy.optimize import brentq, minimize, minimize_scalar
 
-from capture_sim.scene import BallSupport, Scene
+from capture_sim.scene.parts import BallSupport, Scene
 
 #: Constraint violations die out at this rate, 1/s (Baumgarte 1972, critically damped).
 BAUMGARTE = 100.0

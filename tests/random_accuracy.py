@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_sim import simulate
 from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result
 
 DEFAULT = 1e-8

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 
 from capture_sim.errors import SceneError
-from capture_sim.launching import travel_to_touch
-from capture_sim.scene import Buffer, Initial, PlanarState, Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.launch.plan import travel_to_touch
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import Buffer, Initial, PlanarState, Scene
 
 #: Way of the tip to the first touch, m.
 RUN_UP = 2e-3

@@ -9,20 +9,20 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
-from capture_sim.analysis.identification import RELEASE, identify, is_explained
-from capture_sim.analysis.touches import (
+from capture_sim.bench import Bench
+from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run, with_parameters
+from capture_sim.cli import main
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.measured import first_contact, first_touches
+from capture_sim.studies.identify import RELEASE, identify, is_explained
+from capture_sim.studies.measured_touches import (
     quiet_before_contact,
     stretches_above,
     touches_in_force,
     touches_told,
 )
-from capture_sim.bench import Bench
-from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run, with_parameters
-from capture_sim.cli import main
-from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.recording import read_run, write_run
-from capture_sim.recording.definitions import typestore
-from capture_sim.recording.measured import first_contact, first_touches
 
 WALL = 1_790_000_000  # s, of a wall clock
 STOOD = 0.35  # s, that the chaser was held after the first pose

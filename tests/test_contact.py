@@ -7,12 +7,12 @@ import pytest
 from scipy.special import gamma
 
 from capture_sim import load_scene, simulate
-from capture_sim.dynamics.contact_laws import (
+from capture_sim.model.contact_laws import (
     HYSTERESIS_FACTOR,
     exact_factor,
     returned_restitution,
 )
-from capture_sim.scene import CONTACT_LAWS
+from capture_sim.scene.parts import CONTACT_LAWS
 
 
 def head_on(e=1.0, law="lankarani_nikravesh", speed=0.1, rtol=1e-10):

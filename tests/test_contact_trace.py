@@ -9,8 +9,8 @@ import pytest
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.errors import SimulationError
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.topics import (
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import (
     BENCH_STATE,
     CONTACT_TRACE,
     RUN_INFO,

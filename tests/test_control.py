@@ -10,8 +10,8 @@ import pytest
 from capture_sim import load_scene, simulate
 from capture_sim.control.pacing import MOST_BEHIND, Pacer
 from capture_sim.control.simulation_control import Code, RunCut, SimulationControl, State
-from capture_sim.messaging.robot_description import moving_transforms, static_transforms, urdf
-from capture_sim.scene_files import load_scene_text
+from capture_sim.messages.urdf import moving_transforms, static_transforms, urdf
+from capture_sim.scene.files import load_scene_text
 
 
 class Clock:

@@ -9,13 +9,13 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.design.energy import energy_of
-from capture_sim.design.first_contact import largest, run_first_contact
-from capture_sim.design.flow import Wish, design_buffer, trade_off
-from capture_sim.design.stroke_matching import match_strokes, with_buffer
 from capture_sim.errors import SceneError
 from capture_sim.results import first_cluster
 from capture_sim.studies.capture_margin import Spread, captures, corners, margin_of
+from capture_sim.studies.design import Wish, design_buffer, trade_off
+from capture_sim.studies.energy import energy_of
+from capture_sim.studies.first_contact import largest, run_first_contact
+from capture_sim.studies.stroke_matching import match_strokes, with_buffer
 
 
 @pytest.fixture(scope="module")

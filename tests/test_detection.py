@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.detection.decisions import CaptureDetector, CaptureState, Observation
+from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
 from capture_sim.simulation import observation
 
 

@@ -23,10 +23,10 @@ from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.cli import main
-from capture_sim.detection.alignment import Source
-from capture_sim.detection.decisions import CaptureState
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.topics import (
+from capture_sim.detection.align import Source
+from capture_sim.detection.exact import CaptureState
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import (
     BUFFER_STATE,
     CAPTURE_CRITERIA,
     CAPTURE_DETECTOR,
@@ -44,7 +44,7 @@ from capture_sim.nodes.suite import run_suite
 from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.judging import judge_recording
-from capture_sim.scene import Detector
+from capture_sim.scene.parts import Detector
 
 SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]
 

@@ -14,7 +14,7 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import read_envelope, write_envelope
 from capture_sim.studies.approach import approach_of, placed

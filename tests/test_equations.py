@@ -12,8 +12,8 @@ from independent_model import (
 )
 
 from capture_sim import Bench, load_scene, simulate
-from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
 from capture_sim.engine import loop
+from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL
 
 
 @pytest.fixture

@@ -11,19 +11,19 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import capture_sim
-from capture_sim.analysis.comparison import gaps, table_of_force
-from capture_sim.analysis.measurements import Measurements, Series, measured_in
-from capture_sim.analysis.resimulation import agreement
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import EPOCH_NS
-from capture_sim.messaging.topics import CAPTURE_STATUS, RECORDED, topic_named
+from capture_sim.messages.convert import EPOCH_NS
+from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED, topic_named
 from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
 from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import first_contact, measurements
+from capture_sim.studies.compare import gaps, table_of_force
+from capture_sim.studies.measurements import Measurements, Series, measured_in
+from capture_sim.studies.resimulate import agreement
 from capture_sim.viewing.comparison import draw_touches, impulse_so_far
 
 TF = "tf2_msgs/msg/TFMessage"

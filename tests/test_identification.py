@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import capture_sim
-from capture_sim.analysis.identification import identify, is_explained, scatter
-from capture_sim.analysis.measurements import Measurements, Series, measured_in
-from capture_sim.analysis.touches import Touches
 from capture_sim.bench import Bench
 from capture_sim.benchmarking.noisy_bench import NAMES, POSE_NOISE, noisy_run
 from capture_sim.errors import SceneError
+from capture_sim.studies.identify import identify, is_explained, scatter
+from capture_sim.studies.measured_touches import Touches
+from capture_sim.studies.measurements import Measurements, Series, measured_in
 
 HERE = "tilt_0"
 

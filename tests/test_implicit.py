@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from capture_sim import Bench, load_scene
-from capture_sim.integration.implicit import A, C, factor_systems, make_implicit, make_work
 from capture_sim.kernels import kernel
+from capture_sim.solver.radau import A, C, factor_systems, make_implicit, make_work
 
 
 @kernel

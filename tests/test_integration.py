@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import RK45, solve_ivp
 
 from capture_sim import Bench, load_scene, simulate
-from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL
 from capture_sim.engine import loop
-from capture_sim.integration.explicit import dense, make_stepper
-from capture_sim.integration.pairs import PAIRS
-from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL
+from capture_sim.solver.pairs import PAIRS
+from capture_sim.solver.roots import cubic_minimum, may_cross
+from capture_sim.solver.runge_kutta import dense, make_stepper
 
 
 @kernel

@@ -12,7 +12,7 @@ import pytest
 
 import capture_sim
 from capture_sim import load_scene
-from capture_sim.apart import do_apart
+from capture_sim.interrupts import do_apart
 from capture_sim.nodes.suite import run_suite
 from capture_sim.nodes.uninterrupted import uninterrupted
 from capture_sim.recording import read_run, write_run

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 from capture_sim import SceneError, load_scene, simulate
-from capture_sim.dynamics.supports import ball_loads, load_factor, rolling_wrench
-from capture_sim.launching import Launcher, LauncherPhase, expected_speed, plan_launch
+from capture_sim.launch.plan import Launcher, LauncherPhase, expected_speed, plan_launch
+from capture_sim.model.supports import ball_loads, load_factor, rolling_wrench
 
 
 def event(result, label):

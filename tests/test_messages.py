@@ -14,9 +14,9 @@ from rosbags.interfaces import Nodetype
 
 import capture_sim
 from capture_sim.errors import CaptureSimError
-from capture_sim.launching import Launcher
-from capture_sim.messaging import topics
-from capture_sim.messaging.messages import (
+from capture_sim.launch.plan import Launcher
+from capture_sim.messages import topics
+from capture_sim.messages.convert import (
     EPOCH_NS,
     ContactInterval,
     LaunchAction,
@@ -25,8 +25,8 @@ from capture_sim.messaging.messages import (
     stamp_ns,
     stamp_seconds,
 )
-from capture_sim.messaging.telemetry import BenchTelemetry, samples_per_message
-from capture_sim.messaging.topics import (
+from capture_sim.messages.telemetry import BenchTelemetry, samples_per_message
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CHASER_ODOMETRY,

@@ -188,7 +188,7 @@ def test_launcher_is_heard_and_delivers(suites):
 def test_dropped_messages_are_named(start_all):
     """The simulator counts a message and does not send it: all who need it must notice."""
     drop = """
-        from capture_sim.messaging.topics import BENCH_STATE, TARGET_ODOMETRY
+        from capture_sim.messages.topics import BENCH_STATE, TARGET_ODOMETRY
         left = {BENCH_STATE: 1234, TARGET_ODOMETRY: 56}
         send = node.SimulatorNode.send
         def leaky(self, topic, message):

@@ -84,7 +84,7 @@ def test_the_three_experiments_end_in_capture(name):
 
 
 def test_experiments_differ_by_the_attitude_alone():
-    from capture_sim.scene import as_mapping
+    from capture_sim.scene.parts import as_mapping
 
     scenes = [as_mapping(load_scene(n)) for n in ("tilt_0", "tilt_p10", "tilt_m10")]
     for scene in scenes:

@@ -30,8 +30,8 @@ from rosbags.rosbag2 import Writer as BagWriter
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.topics import (
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_STATUS,
@@ -58,7 +58,7 @@ from capture_sim.recording.definitions import (
 )
 from capture_sim.recording.offline import PUBLISHERS, run_stream
 from capture_sim.samples import SAMPLE
-from capture_sim.scene_files import load_scene_text
+from capture_sim.scene.files import load_scene_text
 
 NAME = "tilt_m10"
 

@@ -239,7 +239,7 @@ def test_encodings_of_one_topic_stay_apart(tmp_path):
 
 
 def in_order(path):
-    from capture_sim.messaging.topics import topic_named
+    from capture_sim.messages.topics import topic_named
 
     topics = {}
     with path.open("rb") as file:

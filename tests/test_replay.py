@@ -19,7 +19,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 import capture_sim
 from capture_sim.control.playing import Transport
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.topics import RECORDED, topic_named
+from capture_sim.messages.topics import RECORDED, topic_named
 from capture_sim.recording import LiveRecorder, Split, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.playback import Playback, Rewritten

@@ -101,7 +101,7 @@ def test_readings_as_taken_give_the_cases_verdict(runs, case):
 def test_the_first_touch_is_where_b_says():
     import math
 
-    from capture_sim.scene_files import load_scene
+    from capture_sim.scene.files import load_scene
     from capture_sim.simulation import simulate
     from capture_sim.studies.approach import placed
 

@@ -5,8 +5,8 @@ import dataclasses
 import pytest
 
 from capture_sim import SceneError, load_scene, scene_names
-from capture_sim.scene import PlanarState, Vehicle, as_mapping
-from capture_sim.scene_files import load_scene_text
+from capture_sim.scene.files import load_scene_text
+from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 
 # what is wrong, and what the one line must say: field, value, unit, range
 BAD = [

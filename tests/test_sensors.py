@@ -7,12 +7,12 @@ import pytest
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.bench import Bench
-from capture_sim.hardware.sensors import Sensors, low_pass
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.telemetry import BenchTelemetry
-from capture_sim.messaging.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.telemetry import BenchTelemetry
+from capture_sim.messages.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
 from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.offline import PUBLISHERS
+from capture_sim.sensors import Sensors, low_pass
 
 BOTH = ["sensors.motion_capture={}", "sensors.load_cell={}", "sensors.seed=7"]
 QUIET = ["sensors.load_cell={bandwidth: 1e+5}"]
@@ -192,7 +192,7 @@ def test_wrong_values_are_refused_in_a_line(change, words):
 
 
 def test_a_scene_with_sensors_is_written_and_read_back():
-    from capture_sim.scene_files import load_scene_text
+    from capture_sim.scene.files import load_scene_text
 
     scene = load_scene("tilt_0", BOTH)
     assert load_scene_text(scene.to_yaml()) == scene

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from capture_sim.dynamics.trig import hyperbolic_tangent, sine_cosine
 from capture_sim.kernels import kernel
+from capture_sim.model.trig import hyperbolic_tangent, sine_cosine
 
 
 @kernel

@@ -311,7 +311,7 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
         from rclpy.serialization import deserialize_message
         from capture_sim.nodes.running import message_class, qos_of
         from capture_sim.recording import read_run
-        from capture_sim.messaging.topics import CHASER_ODOMETRY, TARGET_ODOMETRY, JOINT_STATES
+        from capture_sim.messages.topics import CHASER_ODOMETRY, TARGET_ODOMETRY, JOINT_STATES
         rclpy.init()
         node = rclpy.create_node("bench")
         run = read_run({str(path)!r})

@@ -18,7 +18,7 @@ from extrapolation import COLUMNS, Real, Reference, table
 from capture_sim import load_scene
 from capture_sim.benchmarking.python_model import PythonModel
 from capture_sim.benchmarking.reference import physics_of
-from capture_sim.scene import FRICTION_LAWS, Scene
+from capture_sim.scene.parts import FRICTION_LAWS, Scene
 
 FOLDER = Path(__file__).resolve().parent
 TIMES = (0.1, 0.35, 1.5)  # s since the release

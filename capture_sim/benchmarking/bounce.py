@@ -10,7 +10,7 @@ import numpy as np
 from capture_sim.bench import Bench
 from capture_sim.benchmarking.own_runs import with_run
 from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 
 class Bounce(NamedTuple):

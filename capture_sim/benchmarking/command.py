@@ -15,7 +15,7 @@ from capture_sim.benchmarking.reference import load_reference
 from capture_sim.benchmarking.results import Results
 from capture_sim.benchmarking.trial import Progress
 from capture_sim.errors import RecordingError
-from capture_sim.scene_files import load_scene
+from capture_sim.scene.files import load_scene
 
 SCENE = "paper_designed"
 _ON_RAIL = "tilt_0"  # a scene with rail and string

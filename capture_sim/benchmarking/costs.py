@@ -15,9 +15,9 @@ from capture_sim.bench import Bench
 from capture_sim.benchmarking.own_runs import with_run
 from capture_sim.benchmarking.problems import into_wall, packed
 from capture_sim.benchmarking.trial import Progress, spread
-from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_TOTAL, rate_of_change
 from capture_sim.kernels import entry_kernel
-from capture_sim.scene import BallSupport, Latch, Scene, Stops, Supports
+from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL, rate_of_change
+from capture_sim.scene.parts import BallSupport, Latch, Scene, Stops, Supports
 
 _LOOP = 20_000  # evaluations in one measurement of an evaluation
 

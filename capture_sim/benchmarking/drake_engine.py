@@ -21,7 +21,7 @@ from capture_sim.benchmarking import bounce
 from capture_sim.benchmarking.outcome import Outcome
 from capture_sim.benchmarking.own_runs import with_run
 from capture_sim.benchmarking.trial import Trial
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 NAME = "Drake"
 MODULE = "pydrake"

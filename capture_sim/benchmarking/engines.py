@@ -20,7 +20,7 @@ from capture_sim.benchmarking import (
 from capture_sim.benchmarking.outcome import Outcome
 from capture_sim.benchmarking.reference import load_reference
 from capture_sim.benchmarking.trial import Progress, Trial
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 #: Each has NAME, MODULE, PACKAGE, REFERENCE, NOTE and ``trials(scene, quick)``.
 ADAPTERS: tuple[ModuleType, ...] = (exudyn_engine, mujoco_engine, drake_engine)

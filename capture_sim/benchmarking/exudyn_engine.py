@@ -18,7 +18,7 @@ import numpy as np
 from capture_sim.benchmarking.outcome import Outcome
 from capture_sim.benchmarking.python_model import PythonModel
 from capture_sim.benchmarking.trial import Trial
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 NAME = "Exudyn"
 MODULE = "exudyn"

@@ -21,7 +21,7 @@ import numpy as np
 from capture_sim.benchmarking import bounce
 from capture_sim.benchmarking.outcome import Outcome
 from capture_sim.benchmarking.trial import Trial
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 NAME = "MuJoCo"
 MODULE = "mujoco"

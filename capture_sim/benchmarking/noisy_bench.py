@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.analysis.measurements import Measurements, Series, measured_in
-from capture_sim.analysis.touches import Touches
 from capture_sim.bench import Bench
-from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.measured_touches import Touches
+from capture_sim.studies.measurements import Measurements, Series, measured_in
 
 #: What is fitted.
 NAMES = ("c_rr", "e", "mu", "c_A")

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.detection.alignment import Aligner, Source
-from capture_sim.detection.decisions import CaptureDetector, CaptureStatus
-from capture_sim.scene import Scene
+from capture_sim.detection.align import Aligner, Source
+from capture_sim.detection.exact import CaptureDetector, CaptureStatus
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result
 
 Measurement = tuple[Source, float, tuple[float, ...]]

@@ -1,7 +1,7 @@
 """The bench's equations in NumPy, as a user of SciPy would write them down.
 
 Vectors and Jacobians straight from the paper's eq. (1) to (9), body by body; it shares no
-code with :mod:`capture_sim.dynamics`.
+code with :mod:`capture_sim.model`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 
 def direction(angle: float) -> np.ndarray:

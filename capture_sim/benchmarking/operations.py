@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from capture_sim.benchmarking.problems import into_wall, packed
-from capture_sim.dynamics import equations
-from capture_sim.scene import Scene
+from capture_sim.model import equations
+from capture_sim.scene.parts import Scene
 
 tally: Counter[str] = Counter()
 

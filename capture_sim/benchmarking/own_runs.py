@@ -12,7 +12,7 @@ from capture_sim.bench import Bench
 from capture_sim.benchmarking.outcome import TOUCHED, Outcome
 from capture_sim.benchmarking.problems import packed
 from capture_sim.errors import SimulationError
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 
 def with_run(scene: Scene, **changes: Any) -> Scene:

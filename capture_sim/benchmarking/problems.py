@@ -8,12 +8,12 @@ import numpy as np
 
 from capture_sim.benchmarking.numpy_model import NumpyModel
 from capture_sim.benchmarking.python_model import PythonModel
-from capture_sim.dynamics.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL, tip_in_cone, wall_gap
-from capture_sim.dynamics.parameters import pack
 from capture_sim.engine import loop
 from capture_sim.kernels import entry_kernel
-from capture_sim.launching import plan_launch
-from capture_sim.scene import Scene
+from capture_sim.launch.plan import plan_launch
+from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL, tip_in_cone, wall_gap
+from capture_sim.model.parameters import pack
+from capture_sim.scene.parts import Scene
 
 
 @entry_kernel

@@ -1,7 +1,7 @@
 """The bench's equations in plain Python numbers, as one tunes them where NumPy is too slow.
 
 Written for the benchmark, from the paper's eq. (1) to (9) and body by body; it shares no code
-with :mod:`capture_sim.dynamics`.  On vectors of two, Python's own numbers are two to three
+with :mod:`capture_sim.model`.  On vectors of two, Python's own numbers are two to three
 times as fast as :mod:`capture_sim.benchmarking.numpy_model`.  The same text runs with
 ``numpy.longdouble``, which is how the references in ``benchmarks/references`` are made.
 """
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 #: Friction laws known here; "clamp" is what Exudyn offers.
 FRICTION_LAWS = ("tanh", "clamp", "none")

@@ -11,7 +11,7 @@ import numpy as np
 
 from capture_sim.benchmarking.outcome import TOUCHED, Outcome
 from capture_sim.errors import SceneError
-from capture_sim.scene import Scene, as_mapping
+from capture_sim.scene.parts import Scene, as_mapping
 
 #: In a checkout; references are not installed.
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "references"

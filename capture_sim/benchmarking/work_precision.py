@@ -23,7 +23,7 @@ from capture_sim.benchmarking.problems import (
 )
 from capture_sim.benchmarking.reference import load_reference
 from capture_sim.benchmarking.trial import Progress, Trial, run_rounds, spread
-from capture_sim.scene import METHODS, Scene
+from capture_sim.scene.parts import METHODS, Scene
 
 #: Right-hand sides that are handed to SciPy, by group.
 PROBLEMS: dict[str, Callable[[Scene], Problem]] = {

@@ -12,7 +12,7 @@ from capture_sim.errors import RecordingError, SceneError
 from capture_sim.folders import why_not_writable
 
 if TYPE_CHECKING:
-    from capture_sim.scene import Scene
+    from capture_sim.scene.parts import Scene
 
 #: Exit statuses
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -93,7 +93,7 @@ def whole(text: str) -> int:
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     from capture_sim.commands.recorded import is_recording
-    from capture_sim.scene_files import load_scene, load_scene_text
+    from capture_sim.scene.files import load_scene, load_scene_text
 
     if not is_recording(source):
         return load_scene(source, overrides)

@@ -12,8 +12,8 @@ from capture_sim.commands.showing import say
 from capture_sim.errors import RecordingError
 
 if TYPE_CHECKING:
-    from capture_sim.analysis.comparison import TouchTable
     from capture_sim.recording.comparing import Comparable
+    from capture_sim.studies.compare import TouchTable
     from capture_sim.viewing.comparison import Drawn
 
 HELP = "hold two recordings against each other, as measured and simulated"
@@ -46,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.analysis.comparison import gaps
     from capture_sim.commands.recorded import open_run
     from capture_sim.recording.comparing import comparable
+    from capture_sim.studies.compare import gaps
 
     prepare_folder(options.out)
     a, b = comparable(open_run(options.a), open_run(options.b))
@@ -103,8 +103,8 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     RecordingError
         The window, or what both hold, has too few samples of every quantity.
     """
-    from capture_sim.analysis.comparison import LEAST, overlap
     from capture_sim.recording.comparing import rate_of
+    from capture_sim.studies.compare import LEAST, overlap
 
     mine, theirs = dict(a.measured().items()), dict(b.measured().items())
     shared = [name for name in mine if name in theirs]

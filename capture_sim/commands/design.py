@@ -12,9 +12,9 @@ from capture_sim.commands.arguments import FAILED, OK, add_overrides, load, prep
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture_sim.design.flow import Design, Trial, Wish
-    from capture_sim.scene import Scene
+    from capture_sim.scene.parts import Scene
     from capture_sim.studies.capture_margin import Spread
+    from capture_sim.studies.design import Design, Trial, Wish
 
 HELP = "find springs and damper for the strokes you want"
 DESCRIPTION = (
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.showing import compile_first, say
-    from capture_sim.design.flow import design_buffer, trade_off
+    from capture_sim.studies.design import design_buffer, trade_off
 
     scene = load(options.scene, options.overrides)
     factors = _factors(options.trade_off)
@@ -91,10 +91,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _wish(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> Wish:
-    from capture_sim.design.first_contact import run_first_contact
-    from capture_sim.design.flow import Wish
-    from capture_sim.design.stroke_matching import with_buffer
     from capture_sim.errors import SceneError
+    from capture_sim.studies.design import Wish
+    from capture_sim.studies.first_contact import run_first_contact
+    from capture_sim.studies.stroke_matching import with_buffer
 
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):

@@ -12,7 +12,7 @@ from capture_sim.commands.showing import say
 from capture_sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from capture_sim.scene import Detector
+    from capture_sim.scene.parts import Detector
 
 # stamps are decimal fractions
 _TICK = 1e-9
@@ -97,7 +97,7 @@ def _limits_changed(overrides: Sequence[str]) -> set[str]:
     SceneError
         Something else is to be changed.
     """
-    from capture_sim.scene import Detector
+    from capture_sim.scene.parts import Detector
 
     allowed = [f.name for f in fields(Detector)]
     changed = set()

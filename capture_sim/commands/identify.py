@@ -64,11 +64,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.analysis.identification import RELEASE, identify, is_explained
-    from capture_sim.analysis.scene_parameters import ALIASES, value_of
     from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.messaging.bench_columns import release_told
+    from capture_sim.messages.bench_columns import release_told
     from capture_sim.recording.measured import first_touches, launch_of, measurements
+    from capture_sim.scene.paths import ALIASES, value_of
+    from capture_sim.studies.identify import RELEASE, identify, is_explained
 
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)

@@ -11,7 +11,7 @@ from capture_sim.errors import SceneError
 
 if TYPE_CHECKING:
     from capture_sim.recording import Run
-    from capture_sim.scene import Scene
+    from capture_sim.scene.parts import Scene
 
 
 def is_recording(source: str) -> bool:
@@ -19,7 +19,7 @@ def is_recording(source: str) -> bool:
 
     A folder that has the name of a known scene is meant when it is written as a path (./tilt_0).
     """
-    from capture_sim.scene_files import scene_names
+    from capture_sim.scene.files import scene_names
 
     if source.endswith(".mcap"):
         return True
@@ -63,7 +63,7 @@ def open_run(path: str, *, several: bool = False, tell: bool = True) -> Run:
 def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
     """Return the recorded scene, or for a bag without one the given one, with changes."""
     from capture_sim.errors import RecordingError
-    from capture_sim.scene_files import load_scene, load_scene_text
+    from capture_sim.scene.files import load_scene, load_scene_text
 
     if given is not None:
         return load_scene(given, overrides)

@@ -29,10 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.analysis.resimulation import agreement
     from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.messaging.messages import software_versions
+    from capture_sim.messages.convert import software_versions
     from capture_sim.simulation import simulate
+    from capture_sim.studies.resimulate import agreement
 
     recorded = open_run(options.recording)
     scene = scene_of(recorded, None, ())

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.quantities import Range
+from capture_sim.scene.quantities import Range
 
 #: Allowed simulated (or recorded) seconds per second; 0 does not wait at all.
 FACTORS = Range(0.0, 1000.0)

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.detection.alignment import Aligner, Source, Values
-from capture_sim.detection.decisions import CaptureDetector, CaptureStatus
-from capture_sim.hardware.sensors import Sensors
-from capture_sim.messaging.messages import stamp_ns, stamp_seconds
-from capture_sim.messaging.topics import (
+from capture_sim.detection.align import Aligner, Source, Values
+from capture_sim.detection.exact import CaptureDetector, CaptureStatus
+from capture_sim.messages.convert import stamp_ns, stamp_seconds
+from capture_sim.messages.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CHASER_POSE,
@@ -23,7 +22,8 @@ from capture_sim.messaging.topics import (
     TARGET_POSE,
     Topic,
 )
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
+from capture_sim.sensors import Sensors
 
 
 def watched(scene: Scene) -> dict[Topic, Source]:
@@ -69,7 +69,7 @@ class Watch:
         return self.measure(source, t, measured(source, message))
 
     def measure(self, source: Source, t: float, values: Values) -> list[CaptureStatus]:
-        """Take in a measurement, see :class:`capture_sim.detection.alignment.Source`."""
+        """Take in a measurement, see :class:`capture_sim.detection.align.Source`."""
         return [self.detector.update(seen) for seen in self.aligner.add(source, t, values)]
 
     def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
@@ -82,7 +82,7 @@ class Watch:
 
 
 def measured(source: Source, message: Any) -> Values:
-    """Return what a message says, see :class:`capture_sim.detection.alignment.Source`."""
+    """Return what a message says, see :class:`capture_sim.detection.align.Source`."""
     if source is Source.BUFFER:
         return (message.axial_stroke, message.torsion, message.axial_rate, message.torsion_rate)
     if not hasattr(message, "twist"):

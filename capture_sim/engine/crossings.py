@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from capture_sim.dynamics.equations import N_STATE
 from capture_sim.engine.distances import distances, stop_distance
-from capture_sim.integration.explicit import dense
-from capture_sim.integration.roots import cubic_minimum
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import N_STATE
+from capture_sim.solver.roots import cubic_minimum
+from capture_sim.solver.runge_kutta import dense
 
 # event functions that a step is searched for
 GAP, DEPTH, LATCH_DISTANCE, STOP_GAP, STOP_DEPTH = range(5)

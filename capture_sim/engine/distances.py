@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.equations import tip_in_cone, wall_gap
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import tip_in_cone, wall_gap
 
 
 @kernel

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.contact_laws import normal_force
-from capture_sim.dynamics.equations import IMPULSE, N_STATE, tip_in_cone, wall_gap
 from capture_sim.engine.steps import make_dense
-from capture_sim.integration.explicit import dense
-from capture_sim.integration.roots import cubic_minimum
 from capture_sim.kernels import kernel
+from capture_sim.model.contact_laws import normal_force
+from capture_sim.model.equations import IMPULSE, N_STATE, tip_in_cone, wall_gap
+from capture_sim.solver.roots import cubic_minimum
+from capture_sim.solver.runge_kutta import dense
 
 
 @kernel

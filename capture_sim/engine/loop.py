@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from capture_sim.dynamics.equations import N_TOTAL, rate_of_change
-from capture_sim.dynamics.observation import observe
 from capture_sim.engine.notebook import END, EVENTS_FULL, NONE, PILE_UP, RAIL, SERVED, STEP
 from capture_sim.engine.rail import close_rail_stretch, plan_rail_stretch, rail_state
 from capture_sim.engine.steps import make_dense
 from capture_sim.engine.stretches import close_step, plan_step
 from capture_sim.engine.touches import end_touch, log_event
-from capture_sim.integration.explicit import dense
 from capture_sim.kernels import entry_kernel
+from capture_sim.model.equations import N_TOTAL, rate_of_change
+from capture_sim.model.observe import observe
+from capture_sim.solver.runge_kutta import dense
 
 _EVENT_ROOM = 8  # events that one stretch may cause
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.equations import ROLLING
-from capture_sim.dynamics.observation import speed_travel
 from capture_sim.engine.notebook import AT_REST, END, LANDED, NO_EVENT, RAIL, RAIL_END
 from capture_sim.engine.touches import log_event
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import ROLLING
+from capture_sim.model.observe import speed_travel
 
 
 @kernel

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from capture_sim.dynamics.equations import N_STATE, ROLLING, accelerate, accelerate_sticking
-from capture_sim.dynamics.observation import kinetic_energy
-from capture_sim.dynamics.supports import fastest_ball, load_factor
-from capture_sim.dynamics.trig import sine_cosine
 from capture_sim.engine.notebook import AT_REST
 from capture_sim.engine.touches import log_event
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import N_STATE, ROLLING, accelerate, accelerate_sticking
+from capture_sim.model.observe import kinetic_energy
+from capture_sim.model.supports import fastest_ball, load_factor
+from capture_sim.model.trig import sine_cosine
 
 _REST_SPEED = 5.0  # of v_eps: see docs/model.md, supports
 # share of the supports' limit below which a slow vehicle is put at rest: at it, the smoothed

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from capture_sim.dynamics.equations import N_STATE, slip_acceleration
-from capture_sim.dynamics.friction import COULOMB
 from capture_sim.engine.crossings import (
     DEPTH,
     GAP,
@@ -26,9 +24,11 @@ from capture_sim.engine.notebook import (
 from capture_sim.engine.rest import is_slow, ratio_of_limit
 from capture_sim.engine.slip import slip_margin
 from capture_sim.engine.steps import make_dense
-from capture_sim.integration.explicit import dense
-from capture_sim.integration.roots import cubic_minimum, may_cross
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import N_STATE, slip_acceleration
+from capture_sim.model.friction import COULOMB
+from capture_sim.solver.roots import cubic_minimum, may_cross
+from capture_sim.solver.runge_kutta import dense
 
 
 @kernel

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from capture_sim.dynamics.equations import NORMAL, RUB, accelerate_sticking, slip_of
 from capture_sim.engine.notebook import SLIP, STICK
 from capture_sim.engine.touches import log_event
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import NORMAL, RUB, accelerate_sticking, slip_of
 
 _SLIP_FLOOR = 1e-10  # of the scene's speed: slip below it is rounding's, without direction
 

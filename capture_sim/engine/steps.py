@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.equations import N_STATE, N_TOTAL, STOP, rate_of_change, stiff_directions
 from capture_sim.engine.distances import way_to_events
 from capture_sim.engine.notebook import (
     NO_EVENT,
@@ -14,10 +13,11 @@ from capture_sim.engine.notebook import (
     STEP_TOO_SMALL,
     TOO_MANY_STEPS,
 )
-from capture_sim.integration.explicit import make_stepper, next_factor
-from capture_sim.integration.implicit import C as STAGE_TIMES
-from capture_sim.integration.implicit import factor_systems, make_implicit
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import N_STATE, N_TOTAL, STOP, rate_of_change, stiff_directions
+from capture_sim.solver.radau import C as STAGE_TIMES
+from capture_sim.solver.radau import factor_systems, make_implicit
+from capture_sim.solver.runge_kutta import make_stepper, next_factor
 
 _HELD_SHARE = 0.6  # of the longest step in contact
 _CONTACT_ANGLE = 5.0  # rad of the contact's oscillation that a step may span

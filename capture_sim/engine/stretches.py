@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.equations import N_TOTAL, rate_of_change
-from capture_sim.dynamics.observation import observe
 from capture_sim.engine.distances import distances, remember_distances, way_to_events
 from capture_sim.engine.force_peak import watch_force
 from capture_sim.engine.notebook import (
@@ -31,8 +29,10 @@ from capture_sim.engine.search import search_step
 from capture_sim.engine.slip import change_slip
 from capture_sim.engine.steps import make_dense, step_length, take_implicit_step, take_step
 from capture_sim.engine.touches import begin_touch, end_touch, latch_tip, log_event
-from capture_sim.integration.explicit import dense
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import N_TOTAL, rate_of_change
+from capture_sim.model.observe import observe
+from capture_sim.solver.runge_kutta import dense
 
 _HELD_BACK = 3  # explicit steps that only the contact kept short, before implicit ones
 _WORTH = 2.0  # explicit steps that an implicit one must span to be worth its cost

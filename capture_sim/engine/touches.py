@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.dynamics.equations import HYSTERESIS, IMPULSE, slip_of, tip_in_cone, wall_gap
-from capture_sim.dynamics.observation import elastic_contact_energy
 from capture_sim.engine.notebook import LATCHED, LIFT_OFF, TOUCH_BEGINS
 from capture_sim.kernels import kernel
+from capture_sim.model.equations import HYSTERESIS, IMPULSE, slip_of, tip_in_cone, wall_gap
+from capture_sim.model.observe import elastic_contact_energy
 
 
 @kernel

@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.apart import do_apart
-from capture_sim.dynamics.equations import MODE, N_SCRATCH
-from capture_sim.dynamics.parameters import pack
-from capture_sim.dynamics.tip_wrench import (
+from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.interrupts import do_apart
+from capture_sim.messages.topics import Rate, Topic
+from capture_sim.model.equations import MODE, N_SCRATCH
+from capture_sim.model.parameters import pack
+from capture_sim.model.tip_wrench import (
     N_LOOP,
     WORK,
     mobility,
@@ -22,9 +24,7 @@ from capture_sim.dynamics.tip_wrench import (
     stored_energy,
     tip_state,
 )
-from capture_sim.errors import CaptureSimError, SceneError
-from capture_sim.messaging.topics import Rate, Topic
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 CONTACT_RIG = "contact_rig"
 LOOP_SIMULATOR = "loop_simulator"

@@ -7,7 +7,7 @@ from typing import Any
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.in_the_loop import TipState, Wrench
-from capture_sim.messaging.messages import CONE_FRAME, TIP_FRAME, Message, Messages, stamp_seconds
+from capture_sim.messages.convert import CONE_FRAME, TIP_FRAME, Message, Messages, stamp_seconds
 
 
 def stamp_of(message: Any) -> float:

@@ -7,18 +7,18 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from capture_sim.detection.alignment import Source, Values
-from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.align import Source, Values
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.watching import Watch
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.telemetry import DetectorTelemetry
-from capture_sim.messaging.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.telemetry import DetectorTelemetry
+from capture_sim.messages.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
 from capture_sim.nodes.decoding import decoder
 from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.running import run
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene, load_scene_text
+from capture_sim.scene.files import load_scene, load_scene_text
+from capture_sim.scene.parts import Scene
 
 #: A source that has fallen behind the others by this much is warned of, s of their stamps;
 #: topics of an unpaced run may be apart by the simulator's window.
@@ -28,7 +28,7 @@ STALE = 2.0
 class CaptureDetectorNode(RunFollower):
     """Sends its judgement of every instant that the poses were measured at.
 
-    What it decides stands in :class:`capture_sim.detection.decisions.CaptureDetector`.
+    What it decides stands in :class:`capture_sim.detection.exact.CaptureDetector`.
     """
 
     # of the run that is on

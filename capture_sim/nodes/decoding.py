@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 from rclpy.serialization import deserialize_message
 
-from capture_sim.detection.alignment import Source, Values
+from capture_sim.detection.align import Source, Values
 from capture_sim.detection.watching import measured, pose_values, twist_values
-from capture_sim.messaging.messages import stamp_seconds
-from capture_sim.messaging.topics import Topic
+from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.topics import Topic
 from capture_sim.nodes.running import message_class
 
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -34,7 +34,7 @@ def decoder(topic: Topic, source: Source) -> Callable[[bytes], tuple[float, Valu
     topic
         Of nav_msgs/Odometry, geometry_msgs/PoseStamped or capture_sim/BufferState.
     source
-        What it measures, see :class:`capture_sim.detection.alignment.Source`.
+        What it measures, see :class:`capture_sim.detection.align.Source`.
     """
     kind = message_class(topic.type_name)
     decode = {

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.errors import SceneError
 from capture_sim.nodes.running import ParameterError
-from capture_sim.scene import Detector, Scene
+from capture_sim.scene.parts import Detector, Scene
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from capture_sim.messaging.topics import CAPTURE_CRITERIA, LAUNCH_COMMAND, STREAM_COUNTS, Topic
+from capture_sim.messages.topics import CAPTURE_CRITERIA, LAUNCH_COMMAND, STREAM_COUNTS, Topic
 from capture_sim.nodes.running import message_class
 
 # these say which run they belong to

@@ -8,7 +8,7 @@ from typing import Any
 
 from capture_sim.control.simulation_control import SimulationControl
 from capture_sim.errors import CaptureSimError
-from capture_sim.messaging.topics import SIMULATOR, topics_of
+from capture_sim.messages.topics import SIMULATOR, topics_of
 from capture_sim.nodes.flow_control import POLL, Followers
 from capture_sim.nodes.following import connections
 from capture_sim.nodes.running import BenchNode

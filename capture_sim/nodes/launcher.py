@@ -9,10 +9,10 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from capture_sim.launching import Launcher, LauncherPhase
-from capture_sim.messaging.messages import LaunchAction, StringPhase, stamp_seconds
-from capture_sim.messaging.telemetry import LauncherTelemetry
-from capture_sim.messaging.topics import (
+from capture_sim.launch.plan import Launcher, LauncherPhase
+from capture_sim.messages.convert import LaunchAction, StringPhase, stamp_seconds
+from capture_sim.messages.telemetry import LauncherTelemetry
+from capture_sim.messages.topics import (
     CHASER_ODOMETRY,
     CONTACT_STATE,
     LAUNCHER,
@@ -23,13 +23,13 @@ from capture_sim.nodes.actuator import KINDS, check_kind, make_actuator
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.receiving import StampMatcher, stamp_ns_of
 from capture_sim.nodes.running import run
-from capture_sim.scene_files import load_scene_text
+from capture_sim.scene.files import load_scene_text
 
 
 class LauncherNode(RunFollower):
     """Sends ARM and RELEASE, and its state with every periodic sample; ABORT if need be.
 
-    What it decides stands in :class:`capture_sim.launching.Launcher`.  ``~/launch`` releases
+    What it decides stands in :class:`capture_sim.launch.plan.Launcher`.  ``~/launch`` releases
     an armed chaser, ``~/abort`` gives a launch up.
     """
 

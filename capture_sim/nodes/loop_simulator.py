@@ -22,7 +22,7 @@ from capture_sim.hardware.in_the_loop import (
 )
 from capture_sim.hardware.loop_messages import LoopMessages, stamp_of, wrench_of
 from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, run
-from capture_sim.scene_files import load_scene
+from capture_sim.scene.files import load_scene
 
 #: The tip's first place is sent this often until it is answered, s (wall).
 KNOCK = 0.02

@@ -21,7 +21,7 @@ from capture_sim.control.pacing import FACTORS
 from capture_sim.control.playing import Transport
 from capture_sim.control.playing_control import FEATURES, INFO, PlayerControl
 from capture_sim.errors import CaptureSimError
-from capture_sim.messaging.topics import (
+from capture_sim.messages.topics import (
     BENCH_STATE,
     CLOCK,
     RUN_INFO,

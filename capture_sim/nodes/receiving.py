@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from capture_sim.detection.alignment import Source, observed
-from capture_sim.detection.decisions import Observation
+from capture_sim.detection.align import Source, observed
+from capture_sim.detection.exact import Observation
 from capture_sim.detection.watching import measured
-from capture_sim.messaging.messages import stamp_seconds
+from capture_sim.messages.convert import stamp_seconds
 
 
 def stamp_ns_of(message: Any) -> int:

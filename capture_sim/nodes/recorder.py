@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from capture_sim.folders import why_not_writable
-from capture_sim.messaging.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
+from capture_sim.messages.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
 from capture_sim.nodes.early import EarlyMessages
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
 from capture_sim.nodes.running import ParameterError, run

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from capture_sim.messaging.robot_description import (
+from capture_sim.messages.urdf import (
     Transform,
     moving_transforms,
     static_transforms,
     urdf,
 )
 from capture_sim.nodes.running import BenchNode, message_class
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

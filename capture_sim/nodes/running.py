@@ -36,10 +36,10 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from capture_sim.apart import leave_if_busy
 from capture_sim.errors import CaptureSimError
-from capture_sim.messaging.messages import Messages
-from capture_sim.messaging.topics import Topic
+from capture_sim.interrupts import leave_if_busy
+from capture_sim.messages.convert import Messages
+from capture_sim.messages.topics import Topic
 from capture_sim.nodes.ending import ended_within
 from capture_sim.nodes.usage import usage_of
 from capture_sim.resources import config_dir

@@ -14,11 +14,11 @@ import numpy as np
 from rclpy.serialization import serialize_message
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.messaging import message_columns as columns_of
-from capture_sim.messaging.message_columns import Columns
-from capture_sim.messaging.messages import Messages, SinceLastMessage
-from capture_sim.messaging.telemetry import PERIODIC, OneByOne
-from capture_sim.messaging.topics import (
+from capture_sim.messages import message_columns as columns_of
+from capture_sim.messages.convert import Messages, SinceLastMessage
+from capture_sim.messages.message_columns import Columns
+from capture_sim.messages.telemetry import PERIODIC, OneByOne
+from capture_sim.messages.topics import (
     BENCH_STATE,
     BUFFER_STATE,
     CHASER_ODOMETRY,
@@ -32,7 +32,7 @@ from capture_sim.messaging.topics import (
     Topic,
 )
 from capture_sim.samples import SAMPLE
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 _NUMBERS = {
     "boolean": "?",
@@ -48,7 +48,7 @@ _ENCAPSULATION = 4
 
 
 class SerialisedBlocks:
-    """Makes what :class:`capture_sim.messaging.telemetry.OneByOne` makes, as bytes.
+    """Makes what :class:`capture_sim.messages.telemetry.OneByOne` makes, as bytes.
 
     Parameters
     ----------

@@ -13,8 +13,8 @@ from capture_sim.bench import Bench
 from capture_sim.control.pacing import Pacer
 from capture_sim.control.simulation_control import RunCut, SimulationControl
 from capture_sim.errors import SimulationError
-from capture_sim.messaging.telemetry import BenchTelemetry, Sent
-from capture_sim.messaging.topics import BENCH_EVENT, BENCH_STATE, Topic
+from capture_sim.messages.telemetry import BenchTelemetry, Sent
+from capture_sim.messages.topics import BENCH_EVENT, BENCH_STATE, Topic
 from capture_sim.nodes.flow_control import samples_between_acks
 
 #: Samples that the core computes at a time stand for no more wall time than this, s.

@@ -21,10 +21,10 @@ from typing import Any, NoReturn
 
 import yaml
 
-from capture_sim.messaging.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.nodes.places import Place, claim_place
 from capture_sim.nodes.uninterrupted import uninterrupted
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 OK, FAILED, REFUSED = 0, 1, 2
 RECORDER = "recorder"

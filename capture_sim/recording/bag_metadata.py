@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import yaml
 
-from capture_sim.messaging.topics import Topic
+from capture_sim.messages.topics import Topic
 
 #: The file that rosbag2 looks for in a bag's folder.
 FILE_NAME = "metadata.yaml"

@@ -17,7 +17,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.topics import Stamp, Topic
+from capture_sim.messages.topics import Stamp, Topic
 
 _HEADER = 4
 _LITTLE_ENDIAN = b"\x00\x01"

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from capture_sim.launching import Launcher
-from capture_sim.messaging import message_columns as columns_of
-from capture_sim.messaging.messages import (
+from capture_sim.launch.plan import Launcher
+from capture_sim.messages import message_columns as columns_of
+from capture_sim.messages.convert import (
     LaunchAction,
     Message,
     RunDescription,
     SinceLastMessage,
     StringPhase,
 )
-from capture_sim.messaging.telemetry import LauncherTelemetry, Sent, samples_per_message
-from capture_sim.messaging.topics import (
+from capture_sim.messages.telemetry import LauncherTelemetry, Sent, samples_per_message
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     BUFFER_STATE,
@@ -55,8 +55,8 @@ from capture_sim.recording.writer import Rows
 from capture_sim.samples import EventKind
 
 if TYPE_CHECKING:
-    from capture_sim.detection.decisions import CaptureStatus
-    from capture_sim.launching import LauncherStatus
+    from capture_sim.detection.exact import CaptureStatus
+    from capture_sim.launch.plan import LauncherStatus
     from capture_sim.simulation import Result
 
 _BY_COLUMNS = {

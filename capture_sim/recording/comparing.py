@@ -11,12 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.analysis.comparison import TouchTable, table_of_force, table_of_touches
-from capture_sim.analysis.measurements import Measurements, Series, measured_in
-from capture_sim.analysis.touches import RESOLVED, touches_told
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.bench_columns import release_of, stamps_of
-from capture_sim.messaging.topics import (
+from capture_sim.messages.bench_columns import release_of, stamps_of
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_STATUS,
@@ -28,6 +25,9 @@ from capture_sim.messaging.topics import (
 from capture_sim.recording.measured import first_contact_told, measured_sources, wrench
 from capture_sim.recording.reader import Run
 from capture_sim.results import first_cluster
+from capture_sim.studies.compare import TouchTable, table_of_force, table_of_touches
+from capture_sim.studies.measured_touches import RESOLVED, touches_told
+from capture_sim.studies.measurements import Measurements, Series, measured_in
 
 #: Name of the tip's distance to BE, beside the fields of Measurements.
 DISTANCE = "distance"

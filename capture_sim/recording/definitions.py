@@ -8,7 +8,7 @@ from pathlib import Path
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from capture_sim.messaging.messages import Messages
+from capture_sim.messages.convert import Messages
 from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.studies.envelope import ROW, Envelope, replay
 from capture_sim.studies.envelope_runs import plan_from_mapping, plan_to_mapping

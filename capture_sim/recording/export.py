@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.topics import CONTACT_TRACE
+from capture_sim.messages.topics import CONTACT_TRACE
 from capture_sim.recording.reader import Run
 from capture_sim.samples import TRACE
 

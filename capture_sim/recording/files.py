@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.topics import RECORDED, Topic
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import RECORDED, Topic
 from capture_sim.recording.bag_metadata import FILE_NAME, bag_metadata, in_folder
 from capture_sim.recording.writer import RunWriter, free_path
 

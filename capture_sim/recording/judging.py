@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.watching import Watch, watched
 from capture_sim.errors import RecordingError
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.reader import Run
-from capture_sim.scene import Detector, Scene
+from capture_sim.scene.parts import Detector, Scene
 
 
 def with_limits(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:

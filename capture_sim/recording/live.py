@@ -12,8 +12,8 @@ from typing import Any, Self
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import RunDescription
-from capture_sim.messaging.topics import BENCH_STATE, RECORDED, RUN_INFO, STREAM_COUNTS, Topic
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import BENCH_STATE, RECORDED, RUN_INFO, STREAM_COUNTS, Topic
 from capture_sim.recording.cdr import PaddingCleaner, sequence_of
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.files import RecordingFiles, Split

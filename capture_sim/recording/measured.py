@@ -10,18 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.analysis.measurements import Measurements, Series
-from capture_sim.analysis.touches import (
-    Touches,
-    quiet_before_contact,
-    stretches_above,
-    touches_in_force,
-    touches_told,
-)
-from capture_sim.launching import LaunchPlan, plan_launch
-from capture_sim.messaging.bench_columns import headings_of, release_of, stamps_of
-from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messaging.topics import (
+from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.messages.bench_columns import headings_of, release_of, stamps_of
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BUFFER_STATE,
     CHASER_ODOMETRY,
@@ -37,7 +29,15 @@ from capture_sim.messaging.topics import (
 )
 from capture_sim.recording.reader import Columns, Run
 from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.measured_touches import (
+    Touches,
+    quiet_before_contact,
+    stretches_above,
+    touches_in_force,
+    touches_told,
+)
+from capture_sim.studies.measurements import Measurements, Series
 
 
 def measurements(run: Run, released: float | None = None) -> Measurements:
@@ -51,7 +51,7 @@ def measurements(run: Run, released: float | None = None) -> Measurements:
         The recording.
     released
         When, s after the first pose; None where the recording tells, see
-        :func:`capture_sim.messaging.bench_columns.release_of`.
+        :func:`capture_sim.messages.bench_columns.release_of`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
     """Return every series that tells of a quantity, by the quantity's name and the topic's.
 
     What motion capture saw comes before what an odometry made of it.  The names are those of
-    :class:`~capture_sim.analysis.measurements.Measurements`; what was not measured is absent.
+    :class:`~capture_sim.studies.measurements.Measurements`; what was not measured is absent.
 
     Parameters
     ----------

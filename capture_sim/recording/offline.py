@@ -12,22 +12,22 @@ from uuid import uuid4
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.launching import Launcher
-from capture_sim.messaging.messages import (
+from capture_sim.launch.plan import Launcher
+from capture_sim.messages.convert import (
     LaunchAction,
     RunDescription,
     StringPhase,
     speed_along,
     string_phase,
 )
-from capture_sim.messaging.telemetry import (
+from capture_sim.messages.telemetry import (
     BenchTelemetry,
     DetectorTelemetry,
     LauncherTelemetry,
     Sent,
     samples_per_message,
 )
-from capture_sim.messaging.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.recording.column_stream import ColumnStream
 from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.writer import RunWriter, free_path

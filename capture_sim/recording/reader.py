@@ -12,10 +12,10 @@ import numpy as np
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from capture_sim.detection.decisions import CaptureState, CaptureStatus
+from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import RunDescription, stamp_seconds
-from capture_sim.messaging.topics import (
+from capture_sim.messages.convert import RunDescription, stamp_seconds
+from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_CRITERIA,
@@ -39,11 +39,11 @@ from capture_sim.recording.writer import (
     describing,
 )
 from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
-from capture_sim.scene import Detector
-from capture_sim.scene_files import load_scene_text
+from capture_sim.scene.files import load_scene_text
+from capture_sim.scene.parts import Detector
 
 if TYPE_CHECKING:
-    from capture_sim.scene import Scene
+    from capture_sim.scene.parts import Scene
 
 Columns = Mapping[str, np.ndarray]
 

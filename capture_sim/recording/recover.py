@@ -14,8 +14,8 @@ from mcap.records import Channel
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import EPOCH_NS, LaunchAction, RunDescription
-from capture_sim.messaging.topics import BENCH_STATE, LAUNCH_COMMAND, RUN_INFO, topic_named
+from capture_sim.messages.convert import EPOCH_NS, LaunchAction, RunDescription
+from capture_sim.messages.topics import BENCH_STATE, LAUNCH_COMMAND, RUN_INFO, topic_named
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
 from capture_sim.recording.cdr import stamp_of
 from capture_sim.recording.container import Container

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from capture_sim.messaging.topics import Topic, topic_named
+from capture_sim.messages.topics import Topic, topic_named
 
 
 @dataclass

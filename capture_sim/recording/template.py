@@ -8,7 +8,7 @@ import numpy as np
 from rosbags.typesys.store import Typestore
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import Message
+from capture_sim.messages.convert import Message
 from capture_sim.recording.cdr import message_layout
 
 

@@ -11,8 +11,8 @@ from typing import IO, NamedTuple, Self
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.messages import EPOCH_NS, Message, RunDescription
-from capture_sim.messaging.topics import RECORDED, Topic
+from capture_sim.messages.convert import EPOCH_NS, Message, RunDescription
+from capture_sim.messages.topics import RECORDED, Topic
 from capture_sim.recording.bag_metadata import (
     FileEntry,
     TopicEntry,

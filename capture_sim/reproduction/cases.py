@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from capture_sim.launching import travel_to_touch
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.launch.plan import travel_to_touch
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result, simulate
 
 #: The scenes that come with the package, in the paper's order.

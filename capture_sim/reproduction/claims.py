@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from capture_sim.design.flow import Design
 from capture_sim.reproduction.cases import DOCKING
 from capture_sim.reproduction.readings import Scan, Together
 from capture_sim.reproduction.second_engine import Comparison
 from capture_sim.results import first_cluster
 from capture_sim.simulation import Result
+from capture_sim.studies.design import Design
 
 #: Of the paper, s (Figure 7).
 FIRST_CONTACT = 0.2734

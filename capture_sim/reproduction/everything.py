@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from capture_sim.design.first_contact import run_first_contact
-from capture_sim.design.flow import Wish, design_buffer
 from capture_sim.errors import SceneError
 from capture_sim.reproduction import claims, drawing, second_engine
 from capture_sim.reproduction.cases import run_cases
 from capture_sim.reproduction.page import Reproduction
 from capture_sim.reproduction.readings import CASES, Scan, scan_readings, vary_together
-from capture_sim.scene_files import load_scene
+from capture_sim.scene.files import load_scene
 from capture_sim.simulation import simulate
+from capture_sim.studies.design import Wish, design_buffer
 from capture_sim.studies.executors import Executor
+from capture_sim.studies.first_contact import run_first_contact
 
 #: Restitutions at which the undamped first contact is timed.
 RESTITUTIONS = (0.2, 0.4, 0.5)

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from capture_sim.detection.decisions import CaptureState
-from capture_sim.scene import CONTACT_LAWS, Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.detection.exact import CaptureState
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.studies.approach import placed
 from capture_sim.studies.executors import Executor, ordered
 from capture_sim.studies.verdict import run_to_verdict

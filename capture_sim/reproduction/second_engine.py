@@ -14,8 +14,8 @@ import numpy as np
 
 from capture_sim.benchmarking import exudyn_engine
 from capture_sim.results import first_cluster
-from capture_sim.scene import Scene
-from capture_sim.scene_files import load_scene
+from capture_sim.scene.files import load_scene
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result, simulate
 
 SCENE = "paper_designed"

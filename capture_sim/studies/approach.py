@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 from capture_sim.errors import SceneError
-from capture_sim.launching import plan_launch, rolling_force, travel_to_touch
-from capture_sim.scene import Initial, PlanarState, Scene
+from capture_sim.launch.plan import plan_launch, rolling_force, travel_to_touch
+from capture_sim.scene.parts import Initial, PlanarState, Scene
 
 
 def placed(

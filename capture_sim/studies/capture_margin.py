@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 from capture_sim.errors import SceneError
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.verdict import run_to_verdict
 

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import SceneError
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
 from capture_sim.studies.verdict import run_to_verdict
 

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.design.first_contact import run_first_contact
 from capture_sim.errors import MissingPackageError, SceneError
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.executors import Executor, ordered
+from capture_sim.studies.first_contact import run_first_contact
 from capture_sim.studies.verdict import run_to_verdict
 
 #: What is looked at: name, unit.  Force, strokes and duration are of the first contact, nearest

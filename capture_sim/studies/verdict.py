@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_sim.bench import Bench
-from capture_sim.detection.decisions import CaptureDetector, CaptureState, Observation
+from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
 from capture_sim.errors import SimulationError
 from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 
 #: Measurements of the detector per call into the engine: a tenth of a second at 100 Hz.
 _BLOCK = 10

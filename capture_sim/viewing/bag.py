@@ -11,11 +11,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from capture_sim.detection.decisions import CaptureDetector, CaptureStatus, Observation
+from capture_sim.detection.exact import CaptureDetector, CaptureStatus, Observation
 from capture_sim.errors import RecordingError
-from capture_sim.messaging.bench_columns import Columns, headings_of, release_of, stamps_of
-from capture_sim.messaging.messages import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messaging.topics import (
+from capture_sim.messages.bench_columns import Columns, headings_of, release_of, stamps_of
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
+from capture_sim.messages.topics import (
     BUFFER_STATE,
     CAPTURE_STATUS,
     CHASER_ODOMETRY,
@@ -26,7 +26,7 @@ from capture_sim.messaging.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing.measured import AlignedMeasurements, MeasuredRun, measured_run
 
 
@@ -57,7 +57,7 @@ def run_from_bag(bag: Bag, scene: Scene, released: float | None = None) -> Measu
         judgements, the detector judges now.
     released
         When, s after the first pose; None where the bag tells, see
-        :func:`capture_sim.messaging.bench_columns.release_of`.
+        :func:`capture_sim.messages.bench_columns.release_of`.
 
     Raises
     ------

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
-from capture_sim.scene import BallSupport, Scene
+from capture_sim.scene.parts import BallSupport, Scene
 from capture_sim.viewing import palette
 from capture_sim.viewing.canvas import SMALL
 from capture_sim.viewing.geometry import (

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture_sim.scene import Cone, Scene
+from capture_sim.scene.parts import Cone, Scene
 
 BODY_TOP = -0.03
 BODY_HEIGHT = 0.06

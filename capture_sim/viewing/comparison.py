@@ -10,14 +10,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from capture_sim.analysis.measurements import Measurements
 from capture_sim.errors import RecordingError
+from capture_sim.studies.measurements import Measurements
 from capture_sim.viewing import palette
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from capture_sim.analysis.comparison import TouchTable
+    from capture_sim.studies.compare import TouchTable
 
 _COLOURS = (palette.BLUE, palette.VERMILION)
 _STYLES = ("-", "--")

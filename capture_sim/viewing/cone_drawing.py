@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
 from capture_sim.samples import EventKind
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing import palette
 from capture_sim.viewing.geometry import circle, tip_bound, tip_in_cone, wall
 from capture_sim.viewing.source import (

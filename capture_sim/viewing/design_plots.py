@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from capture_sim.design.flow import Design
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
+from capture_sim.studies.design import Design
 from capture_sim.viewing import palette
 from capture_sim.viewing.canvas import new_figure, save, set_fonts
 

@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from capture_sim.detection.decisions import CaptureState
+from capture_sim.detection.exact import CaptureState
 from capture_sim.studies.approach import approach_of
 from capture_sim.studies.envelope import Cell, Envelope
 from capture_sim.viewing import palette

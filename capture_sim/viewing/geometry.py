@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.scene import Cone, Scene
+from capture_sim.scene.parts import Cone, Scene
 
 #: Where the parts of q and v stand, see samples.COORDINATES.
 CHASER = (0, 1, 2)

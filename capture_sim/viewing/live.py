@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.samples import Phase
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing import palette
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint

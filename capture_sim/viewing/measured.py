@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import trapezoid
 
-from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError
-from capture_sim.messaging.messages import StringPhase
+from capture_sim.messages.convert import StringPhase
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
-from capture_sim.scene import PlanarState, Scene
-from capture_sim.scene_rules import as_name
+from capture_sim.scene.parts import PlanarState, Scene
+from capture_sim.scene.rules import as_name
 from capture_sim.viewing.geometry import tip_in_world, wall
 
 #: Of dtype SAMPLE and not known from measurements.

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from capture_sim.errors import RecordingError
 from capture_sim.results import LEGEND, heads, rows
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing import figures
 from capture_sim.viewing.energy_drawing import energy, has_ledger
 from capture_sim.viewing.report_parts import (

@@ -12,7 +12,7 @@ import numpy as np
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.results import first_cluster
 from capture_sim.samples import ENERGIES
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing.source import ViewableRun
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing import bench_model, palette
 from capture_sim.viewing.geometry import (
     CHASER,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing.geometry import wall
 from capture_sim.viewing.rerun_plots import PLOTS
 from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME

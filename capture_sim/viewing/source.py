@@ -9,10 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
-from capture_sim.detection.decisions import CaptureStatus
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.samples import Event, EventKind
-from capture_sim.scene import Scene
-from capture_sim.scene_rules import as_name
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.rules import as_name
 
 
 class ViewableRun(Protocol):

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from capture_sim.dynamics.contact_laws import HYSTERESIS_FACTOR
-from capture_sim.scene import Scene
+from capture_sim.model.contact_laws import HYSTERESIS_FACTOR
+from capture_sim.scene.parts import Scene
 
 
 class Row:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim import SimulationError, load_scene, simulate
-from capture_sim.scene import Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result
 
 ADAPTIVE = ("dop853", "dopri5")

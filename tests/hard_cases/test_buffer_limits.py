@@ -7,7 +7,7 @@ from row_model import Row
 from set_ups import METHODS, altered, anvil, in_a_row, residual, run
 
 from capture_sim import SimulationError, load_scene, simulate
-from capture_sim.scene import Stops
+from capture_sim.scene.parts import Stops
 
 GAP = 1e-4
 

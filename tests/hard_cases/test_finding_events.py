@@ -18,7 +18,7 @@ from set_ups import (
 )
 
 from capture_sim import Bench, load_scene, simulate
-from capture_sim.scene import Latch, Stops
+from capture_sim.scene.parts import Latch, Stops
 
 
 def flying_by(overlap, ahead, changes, base="paper_designed"):

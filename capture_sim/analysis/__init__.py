@@ -1,1 +1,0 @@
-"""Recorded runs examined again: measured, compared, resimulated, identified."""

@@ -1,0 +1,1 @@
+"""How the chaser is launched: the plan, and the watch that releases it."""

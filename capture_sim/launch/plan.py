@@ -1,0 +1,328 @@
+"""Decisions of the launcher: which mass at which height, and what to watch for.
+
+While the mass sinks, chaser, mass and pulley are one freedom (``physics`` of the paper's
+section 6):
+
+    a = (m_h g - F_roll) / (m + m_h + I_p / r_p^2)
+
+then the chaser coasts against its rolling resistance, a_c = F_roll / m, to the first
+touch, a distance D from where it was released.  Energy over both parts gives
+
+    v_impact^2 = 2 a H - 2 a_c (D - H)
+
+which is solved for the drop height H or, through a, for the mass.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+from capture_sim.errors import SceneError
+from capture_sim.model.geometry import travel_to_wall
+from capture_sim.scene.parts import Scene
+
+#: A first touch may always be late by this much, s.
+GRACE = 0.5
+
+
+@dataclass(frozen=True)
+class LaunchPlan:
+    """How the chaser is launched; SI units.
+
+    Attributes
+    ----------
+    hanging_mass, drop_height
+        kg and m; zero in a scene without string.
+    impact_speed
+        Expected speed of the chaser at the first touch, m/s.
+    landing_speed, landing_time
+        When the mass lands, m/s and s after the release.
+    contact_time
+        Expected first touch, s after the release; ``inf`` if there is none.
+    travel
+        Of the chaser from the release to the first touch, m; ``inf`` if there is none.
+    """
+
+    hanging_mass: float
+    drop_height: float
+    impact_speed: float
+    landing_speed: float
+    landing_time: float
+    contact_time: float
+    travel: float
+
+
+def travel_to_touch(scene: Scene) -> float:
+    """Return the chaser's travel to the first touch of a resting target, m.
+
+    The chaser moves straight along its heading with the buffer at rest; ``inf`` if the
+    tip passes the cone by.
+    """
+    q = [float(value) for value in scene.initial_coordinates()[0]]
+    heading = q[2]
+    reach = scene.buffer.a + scene.rest_length
+    dx = q[0] + reach * math.cos(heading) - q[5]
+    dy = q[1] + reach * math.sin(heading) - q[6]
+    c, s = math.cos(q[7]), math.sin(q[7])
+    px, py = c * dx + s * dy, c * dy - s * dx
+    ux = c * math.cos(heading) + s * math.sin(heading)
+    uy = c * math.sin(heading) - s * math.cos(heading)
+    cone = scene.cone
+    return min(
+        travel_to_wall(
+            -(px + cone.L_T),
+            side * py,
+            -ux,
+            side * uy,
+            scene.probe.tip_radius,
+            cone.R_c,
+            cone.L_c,
+            cone.beta,
+        )
+        for side in (1.0, -1.0)
+    )
+
+
+def rolling_force(scene: Scene) -> float:
+    """Return the chaser's rolling resistance in straight motion, N."""
+    if scene.supports is None:
+        return 0.0
+    return scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
+
+
+def _unlaunched(scene: Scene) -> LaunchPlan:
+    """Return the plan of a scene without string: the chaser has its speed already."""
+    i = scene.initial.chaser
+    speed = math.hypot(i.vx, i.vy)
+    travel = travel_to_touch(scene)
+    slow = 2.0 * rolling_force(scene) / scene.chaser_total_mass * travel
+    arrives = speed > 0.0 and math.isfinite(travel) and speed**2 > slow
+    impact = math.sqrt(speed**2 - slow) if arrives else 0.0
+    contact = 2.0 * travel / (speed + impact) if arrives else math.inf
+    return LaunchPlan(0.0, 0.0, impact, speed, 0.0, contact, travel)
+
+
+def plan_launch(scene: Scene) -> LaunchPlan:
+    """Choose hanging mass or drop height for the wanted impact speed, in closed form.
+
+    Of ``string.impact_speed``, ``string.hanging_mass`` and ``string.drop_height`` two are
+    given; the third follows.
+
+    Raises
+    ------
+    SceneError
+        If no mass or height gives the wanted speed; it says which bound is met.
+    """
+    if scene.string is None:
+        return _unlaunched(scene)
+    string, g = scene.string, scene.gravity
+    m = scene.chaser_total_mass
+    friction = rolling_force(scene)
+    pulley = string.pulley_inertia / string.pulley_radius**2
+    travel = travel_to_touch(scene)
+    if not math.isfinite(travel):
+        raise SceneError(
+            "string.impact_speed: the chaser's straight path passes the cone by, "
+            "so there is no impact to launch for"
+        )
+    coast = friction / m
+    v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height
+    if height is None:
+        assert v is not None
+        assert mass is not None
+        a = (mass * g - friction) / (m + mass + pulley)
+        if a <= 0.0:
+            raise SceneError(
+                f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
+                "the mass that overcomes rolling resistance"
+            )
+        height = (v * v + 2.0 * coast * travel) / (2.0 * (a + coast))
+    if mass is None:
+        assert v is not None
+        # height is at most the travel, so a > 0 whenever v > 0
+        a = (v * v + 2.0 * coast * (travel - height)) / (2.0 * height)
+        if a >= g:
+            raise SceneError(
+                f"string.drop_height = {height!r} m: allowed is > "
+                f"{(v * v + 2.0 * coast * travel) / (2.0 * (g + coast)):.6g}, "
+                f"the least that gives {v!r} m/s in free fall"
+            )
+        mass = (a * (m + pulley) + friction) / (g - a)
+    a = (mass * g - friction) / (m + mass + pulley)
+    if a <= 0.0:
+        raise SceneError(
+            f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
+            "the mass that overcomes rolling resistance"
+        )
+    assert scene.rail is not None
+    if height > scene.rail.length:
+        raise SceneError(
+            f"string.drop_height = {height:.6g} m: allowed is <= {scene.rail.length:g}, "
+            "the length of the rail: the mass must land before the rail ends"
+        )
+    landing = math.sqrt(2.0 * a * height)
+    left = landing * landing - 2.0 * coast * (travel - height)
+    impact = math.sqrt(left) if left > 0.0 else 0.0
+    landing_time = 2.0 * height / landing
+    contact = math.inf
+    if impact > 0.0:
+        contact = landing_time + 2.0 * (travel - height) / (landing + impact)
+    return LaunchPlan(mass, height, impact, landing, landing_time, contact, travel)
+
+
+def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
+    """Return the chaser's speed that belongs to its travel before the first touch, m/s.
+
+    By energy, so it needs no clock: ``v^2 = v_L^2 x / H`` while the mass sinks, then
+    ``v_L^2 - 2 a_c (x - H)``.
+
+    Parameters
+    ----------
+    scene
+        What is launched.
+    plan
+        How.
+    travel
+        From where the chaser was released, m.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if travel < height:
+        return landing * math.sqrt(max(travel, 0.0) / height)
+    left = landing**2 - 2.0 * rolling_force(scene) / scene.chaser_total_mass * (travel - height)
+    return math.sqrt(max(left, 0.0))
+
+
+class LauncherPhase(IntEnum):
+    """State of the launcher, as in msg/LauncherState.msg."""
+
+    IDLE = 0
+    ARMED = 1
+    RELEASED = 2
+    LANDED = 3
+    DELIVERED = 4
+    ABORTED = 5
+
+
+@dataclass(frozen=True)
+class LauncherStatus:
+    """What the launcher knows; fields as in msg/LauncherState.msg."""
+
+    state: LauncherPhase
+    hanging_mass: float
+    drop_height: float
+    wanted_speed: float
+    landing_speed: float
+    measured_speed: float
+    reason: str = ""
+
+
+class Launcher:
+    """Follows one launch from arming to the first contact.
+
+    Parameters
+    ----------
+    scene
+        With or without a string; without one the chaser is only let go.
+
+    Attributes
+    ----------
+    tolerance : float
+        The chaser's speed may differ from the expected one by this share of the wanted impact
+        speed, and the first touch may come later by this share of its time and
+        :data:`GRACE`; else the launch is aborted.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float = 0.2) -> None:
+        self.plan = plan_launch(scene)
+        self.tolerance = tolerance
+        self._scene = scene
+        self._state = LauncherPhase.ARMED
+        self._speed = 0.0
+        self._reason = ""
+
+    @property
+    def status(self) -> LauncherStatus:
+        """The present status."""
+        p = self.plan
+        return LauncherStatus(
+            self._state,
+            p.hanging_mass,
+            p.drop_height,
+            p.impact_speed,
+            p.landing_speed,
+            self._speed,
+            self._reason,
+        )
+
+    def release(self) -> LauncherStatus:
+        """Note that the release has been sent."""
+        if self._state is LauncherPhase.ARMED:
+            self._state = LauncherPhase.RELEASED
+        return self.status
+
+    def abort(self, reason: str) -> LauncherStatus:
+        """Give the launch up, for ``reason``; one that is over stays as it is."""
+        if self._state not in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
+            self._state, self._reason = LauncherPhase.ABORTED, reason
+        return self.status
+
+    def travelled(self, x: float, y: float) -> float:
+        """Return how far the chaser at (x, y), m, has come along its launch direction, m."""
+        start = self._scene.initial.chaser
+        return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
+
+    def observe(
+        self,
+        chaser_speed: float,
+        string_slack: bool,
+        touched: bool,
+        *,
+        t: float | None = None,
+        travel: float | None = None,
+    ) -> LauncherStatus:
+        """Take in a measurement; abort if the launch does not go as planned.
+
+        Parameters
+        ----------
+        chaser_speed
+            Along the rail, m/s.
+        string_slack
+            The mass has landed (or there is no string).
+        touched
+            The tip has met the cone since the release.
+        t
+            Since the release, s; without it no delay is noticed.
+        travel
+            Of the chaser since then, m; without it the speed is not judged.
+        """
+        if self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED):
+            if touched:
+                # the speed before the touch is the impact speed: keep the last one
+                self._state = LauncherPhase.DELIVERED
+            else:
+                self._speed = chaser_speed
+                if string_slack:
+                    self._state = LauncherPhase.LANDED
+                self._watch(t, travel)
+        return self.status
+
+    def _watch(self, t: float | None, travel: float | None) -> None:
+        plan = self.plan
+        if not (math.isfinite(plan.contact_time) and plan.impact_speed > 0.0):
+            return  # there is no impact to be launched for
+        if travel is not None:
+            wanted = expected_speed(self._scene, plan, travel)
+            slack = self.tolerance * plan.impact_speed
+            if abs(self._speed - wanted) > slack:
+                self.abort(
+                    f"speed {self._speed:.4g} m/s after {travel:.4g} m: "
+                    f"allowed is {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
+                )
+        latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
+        if t is not None and t > latest:
+            self.abort(
+                f"no contact {t:.4g} s after the release: expected at {plan.contact_time:.4g}, "
+                f"allowed is {latest:.4g}"
+            )

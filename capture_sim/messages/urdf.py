@@ -1,0 +1,203 @@
+r"""The bench as a URDF and as transforms, so that RViz, Foxglove and others can draw it.
+
+Plane motion: bodies lie at z = 0.  The scene gives masses, not sizes, of the vehicles: their
+boxes are for the eye.  Links carry no inertia, for the same reason.
+
+    world -- chaser/base_link -- chaser/cylinder -- chaser/probe -- chaser/tip
+          \- target/base_link -- target/cone
+
+``chaser/base_link`` and ``target/base_link`` are the centres of mass; ``chaser/cylinder`` is
+the hinge, ``chaser/probe`` the same point moved by the stroke, ``chaser/tip`` the centre of
+the tip's sphere, ``target/cone`` the centre of the cone's inner edge BE, turned as the target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from capture_sim.messages.convert import (
+    CHASER_FRAME,
+    CONE_FRAME,
+    HINGE_JOINT,
+    SLIDE_JOINT,
+    TARGET_FRAME,
+    TIP_FRAME,
+    WORLD,
+)
+from capture_sim.scene.parts import Scene
+
+CYLINDER_FRAME = "chaser/cylinder"
+PROBE_FRAME = "chaser/probe"
+
+# for the eye, m
+_HALF_WIDTH, _HEIGHT, _REAR = 0.11, 0.06, 0.13
+_CYLINDER_RADIUS = 0.012
+_PLATE = 0.002  # thickness of the cone's plates
+_PLATES = 16
+_CHASER, _TARGET, _STEEL, _CONE = (
+    "0.30 0.45 0.70 1",
+    "0.55 0.55 0.58 1",
+    "0.8 0.8 0.8 1",
+    ("0.85 0.65 0.25 0.6"),
+)
+
+
+class Transform(NamedTuple):
+    """Where a frame lies in its parent; turned about z only."""
+
+    parent: str
+    child: str
+    x: float  # m
+    y: float  # m
+    yaw: float  # rad
+
+
+def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
+    """Yield the transforms that the motion changes, from q (8,), m and rad."""
+    yield Transform(WORLD, CHASER_FRAME, q[0], q[1], q[2])
+    yield Transform(WORLD, TARGET_FRAME, q[5], q[6], q[7])
+    yield Transform(CHASER_FRAME, CYLINDER_FRAME, scene.buffer.a, 0.0, q[3] - q[2])
+    yield Transform(CYLINDER_FRAME, PROBE_FRAME, q[4] - scene.rest_length, 0.0, 0.0)
+
+
+def static_transforms(scene: Scene) -> Iterator[Transform]:
+    """Yield the transforms that stay."""
+    yield Transform(PROBE_FRAME, TIP_FRAME, scene.rest_length, 0.0, 0.0)
+    yield Transform(TARGET_FRAME, CONE_FRAME, -scene.cone.L_T, 0.0, 0.0)
+
+
+def urdf(scene: Scene) -> str:
+    """Return the robot description: XML text of both vehicles, buffer, probe and cone."""
+    robot = ElementTree.Element("robot", name="capture_bench")
+    for name, colour in (
+        ("chaser", _CHASER),
+        ("target", _TARGET),
+        ("steel", _STEEL),
+        ("cone", _CONE),
+    ):
+        material = ElementTree.SubElement(robot, "material", name=name)
+        ElementTree.SubElement(material, "color", rgba=colour)
+    ElementTree.SubElement(robot, "link", name=WORLD)
+
+    front = 0.9 * scene.buffer.a
+    body = _link(robot, CHASER_FRAME)
+    _box(body, "chaser", (_REAR + front, 2 * _HALF_WIDTH, _HEIGHT), (0.5 * (front - _REAR), 0, 0))
+    cylinder = _link(robot, CYLINDER_FRAME)
+    length = scene.cylinder.length
+    _rod(cylinder, "steel", _CYLINDER_RADIUS, length, -0.5 * length)
+    _ball(cylinder, "steel", _CYLINDER_RADIUS)
+    probe = _link(robot, PROBE_FRAME)
+    start = scene.rest_length - scene.probe.tip_radius - scene.probe.length
+    _rod(probe, "steel", scene.probe.radius, scene.probe.length, start + 0.5 * scene.probe.length)
+    _ball(_link(robot, TIP_FRAME), "steel", scene.probe.tip_radius)
+
+    front = 0.9 * scene.cone.L_T
+    body = _link(robot, TARGET_FRAME)
+    _box(body, "target", (front + _REAR, 2 * _HALF_WIDTH, _HEIGHT), (0.5 * (_REAR - front), 0, 0))
+    _plates(_link(robot, CONE_FRAME), scene)
+
+    _joint(robot, "chaser", "planar", WORLD, CHASER_FRAME, axis="0 0 1")
+    _joint(robot, "target", "planar", WORLD, TARGET_FRAME, axis="0 0 1")
+    hinge = _joint(
+        robot, HINGE_JOINT, "revolute", CHASER_FRAME, CYLINDER_FRAME, scene.buffer.a, axis="0 0 1"
+    )
+    _limit(hinge, -math.pi, math.pi)
+    slide = _joint(robot, SLIDE_JOINT, "prismatic", CYLINDER_FRAME, PROBE_FRAME, axis="1 0 0")
+    # the probe may go in up to its tip
+    inwards, outwards = scene.rest_length - scene.probe.tip_radius, scene.rest_length
+    if scene.stops is not None:
+        inwards, outwards = scene.stops.compression, scene.stops.extension
+    _limit(slide, -inwards, outwards)
+    for t in static_transforms(scene):
+        _joint(robot, t.child.replace("/", "_"), "fixed", t.parent, t.child, t.x)
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True)
+
+
+_Element = ElementTree.Element
+
+
+def _link(robot: _Element, name: str) -> _Element:
+    return ElementTree.SubElement(robot, "link", name=name)
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _visual(
+    link: _Element, material: str, at: Sequence[float], rpy: Sequence[float] = (0, 0, 0)
+) -> _Element:
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=_numbers(at), rpy=_numbers(rpy))
+    geometry = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(visual, "material", name=material)
+    return geometry
+
+
+def _box(
+    link: _Element,
+    material: str,
+    size: Sequence[float],
+    at: Sequence[float],
+    rpy: Sequence[float] = (0, 0, 0),
+) -> None:
+    ElementTree.SubElement(_visual(link, material, at, rpy), "box", size=_numbers(size))
+
+
+def _rod(link: _Element, material: str, radius: float, length: float, middle: float) -> None:
+    """Add a cylinder along x; a URDF's own lies along z."""
+    if length > 0.0:
+        geometry = _visual(link, material, (middle, 0, 0), (0, math.pi / 2, 0))
+        size = {"radius": f"{radius:.9g}", "length": f"{length:.9g}"}
+        ElementTree.SubElement(geometry, "cylinder", size)
+
+
+def _ball(link: _Element, material: str, radius: float) -> None:
+    ElementTree.SubElement(_visual(link, material, (0, 0, 0)), "sphere", radius=f"{radius:.9g}")
+
+
+def _plates(link: _Element, scene: Scene) -> None:
+    """Add the cone as a ring of plates; two of them are the walls of the plane model."""
+    cone = scene.cone
+    lip = cone.R_c + cone.L_c * math.sin(cone.beta)
+    width = 2.0 * lip * math.tan(math.pi / _PLATES)
+    ahead = -0.5 * cone.L_c * math.cos(cone.beta)
+    # the plates' inner faces are the walls: the boxes lie outside of them
+    radius = 0.5 * (cone.R_c + lip) + 0.5 * _PLATE * math.cos(cone.beta)
+    ahead += 0.5 * _PLATE * math.sin(cone.beta)
+    for i in range(_PLATES):
+        angle = 2.0 * math.pi * i / _PLATES + math.pi / 2
+        at = (ahead, radius * math.cos(angle), radius * math.sin(angle))
+        # x along the generatrix, y round the axis: pitched by the half-angle, rolled into place
+        rpy = _roll_after_yaw(angle, math.pi - cone.beta)
+        _box(link, "cone", (cone.L_c, _PLATE, width), at, rpy)
+
+
+def _roll_after_yaw(roll: float, yaw: float) -> tuple[float, float, float]:
+    """Return the fixed-axis angles (URDF's rpy) of a turn about z, then one about x."""
+    cr, sr, cy, sy = math.cos(roll), math.sin(roll), math.cos(yaw), math.sin(yaw)
+    # R = Rx(roll) Rz(yaw); rows needed of Rz(y) Ry(p) Rx(r)
+    r11, r21, r31 = cy, cr * sy, sr * sy
+    r32, r33 = sr * cy, cr
+    return math.atan2(r32, r33), -math.asin(r31), math.atan2(r21, r11)
+
+
+def _joint(
+    robot: _Element, name: str, kind: str, parent: str, child: str, x: float = 0.0, axis: str = ""
+) -> _Element:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "origin", xyz=_numbers((x, 0, 0)), rpy="0 0 0")
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    if axis:
+        ElementTree.SubElement(joint, "axis", xyz=axis)
+    return joint
+
+
+def _limit(joint: _Element, low: float, high: float) -> None:
+    bounds = {"lower": f"{low:.9g}", "upper": f"{high:.9g}", "effort": "0", "velocity": "0"}
+    ElementTree.SubElement(joint, "limit", bounds)

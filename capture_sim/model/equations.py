@@ -1,0 +1,445 @@
+r"""Equations of motion of the free phases: two vehicles, the buffer, contact, supports.
+
+State ``y`` (26,): q (8,), v (8,), and ten integrals in time that nothing depends on: what
+the axial damper, the torsional damper, the contact hysteresis of either wall, the tip's
+friction, the supports, the latch and the stroke stops have dissipated (J), and the normal
+impulse of either wall (N s).
+
+Kinetic energy with the hinge at a e(theta_S) and the tip at h e(theta_P) from it gives
+the 5x5 block of the chaser.  Written in axes along and across the probe (u, w) it is an
+arrow in (theta_P, h) on top of an arrow in theta_S, so it is solved by two eliminations
+of one line each instead of a factorisation; docs/model.md derives it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from capture_sim.kernels import inline_kernel, kernel
+from capture_sim.model.contact_laws import normal_force
+from capture_sim.model.friction import COULOMB, friction_coefficient
+from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.model.supports import rolling_wrench
+from capture_sim.model.trig import sine_cosine
+
+N_STATE = 16
+N_TOTAL = 26
+# places of the integrals in y; those up to STOP are energies
+AXIAL, TORSION, HYSTERESIS, FRICTION, ROLLING, LATCH, STOP, IMPULSE = 16, 17, 18, 20, 21, 22, 23, 24
+
+# places in the scratch that an evaluation fills
+N_SCRATCH = 48
+P_HYSTERESIS, P_FRICTION, P_LATCH = 0, 2, 3  # power lost, W
+NORMAL, RUB = 4, 6  # forces of both walls, N
+P_ROLLING, P_AXIAL, P_TORSION, P_STOP = 8, 9, 10, 11
+_TRIAL = 16  # a state put together for the sticking tip, (16,)
+
+#: What changes in the course of a run; the kernels read and write it.
+MODE = np.dtype(
+    [
+        ("touching", "i8", (2,)),  # [+y wall, -y wall]
+        ("chi", "f8", (2,)),  # hysteresis damping of the touch, N s/m^2.5
+        ("sticking", "i8", (2,)),  # law "coulomb": slip held at zero
+        ("direction", "f8", (2,)),  # law "coulomb": sign of the slip while sliding
+        ("latched", "i8"),
+        ("latch_x", "f8"),  # where the tip was caught, target frame, m
+        ("latch_y", "f8"),
+        ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
+        ("rest_S", "i8"),  # vehicle held by its supports
+        ("rest_T", "i8"),
+    ],
+    align=True,
+)
+
+
+@inline_kernel
+def tip_in_cone(y, par):
+    """Return the tip's centre in the target's frame and its velocity against it.
+
+    Returns (px, py, wx, wy): position in the target's frame, m, and velocity of the
+    centre relative to the target's material there, in the same axes, m/s.
+    """
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    sT, cT = sine_cosine(y[7])
+    return tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
+
+
+@inline_kernel
+def tip_motion(y, a, sS, cS, sP, cP, sT, cT):
+    """Return what :func:`tip_in_cone` does, from sines and cosines already known."""
+    h, swing, spin = y[4], a * y[10], y[4] * y[11]
+    rx = y[0] + a * cS + h * cP - y[5]
+    ry = y[1] + a * sS + h * sP - y[6]
+    ux = y[8] - swing * sS + y[12] * cP - spin * sP - y[13]
+    uy = y[9] + swing * cS + y[12] * sP + spin * cP - y[14]
+    px = cT * rx + sT * ry
+    py = cT * ry - sT * rx
+    wx = cT * ux + sT * uy + y[15] * py
+    wy = cT * uy - sT * ux - y[15] * px
+    return px, py, wx, wy
+
+
+@inline_kernel
+def wall_gap(px, py, wx, wy, side, par):
+    """Return gap (m; negative is penetration), its rate (m/s) and the normal, target frame.
+
+    ``side`` is +1 for the wall on +y, -1 for the other.
+    """
+    distance, n_u, n_Y = nearest_on_wall(
+        -(px + par.L_T), side * py, par.R_c, par.L_c, par.cos_b, par.sin_b
+    )
+    nx = -n_u
+    ny = side * n_Y
+    return distance - par.R_t, nx * wx + ny * wy, nx, ny
+
+
+@inline_kernel
+def slip_speed(gap, nx, ny, wx, wy, spin, par):
+    """Return the tip's slip at the contact point along the tangent, m/s.
+
+    The tangent is the normal turned by +90 degrees; ``spin`` is the probe's rate of
+    rotation against the target, rad/s.
+    """
+    return wy * nx - wx * ny - (gap + par.R_t) * spin
+
+
+@inline_kernel
+def tip_forces(y, par, mode, px, py, wx, wy, out):
+    """Return force on the tip and torque about its centre, and the moment on the target.
+
+    Returns (fx, fy, torque_tip, torque_target) with the force in the target's axes, N and
+    N m.  ``out`` receives the powers of hysteresis, friction and latch (W) and the forces
+    of both walls (N) in their places; RUB holds the friction forces on entry where the
+    law is "coulomb".
+    """
+    fx = 0.0
+    fy = 0.0
+    tip = 0.0
+    target = 0.0
+    if mode.latched:
+        fx = -par.k_L * (px - mode.latch_x) - par.c_L * wx
+        fy = -par.k_L * (py - mode.latch_y) - par.c_L * wy
+        out[P_LATCH] = par.c_L * (wx * wx + wy * wy)
+        target = -(px * fy - py * fx)
+        return fx, fy, tip, target
+    for i in range(2):
+        if mode.touching[i]:
+            gap, rate, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            force, elastic = normal_force(-gap, -rate, par.K, mode.chi[i])
+            slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
+            if par.friction_law == COULOMB:
+                rub = out[RUB + i] if mode.sticking[i] else -par.mu * force * mode.direction[i]
+            else:
+                rub = -force * friction_coefficient(
+                    slip * par.inverse_v_eps, par.mu, par.mu_s, par.friction_law
+                )
+            # the contact point lies on the wall, dist behind the tip's centre
+            dist = gap + par.R_t
+            gx = force * nx - rub * ny
+            gy = force * ny + rub * nx
+            fx += gx
+            fy += gy
+            tip -= dist * rub
+            target -= (px - dist * nx) * gy - (py - dist * ny) * gx
+            out[P_HYSTERESIS + i] = -(force - elastic) * rate
+            out[P_FRICTION] -= rub * slip
+            out[NORMAL + i] = force
+            out[RUB + i] = rub
+    return fx, fy, tip, target
+
+
+@kernel
+def accelerate(y, par, mode, f, out):
+    """Write accelerations into f[8:16]; return what the supports must hold.
+
+    Returns (Fx, Fy, M of the chaser; Fx, Fy, M of the target): the generalised forces on
+    the vehicles, supports apart, as they would act on a vehicle standing still.  They
+    are what the supports must balance to keep it there, N and N m about the body's
+    centre of mass.
+    """
+    omega, spin, rate = y[10], y[11], y[12]
+    h = y[4]
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    cD = cP * cS + sP * sS
+    sD = sP * cS - cP * sS
+    a = par.a
+    m_P = par.m_P
+    r = h - par.d
+    moment = par.first_moment_0 + m_P * h
+    inertia = par.hinge_inertia_0 + m_P * r * r
+    inverse_P = 1.0 / inertia
+
+    f_u = 0.0
+    f_w = 0.0
+    tip = 0.0
+    gx = 0.0
+    gy = 0.0
+    target = 0.0
+    sT = 0.0
+    cT = 1.0
+    out[P_HYSTERESIS] = 0.0
+    out[P_HYSTERESIS + 1] = 0.0
+    out[P_FRICTION] = 0.0
+    out[P_LATCH] = 0.0
+    out[NORMAL] = 0.0
+    out[NORMAL + 1] = 0.0
+    out[P_ROLLING] = 0.0
+    out[P_STOP] = 0.0
+    contact = mode.latched or mode.touching[0] or mode.touching[1]
+    if contact or par.has_supports:
+        sT, cT = sine_cosine(y[7])
+    if contact:
+        px, py, wx, wy = tip_motion(y, a, sS, cS, sP, cP, sT, cT)
+        fx, fy, tip, target = tip_forces(y, par, mode, px, py, wx, wy, out)
+        gx = cT * fx - sT * fy
+        gy = sT * fx + cT * fy
+        f_u = gx * cP + gy * sP
+        f_w = gy * cP - gx * sP
+
+    axial = -par.k_A * (h - par.h_0) - par.c_A * rate
+    if mode.stop:
+        push, lost = stop_force(h - par.h_0, rate, mode.stop, par)
+        axial += push
+        out[P_STOP] = lost
+    twist = spin - omega
+    torque = -par.k_T * (y[3] - y[2]) - par.c_T * twist
+
+    # velocity terms, then right-hand sides, along (u) and across (w) the probe
+    m_CP = par.m_C + m_P
+    w2 = a * omega * omega
+    s2 = spin * spin
+    coriolis = 2.0 * m_P * rate * spin
+    R_u = f_u + m_CP * w2 * cD + moment * s2
+    R_w = f_w - m_CP * w2 * sD - coriolis
+    R_S = a * (sD * R_u + cD * R_w) - torque
+    R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
+    R_h = f_u + axial + m_P * (w2 * cD + r * s2)
+
+    ratio = moment * inverse_P
+    r_u = R_u - R_h
+    r_w = R_w - ratio * R_P
+    r_S = R_S - a * (cD * ratio * R_P + sD * R_h)
+    hold_x = r_u * cP - r_w * sP
+    hold_y = r_u * sP + r_w * cP
+    hold_m = r_S
+
+    if mode.rest_S:
+        f[8] = 0.0
+        f[9] = 0.0
+        f[10] = 0.0
+        f[11] = R_P * inverse_P
+        f[12] = R_h * par.inverse_m_P
+    else:
+        if par.has_supports:
+            qx, qy, qm, lost = rolling_wrench(
+                y[8], y[9], omega, cS, sS, par.balls_S, par.v_eps_ball
+            )
+            r_u += qx * cP + qy * sP
+            r_w += qy * cP - qx * sP
+            r_S += qm
+            out[P_ROLLING] += lost
+        coupled = moment * ratio
+        S_w = par.m_total - coupled
+        S_uS = par.m_C * a * sD
+        S_wS = a * cD * (m_CP - coupled)
+        S_S = par.I_S + a * a * (m_CP - cD * cD * coupled - m_P * sD * sD)
+        inverse_w = 1.0 / S_w
+        e_u = S_uS * par.inverse_m_SC
+        e_w = S_wS * inverse_w
+        # the reciprocal does not wait for the forces
+        inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
+        alpha = (r_S - e_u * r_u - e_w * r_w) * inverse_S
+        acc_u = r_u * par.inverse_m_SC - e_u * alpha
+        acc_w = r_w * inverse_w - e_w * alpha
+        f[8] = acc_u * cP - acc_w * sP
+        f[9] = acc_u * sP + acc_w * cP
+        f[10] = alpha
+        f[11] = (R_P - moment * (acc_w + a * cD * alpha)) * inverse_P
+        f[12] = R_h * par.inverse_m_P - acc_u - a * sD * alpha
+
+    if mode.rest_T:
+        f[13] = 0.0
+        f[14] = 0.0
+        f[15] = 0.0
+    else:
+        tx = -gx
+        ty = -gy
+        tm = target
+        if par.has_supports:
+            qx, qy, qm, lost = rolling_wrench(
+                y[13], y[14], y[15], cT, sT, par.balls_T, par.v_eps_ball
+            )
+            tx += qx
+            ty += qy
+            tm += qm
+            out[P_ROLLING] += lost
+        f[13] = tx * par.inverse_m_T
+        f[14] = ty * par.inverse_m_T
+        f[15] = tm * par.inverse_I_T
+    out[P_AXIAL] = par.c_A * rate * rate
+    out[P_TORSION] = par.c_T * twist * twist
+    return hold_x, hold_y, hold_m, -gx, -gy, target
+
+
+@inline_kernel
+def stop_force(stroke, rate, stop, par):
+    """Return the force of a stroke stop on the probe, N, and the power it loses, W.
+
+    ``stop`` is -1 at the compressed end, +1 at the extended one, and in touch: the force
+    goes on smoothly behind the place where the touch ends, so that the end can be located.
+    A damper does not make it pull.
+    """
+    end = par.stop_compressed if stop < 0 else par.stop_extended
+    elastic = par.k_stop * stop * (stroke - end)
+    push = elastic + par.c_stop * stop * rate
+    if par.c_stop > 0.0 and push < 0.0:
+        push = 0.0
+    return -stop * push, (push - elastic) * stop * rate
+
+
+@kernel
+def slip_of(y, par, i):
+    """Return the slip of the tip on wall ``i`` (0: +y, 1: -y), m/s; linear in the rates."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    return slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
+
+
+@kernel
+def stiff_directions(y, par, mode, Q):
+    """Write the directions in which forces change fast into rows of ``Q`` (8, 8); return how many.
+
+    Buffer, stops and latch act along their own coordinates, a touched wall along and across
+    its normal.  Ball supports resist any motion of the vehicles: with them it is all eight.
+    """
+    count = 0
+    Q[:, :] = 0.0
+    if par.has_supports:
+        for i in range(8):
+            Q[i, i] = 1.0
+        return 8
+    Q[0, 4] = 1.0
+    Q[1, 3] = 1.0
+    Q[1, 2] = -1.0
+    count = 2
+    if not (mode.latched or mode.touching[0] or mode.touching[1]):
+        return count
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    sT, cT = sine_cosine(y[7])
+    px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
+    for i in range(2):
+        nx = 1.0 if i == 0 else 0.0
+        ny = 1.0 - nx
+        dist = 0.0
+        if not mode.latched:
+            if not mode.touching[i]:
+                continue
+            gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            dist = gap + par.R_t
+        for across in range(1 if mode.latched else 2):
+            # in the world's axes
+            ex = cT * nx - sT * ny
+            ey = sT * nx + cT * ny
+            # the tip turns with the probe, so a slip has a part in its rate
+            spin = dist if across else 0.0
+            Q[count, 0] = ex
+            Q[count, 1] = ey
+            Q[count, 2] = par.a * (ey * cS - ex * sS)
+            Q[count, 3] = y[4] * (ey * cP - ex * sP) - spin
+            Q[count, 4] = ex * cP + ey * sP
+            Q[count, 5] = -ex
+            Q[count, 6] = -ey
+            Q[count, 7] = spin - (px * ny - py * nx)
+            count += 1
+            nx, ny = -ny, nx
+    return count
+
+
+@kernel
+def slip_acceleration(y, f, par, i, trial):
+    """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2.
+
+    The slip is linear in the rates, so their part is exact; the part of the moving
+    geometry is a central difference along the motion.
+    """
+    small = 1e-6
+    for k in range(8):
+        trial[k] = y[k]
+        trial[8 + k] = f[8 + k]
+    rate = slip_of(trial, par, i)
+    for k in range(8):
+        trial[k] = y[k] + small * y[8 + k]
+        trial[8 + k] = y[8 + k]
+    ahead = slip_of(trial, par, i)
+    for k in range(8):
+        trial[k] = y[k] - small * y[8 + k]
+    return rate + (ahead - slip_of(trial, par, i)) / (2.0 * small)
+
+
+#: How fast rounding's drift of a sticking tip is pulled back, 1/s.
+_PULL_BACK = 1e3
+
+
+@kernel
+def accelerate_sticking(y, par, mode, f, out):
+    """Find the friction forces that hold the slip of sticking walls, then accelerate.
+
+    The accelerations are linear in the friction forces: one evaluation without them and
+    one with a unit force at each sticking wall give the equations for them.
+    """
+    trial = out[_TRIAL : _TRIAL + 16]
+    out[RUB] = 0.0
+    out[RUB + 1] = 0.0
+    accelerate(y, par, mode, f, out)
+    b0 = 0.0
+    b1 = 0.0
+    if mode.sticking[0]:
+        b0 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0)
+    if mode.sticking[1]:
+        b1 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1)
+    a00 = 1.0
+    a01 = 0.0
+    a10 = 0.0
+    a11 = 1.0
+    if mode.sticking[0]:
+        out[RUB] = 1.0
+        out[RUB + 1] = 0.0
+        accelerate(y, par, mode, f, out)
+        a00 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0) - b0
+        if mode.sticking[1]:
+            a10 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1) - b1
+    if mode.sticking[1]:
+        out[RUB] = 0.0
+        out[RUB + 1] = 1.0
+        accelerate(y, par, mode, f, out)
+        a11 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1) - b1
+        if mode.sticking[0]:
+            a01 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0) - b0
+    determinant = a00 * a11 - a01 * a10
+    out[RUB] = -(b0 * a11 - b1 * a01) / determinant
+    out[RUB + 1] = -(b1 * a00 - b0 * a10) / determinant
+    return accelerate(y, par, mode, f, out)
+
+
+@kernel
+def rate_of_change(t, y, f, par, mode, out):
+    """Write dy/dt (26,) of the free phases into ``f``; ``out`` (48,) is scratch."""
+    for i in range(8):
+        f[i] = y[8 + i]
+    if mode.sticking[0] or mode.sticking[1]:
+        accelerate_sticking(y, par, mode, f, out)
+    else:
+        accelerate(y, par, mode, f, out)
+    f[16] = out[P_AXIAL]
+    f[17] = out[P_TORSION]
+    f[18] = out[P_HYSTERESIS]
+    f[19] = out[P_HYSTERESIS + 1]
+    f[20] = out[P_FRICTION]
+    f[21] = out[P_ROLLING]
+    f[22] = out[P_LATCH]
+    f[23] = out[P_STOP]
+    f[24] = out[NORMAL]
+    f[25] = out[NORMAL + 1]

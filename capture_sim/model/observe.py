@@ -1,0 +1,163 @@
+"""One sample of everything: strokes, forces and the energy ledger from the state."""
+
+from __future__ import annotations
+
+import math
+
+from capture_sim.kernels import kernel
+from capture_sim.model.equations import (
+    AXIAL,
+    FRICTION,
+    HYSTERESIS,
+    IMPULSE,
+    LATCH,
+    N_SCRATCH,
+    NORMAL,
+    P_FRICTION,
+    ROLLING,
+    RUB,
+    STOP,
+    TORSION,
+    accelerate_sticking,
+    tip_forces,
+    tip_in_cone,
+    wall_gap,
+)
+from capture_sim.model.trig import sine_cosine
+
+
+@kernel
+def kinetic_energy(y, par):
+    """Return the kinetic energy of both vehicles and the buffer, J."""
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    hinge_x = y[8] - par.a * y[10] * sS
+    hinge_y = y[9] + par.a * y[10] * cS
+    spin, rate = y[11], y[12]
+    # first and second moments about the hinge carry cylinder and probe together
+    r = y[4] - par.d
+    moment = par.first_moment_0 + par.m_P * y[4]
+    inertia = par.hinge_inertia_0 + par.m_P * r * r
+    across = hinge_y * cP - hinge_x * sP
+    along = hinge_x * cP + hinge_y * sP
+    energy = par.m_S * (y[8] * y[8] + y[9] * y[9]) + par.I_S * y[10] * y[10]
+    energy += (par.m_C + par.m_P) * (hinge_x * hinge_x + hinge_y * hinge_y)
+    energy += inertia * spin * spin + 2.0 * moment * spin * across
+    energy += par.m_P * (rate * rate + 2.0 * rate * along)
+    energy += par.m_T * (y[13] * y[13] + y[14] * y[14]) + par.I_T * y[15] * y[15]
+    return 0.5 * energy
+
+
+@kernel
+def elastic_contact_energy(gap, K):
+    """Return the elastic energy of a contact, J: 2/5 K delta^2.5 for a depth of -gap."""
+    if gap >= 0.0:
+        return 0.0
+    return 0.4 * K * gap * gap * math.sqrt(-gap)
+
+
+@kernel
+def observe(t, y, par, mode, run, scratch, sample):
+    """Fill one record of dtype SAMPLE for the state ``y`` at ``t``."""
+    sample.t = t
+    for i in range(8):
+        sample.q[i] = y[i]
+        sample.v[i] = y[8 + i]
+    sample.at_rest = mode.rest_S + 2 * mode.rest_T
+    sample.touches = run.touches
+    walls = mode.touching[0] + 2 * mode.touching[1]
+    sample.walls = walls
+    if run.on_rail:
+        sample.phase = 1 if run.taut else 2
+    elif mode.latched:
+        sample.phase = 5
+    else:
+        sample.phase = 4 if walls else 3
+
+    stroke = y[4] - par.h_0
+    torsion = y[3] - y[2]
+    sample.axial_stroke = stroke
+    sample.axial_force = -par.k_A * stroke - par.c_A * y[12]
+    sample.torsion = torsion
+    sample.torsion_torque = -par.k_T * torsion - par.c_T * (y[11] - y[10])
+
+    px, py, wx, wy = tip_in_cone(y, par)
+    sample.tip_axial = -(px + par.L_T)
+    sample.tip_lateral = py
+    sample.tip_distance = math.hypot(px + par.L_T, py)
+    for i in range(N_SCRATCH):
+        scratch[i] = 0.0
+    if mode.sticking[0] or mode.sticking[1]:
+        # fills the friction forces that hold the tip
+        accelerate_sticking(y, par, mode, scratch[32:48], scratch)
+        scratch[P_FRICTION] = 0.0
+    fx, fy, tip, _ = tip_forces(y, par, mode, px, py, wx, wy, scratch)
+    sT, cT = sine_cosine(y[7])
+    gx = cT * fx - sT * fy
+    gy = sT * fx + cT * fy
+    contact = 0.0
+    for i in range(2):
+        gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+        sample.penetration[i] = -gap
+        sample.penetration_rate[i] = -rate
+        sample.normal_force[i] = scratch[NORMAL + i]
+        sample.friction_force[i] = scratch[RUB + i] if mode.touching[i] else 0.0
+        sample.impulse[i] = y[IMPULSE + i]
+        if mode.touching[i]:
+            contact += elastic_contact_energy(gap, par.K)
+    sample.contact_force[0] = 0.0 if mode.latched else gx
+    sample.contact_force[1] = 0.0 if mode.latched else gy
+    sample.contact_torque = 0.0 if mode.latched else tip
+    sample.latch_force[0] = gx if mode.latched else 0.0
+    sample.latch_force[1] = gy if mode.latched else 0.0
+    sample.elastic_contact = contact
+    latch = 0.0
+    if mode.latched:
+        dx = px - mode.latch_x
+        dy = py - mode.latch_y
+        latch = 0.5 * par.k_L * (dx * dx + dy * dy)
+    sample.elastic_latch = latch
+    stop = 0.0
+    if mode.stop:
+        end = par.stop_compressed if mode.stop < 0 else par.stop_extended
+        depth = max(mode.stop * (stroke - end), 0.0)
+        stop = 0.5 * par.k_stop * depth * depth
+    sample.elastic_stop = stop
+
+    kinetic = kinetic_energy(y, par)
+    sample.string_tension = 0.0
+    sample.mass_height = 0.0
+    sample.mass_speed = 0.0
+    if run.taut:
+        speed = y[8] * par.rail_x + y[9] * par.rail_y
+        kinetic += 0.5 * (par.m_hanging + par.pulley_mass) * speed * speed
+        travel = run.travel + speed_travel(run, t)
+        sample.mass_height = par.drop_height - travel
+        sample.mass_speed = speed
+        sample.string_tension = (
+            par.m_hanging * (par.gravity - run.acceleration) - par.pulley_mass * run.acceleration
+        )
+    sample.kinetic = kinetic
+    sample.elastic_axial = 0.5 * par.k_A * stroke * stroke
+    sample.elastic_torsion = 0.5 * par.k_T * torsion * torsion
+    sample.work_string = par.m_hanging * par.gravity * (par.drop_height - sample.mass_height)
+    sample.dissipated_axial = y[AXIAL]
+    sample.dissipated_torsion = y[TORSION]
+    sample.dissipated_contact = y[HYSTERESIS] + y[HYSTERESIS + 1]
+    sample.dissipated_friction = y[FRICTION]
+    sample.dissipated_rolling = y[ROLLING]
+    sample.dissipated_latch = y[LATCH] + run.lost_latch
+    sample.dissipated_stop = y[STOP]
+    sample.dissipated_landing = run.lost_landing
+    stored = kinetic + sample.elastic_axial + sample.elastic_torsion + contact + latch + stop
+    lost = run.lost_latch + run.lost_landing
+    for i in range(AXIAL, STOP + 1):
+        lost += y[i]
+    sample.energy_residual = stored - run.energy_0 - sample.work_string + lost
+
+
+@kernel
+def speed_travel(run, t):
+    """Return the chaser's travel along the rail within the present stretch, m."""
+    tau = t - run.t0
+    return run.speed * tau + 0.5 * run.acceleration * tau * tau

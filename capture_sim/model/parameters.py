@@ -1,0 +1,183 @@
+"""A scene's numbers in the form the kernels read: one record, SI units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capture_sim.model.contact_laws import HYSTERESIS_FACTOR
+from capture_sim.model.friction import NUMBER
+from capture_sim.model.supports import ball_loads
+from capture_sim.scene.parts import BallSupport, Scene
+
+#: Constants of a run; the kernels only read them.
+PARAMETERS = np.dtype(
+    [
+        ("m_S", "f8"),
+        ("I_S", "f8"),
+        ("m_C", "f8"),
+        ("m_P", "f8"),
+        ("m_T", "f8"),
+        ("I_T", "f8"),
+        ("m_total", "f8"),  # chaser, cylinder and probe
+        ("inverse_m_SC", "f8"),  # 1 / (m_S + m_C)
+        ("inverse_m_P", "f8"),
+        ("inverse_m_T", "f8"),
+        ("inverse_I_T", "f8"),
+        ("a", "f8"),
+        ("first_moment_0", "f8"),  # m_C l_C - m_P d: first moment about the hinge at h = 0
+        ("hinge_inertia_0", "f8"),  # I_C + m_C l_C^2 + I_P: about the hinge, probe's m r^2 apart
+        ("d", "f8"),  # probe's centre of mass behind the tip's centre
+        ("k_A", "f8"),
+        ("c_A", "f8"),
+        ("k_T", "f8"),
+        ("c_T", "f8"),
+        ("h_0", "f8"),
+        ("R_t", "f8"),
+        ("L_T", "f8"),
+        ("R_c", "f8"),
+        ("L_c", "f8"),
+        ("cos_b", "f8"),
+        ("sin_b", "f8"),
+        ("K", "f8"),
+        ("hysteresis", "f8"),  # a(e)
+        ("v_0_floor", "f8"),
+        ("mu", "f8"),
+        ("mu_s", "f8"),
+        ("friction_law", "i8"),
+        ("inverse_v_eps", "f8"),  # s/m
+        ("has_supports", "i8"),
+        ("v_eps_ball", "f8"),
+        ("balls_S", "f8", (3, 3)),  # x, y, limit c_rr N
+        ("balls_T", "f8", (3, 3)),
+        ("has_latch", "i8"),
+        ("latch_radius", "f8"),
+        ("k_L", "f8"),
+        ("c_L", "f8"),
+        ("has_stops", "i8"),
+        ("stop_compressed", "f8"),  # stroke at which each stop is met, m
+        ("stop_extended", "f8"),
+        ("k_stop", "f8"),
+        ("c_stop", "f8"),
+        ("rail_length", "f8"),
+        ("rail_x", "f8"),  # direction
+        ("rail_y", "f8"),
+        ("rolling_limit_S", "f8"),  # c_rr times the chaser's weight, N
+        ("m_hanging", "f8"),
+        ("pulley_mass", "f8"),  # I_p / r^2
+        ("drop_height", "f8"),
+        ("gravity", "f8"),
+        ("t_end", "f8"),
+        ("after_latch", "f8"),  # inf: run to t_end
+        ("rtol", "f8"),
+        ("length_scale", "f8"),
+        ("speed_scale", "f8"),
+        ("max_steps", "i8"),
+        ("implicit", "i8"),  # Radau IIA where the contact alone keeps the steps short
+        ("fixed_step", "f8"),  # 0: chosen by the error
+    ],
+    align=True,
+)
+
+
+def chaser_com_offset(scene: Scene) -> float:
+    """Return how far the whole chaser's centre of mass lies ahead of the body's, m."""
+    cylinder = scene.buffer.a - scene.cylinder.length / 2.0
+    probe = scene.buffer.a + scene.rest_length - scene.probe.com_offset
+    moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe
+    return moment / scene.chaser_total_mass
+
+
+def loads(scene: Scene, vehicle: str) -> np.ndarray:
+    """Return the loads (3,) of the balls under ``"chaser"`` or ``"target"``, N.
+
+    The buffer stands at rest; its stroke moves the loads too little to follow it.
+    """
+    assert scene.supports is not None
+    if vehicle == "chaser":
+        support, mass, ahead = (
+            scene.supports.chaser,
+            scene.chaser_total_mass,
+            chaser_com_offset(scene),
+        )
+    else:
+        support, mass, ahead = scene.supports.target, scene.target.mass, 0.0
+    return ball_loads(np.array(support.balls), mass * scene.gravity, ahead, 0.0)
+
+
+def _limits(support: BallSupport, load: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.array(support.balls), support.c_rr * load])
+
+
+def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
+    """Return the (1,) record of a scene launched with this mass (kg) and height (m)."""
+    record = np.zeros(1, PARAMETERS)
+    p = record[0]
+    l_C = -scene.cylinder.length / 2.0
+    p["m_S"], p["I_S"] = scene.chaser.mass, scene.chaser.inertia
+    p["m_T"], p["I_T"] = scene.target.mass, scene.target.inertia
+    p["m_C"], p["m_P"] = scene.cylinder.mass, scene.probe.mass
+    p["m_total"] = scene.chaser_total_mass
+    p["inverse_m_SC"] = 1.0 / (scene.chaser.mass + scene.cylinder.mass)
+    p["inverse_m_P"], p["inverse_m_T"] = 1.0 / scene.probe.mass, 1.0 / scene.target.mass
+    p["inverse_I_T"] = 1.0 / scene.target.inertia
+    p["a"], p["d"] = scene.buffer.a, scene.probe.com_offset
+    p["first_moment_0"] = scene.cylinder.mass * l_C - scene.probe.mass * scene.probe.com_offset
+    p["hinge_inertia_0"] = (
+        scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
+    )
+    for name in ("k_A", "c_A", "k_T", "c_T"):
+        p[name] = getattr(scene.buffer, name)
+    p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
+    p["L_T"], p["R_c"], p["L_c"] = scene.cone.L_T, scene.cone.R_c, scene.cone.L_c
+    p["cos_b"], p["sin_b"] = math.cos(scene.cone.beta), math.sin(scene.cone.beta)
+    p["K"] = scene.contact_stiffness
+    p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
+    p["v_0_floor"] = scene.contact.v_0_floor
+    p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
+    p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
+    p["friction_law"] = NUMBER[scene.friction.law]
+    p["inverse_v_eps"] = 1.0 / scene.friction.v_eps
+    p["gravity"] = scene.gravity
+    if scene.supports is not None:
+        p["has_supports"] = 1
+        p["v_eps_ball"] = scene.supports.v_eps
+        p["balls_S"] = _limits(scene.supports.chaser, loads(scene, "chaser"))
+        p["balls_T"] = _limits(scene.supports.target, loads(scene, "target"))
+        p["rolling_limit_S"] = p["balls_S"][:, 2].sum()
+    if scene.latch is not None:
+        p["has_latch"] = 1
+        p["latch_radius"] = scene.latch.radius
+        p["k_L"], p["c_L"] = scene.latch.stiffness, scene.latch.damping
+    if scene.stops is not None:
+        p["has_stops"] = 1
+        p["stop_compressed"] = -scene.stops.compression
+        p["stop_extended"] = scene.stops.extension
+        p["k_stop"], p["c_stop"] = scene.stops.stiffness, scene.stops.damping
+    heading = scene.initial.chaser.theta
+    p["rail_x"], p["rail_y"] = math.cos(heading), math.sin(heading)
+    p["rail_length"] = scene.rail.length if scene.rail is not None else 0.0
+    p["m_hanging"], p["drop_height"] = hanging_mass, drop_height
+    if scene.string is not None:
+        p["pulley_mass"] = scene.string.pulley_inertia / scene.string.pulley_radius**2
+    p["t_end"] = scene.run.t_end
+    p["after_latch"] = math.inf if scene.run.after_latch is None else scene.run.after_latch
+    p["rtol"] = scene.run.rtol
+    p["length_scale"] = scene.probe.tip_radius
+    p["speed_scale"] = speed_scale(scene)
+    p["max_steps"] = scene.run.max_steps
+    p["implicit"] = scene.run.stiff and scene.run.method != "rk4"
+    p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
+    return record
+
+
+def speed_scale(scene: Scene) -> float:
+    """Return the speed that errors are measured against, m/s: the approach's own."""
+    c, t = scene.initial.chaser, scene.initial.target
+    speeds = [1e-3, math.hypot(c.vx - t.vx, c.vy - t.vy)]
+    if scene.string is not None and scene.string.impact_speed is not None:
+        speeds.append(scene.string.impact_speed)
+    elif scene.string is not None:
+        speeds.append(0.1)
+    return max(speeds)

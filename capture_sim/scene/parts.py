@@ -1,0 +1,451 @@
+"""What is on the bench: frozen dataclasses in SI units, validated when they are made.
+
+A part that is ``None`` is not on the bench and costs nothing.  Symbols are those of
+the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
+
+Every number is declared as a :func:`~capture_sim.scene.quantities.quantity`, which holds its unit
+and allowed range; :mod:`capture_sim.scene.files` reads the declarations to check a YAML file,
+so a range stands in one place only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from capture_sim.scene.quantities import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Checked,
+    Range,
+    choice,
+    quantity,
+    refuse,
+)
+
+CONTACT_LAWS = (
+    "lankarani_nikravesh",
+    "hunt_crossley",
+    "herbert_mcwhannell",
+    "lee_wang",
+    "gonthier",
+    "zhiying_qishao",
+    "flores",
+    "hu_guo",
+    "carvalho_martins",
+    "exact",
+)
+FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
+#: Of the detector's lengths, m: more than a metre is no part of a cone, but a wrong unit.
+REACH = Range(0.0, 1.0, low_open=True)
+METHODS = ("dop853", "dopri5", "rk4")
+FILTERS = ("first", "second")
+
+
+@dataclass(frozen=True)
+class Vehicle(Checked):
+    """A vehicle's main body, without the buffer (Table 2)."""
+
+    mass: float = quantity("kg", POSITIVE, doc="mass m_S or m_T")
+    inertia: float = quantity("kg m^2", POSITIVE, doc="about the centre of mass, I_S or I_T")
+
+
+@dataclass(frozen=True)
+class Cylinder(Checked):
+    """The cylinder hinged to the chaser; a slender rod behind the hinge (eq. 6)."""
+
+    mass: float = quantity("kg", NOT_NEGATIVE, doc="m_C")
+    length: float = quantity("m", NOT_NEGATIVE, doc="L_C")
+
+    @property
+    def inertia(self) -> float:
+        """Inertia about the cylinder's centre, kg m^2."""
+        return self.mass * self.length**2 / 12.0
+
+
+@dataclass(frozen=True)
+class Probe(Checked):
+    """The probe: a solid rod that ends in a solid sphere, the tip mass."""
+
+    radius: float = quantity("m", POSITIVE, doc="r_p, of the rod")
+    length: float = quantity("m", POSITIVE, doc="L_p, of the rod")
+    tip_radius: float = quantity("m", POSITIVE, doc="R_t, of the sphere")
+    density: float = quantity("kg/m^3", POSITIVE, doc="of rod and sphere")
+
+    @property
+    def rod_mass(self) -> float:
+        """Mass of the rod, kg."""
+        return self.density * math.pi * self.radius**2 * self.length
+
+    @property
+    def tip_mass(self) -> float:
+        """Mass of the sphere, kg."""
+        return self.density * 4.0 / 3.0 * math.pi * self.tip_radius**3
+
+    @property
+    def mass(self) -> float:
+        """Mass of rod and sphere, kg."""
+        return self.rod_mass + self.tip_mass
+
+    @property
+    def com_offset(self) -> float:
+        """Centre of mass behind the tip's centre, m."""
+        return self.rod_mass * (self.tip_radius + self.length / 2.0) / self.mass
+
+    @property
+    def inertia(self) -> float:
+        """Inertia about the probe's own centre of mass, kg m^2."""
+        d = self.com_offset
+        rod = self.rod_mass * (self.length**2 / 12.0 + self.radius**2 / 4.0)
+        rod += self.rod_mass * (self.tip_radius + self.length / 2.0 - d) ** 2
+        return rod + self.tip_mass * (0.4 * self.tip_radius**2 + d**2)
+
+
+@dataclass(frozen=True)
+class Buffer(Checked):
+    """The 2-DOF buffer: axial spring-damper and torsional spring (eq. 9)."""
+
+    a: float = quantity("m", NOT_NEGATIVE, doc="chaser's centre of mass to the hinge")
+    k_A: float = quantity("N/m", NOT_NEGATIVE, doc="axial stiffness")
+    c_A: float = quantity("N s/m", NOT_NEGATIVE, doc="axial damping")
+    k_T: float = quantity("N m/rad", NOT_NEGATIVE, doc="torsional stiffness")
+    c_T: float = quantity("N m s/rad", NOT_NEGATIVE, default=0.0, doc="torsional damping")
+    rest_length: float | None = quantity(
+        "m", POSITIVE, default=None, doc="hinge to tip centre at rest; null: L_p + R_t"
+    )
+
+
+@dataclass(frozen=True)
+class Cone(Checked):
+    """The target's cone: inner edge BE, and a wall on each side of the axis."""
+
+    L_T: float = quantity("m", NOT_NEGATIVE, doc="target's centre of mass to BE")
+    R_c: float = quantity("m", POSITIVE, doc="half-width of BE")
+    L_c: float = quantity("m", POSITIVE, doc="length of the generatrix")
+    beta: float = quantity(
+        "rad",
+        Range(0.0, math.pi / 2, low_open=True, high_open=True),
+        doc="angle between wall and axis",
+    )
+
+
+@dataclass(frozen=True)
+class Material(Checked):
+    """An isotropic elastic material (eq. 3)."""
+
+    E: float = quantity("N/m^2", POSITIVE, doc="Young's modulus")
+    nu: float = quantity("1", Range(-1.0, 0.5, low_open=True), doc="Poisson's ratio")
+
+    @property
+    def sigma(self) -> float:
+        """(1 - nu^2) / E, m^2/N."""
+        return (1.0 - self.nu**2) / self.E
+
+
+@dataclass(frozen=True)
+class Contact(Checked):
+    """Normal contact of tip and cone wall (eq. 1 to 4)."""
+
+    tip: Material
+    wall: Material
+    restitution: float = quantity(
+        "1", Range(0.0, 1.0), doc="e put into the law; see docs for what comes out"
+    )
+    law: str = choice(CONTACT_LAWS, default="lankarani_nikravesh", doc="hysteresis damping law")
+    v_0_floor: float = quantity(
+        "m/s", POSITIVE, default=1e-4, doc="least approach speed that the damping factor sees"
+    )
+
+
+@dataclass(frozen=True)
+class Friction(Checked):
+    """Coulomb friction of the tip on the wall."""
+
+    mu: float = quantity("1", NOT_NEGATIVE, doc="coefficient of friction")
+    law: str = choice(FRICTION_LAWS, default="tanh", doc="regularisation at zero slip")
+    v_eps: float = quantity(
+        "m/s", POSITIVE, default=1e-3, doc="slip at which tanh reaches 76 % of mu F_n"
+    )
+    mu_s: float | None = quantity(
+        "1",
+        NOT_NEGATIVE,
+        default=None,
+        doc="coefficient of static friction, for brown_mcphee and coulomb; null: mu",
+    )
+
+
+@dataclass(frozen=True)
+class BallSupport(Checked):
+    """Three ball-shaped supports under a vehicle."""
+
+    balls: tuple[tuple[float, float], ...] = field(
+        metadata={"unit": "m", "doc": "x, y of the three balls in the vehicle's frame"}
+    )
+    c_rr: float = quantity("1", Range(0.0, 1.0), doc="coefficient of rolling resistance")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.balls) != 3:
+            raise refuse("BallSupport.balls", self.balls, "m", "three points [x, y]")
+
+
+@dataclass(frozen=True)
+class Supports(Checked):
+    """How both vehicles stand on the floor."""
+
+    chaser: BallSupport
+    target: BallSupport
+    v_eps: float = quantity(
+        "m/s",
+        POSITIVE,
+        default=1e-6,
+        doc="ball speed below which rolling resistance falls off; at 5 of it a vehicle may rest",
+    )
+
+
+@dataclass(frozen=True)
+class Rail(Checked):
+    """Straight rail that guides the chaser along its initial heading."""
+
+    length: float = quantity("m", POSITIVE, doc="travel of the chaser until it leaves the rail")
+
+
+@dataclass(frozen=True)
+class String(Checked):
+    """String, pulley and hanging mass.
+
+    Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third
+    (null) follows, see :mod:`capture_sim.launch.plan`.
+    """
+
+    impact_speed: float | None = quantity(
+        "m/s", POSITIVE, default=None, doc="of the chaser at the first contact"
+    )
+    hanging_mass: float | None = quantity("kg", POSITIVE, default=None, doc="m_h")
+    drop_height: float | None = quantity(
+        "m", POSITIVE, default=None, doc="of the mass above its landing"
+    )
+    pulley_inertia: float = quantity("kg m^2", NOT_NEGATIVE, default=0.0, doc="I_p")
+    pulley_radius: float = quantity("m", POSITIVE, default=0.02, doc="r_pulley")
+
+
+@dataclass(frozen=True)
+class Latch(Checked):
+    """Spring-loaded latches that hold the tip once it has come to BE.
+
+    They hold it where it was caught, by a spring and a damper in each direction, in
+    place of the walls.
+    """
+
+    radius: float = quantity("m", POSITIVE, doc="distance to the centre of BE at which they close")
+    stiffness: float = quantity("N/m", POSITIVE, doc="of the hold")
+    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="of the hold")
+
+
+@dataclass(frozen=True)
+class Stops(Checked):
+    """Ends of the probe's stroke: springs with dampers that push but never pull."""
+
+    compression: float = quantity("m", POSITIVE, doc="stroke inwards at which the stop is met")
+    extension: float = quantity("m", POSITIVE, doc="stroke outwards at which the stop is met")
+    stiffness: float = quantity("N/m", POSITIVE, doc="of either stop")
+    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="of either stop")
+
+
+@dataclass(frozen=True)
+class PlanarState(Checked):
+    """Pose and velocity of a vehicle's centre of mass in the world."""
+
+    x: float = quantity("m", default=0.0)
+    y: float = quantity("m", default=0.0)
+    theta: float = quantity("rad", Range(-math.pi, math.pi), default=0.0)
+    vx: float = quantity("m/s", default=0.0)
+    vy: float = quantity("m/s", default=0.0)
+    omega: float = quantity("rad/s", default=0.0)
+
+
+@dataclass(frozen=True)
+class Initial(Checked):
+    """Where both vehicles start; the buffer starts at rest."""
+
+    chaser: PlanarState
+    target: PlanarState
+
+
+@dataclass(frozen=True)
+class Run(Checked):
+    """How long, how fine, how exact."""
+
+    t_end: float = quantity("s", POSITIVE, doc="longest run, from the release")
+    after_latch: float | None = quantity(
+        "s", NOT_NEGATIVE, default=None, doc="run on for this long after the latch, then end"
+    )
+    state_rate: float = quantity(
+        "Hz", Range(1.0, 1e6), default=1000.0, doc="of the full state (BenchState)"
+    )
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of all other streams")
+    rtol: float = quantity(
+        "1", Range(1e-13, 1e-2), default=1e-8, doc="error a step may make, of the scene's scale"
+    )
+    method: str = choice(METHODS, default="dop853", doc="integrator")
+    stiff: bool = field(
+        default=False,
+        metadata={"doc": "Radau IIA in sustained contact, where stability alone limits the step"},
+    )
+    trace: bool = field(
+        default=False,
+        metadata={"doc": "the contact at the integrator's own steps as well (ContactTrace)"},
+    )
+    step: float = quantity(
+        "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
+    )
+    max_steps: int = quantity(
+        "1", Range(100, 10**12), default=50_000_000, doc="steps before a run is given up"
+    )
+
+
+@dataclass(frozen=True)
+class Detector(Checked):
+    """What counts as captured, rebounding, missed and stuck."""
+
+    radius: float = quantity("m", REACH, default=0.005, doc="of the capture zone round BE")
+    dwell: float = quantity("s", NOT_NEGATIVE, default=0.2, doc="time in the zone for a capture")
+    contact_gap: float = quantity(
+        "m", REACH, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
+    )
+    leave: float = quantity(
+        "m", REACH, default=0.02, doc="retreat from the nearest approach that is a rebound"
+    )
+    still_speed: float = quantity(
+        "m/s", POSITIVE, default=5e-4, doc="tip speed in the cone's frame below which it stands"
+    )
+    still_time: float = quantity(
+        "s", POSITIVE, default=1.0, doc="time standing short of BE that is 'stuck'"
+    )
+    delay: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.25,
+        doc="longest wait for later measurements, to judge by their mean; unused without noise",
+    )
+    gap: float = quantity(
+        "s", POSITIVE, default=0.1, doc="hole in the measurements that breaks off a dwell"
+    )
+
+
+@dataclass(frozen=True)
+class MotionCapture(Checked):
+    """Cameras that see the poses of both vehicles."""
+
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of the poses")
+    position_noise: float = quantity(
+        "m", NOT_NEGATIVE, default=1e-3, doc="standard deviation of each coordinate"
+    )
+    heading_noise: float = quantity(
+        "rad", NOT_NEGATIVE, default=0.0035, doc="standard deviation of each heading"
+    )
+
+
+@dataclass(frozen=True)
+class LoadCell(Checked):
+    """Load cell between the cone and the target."""
+
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=1000.0, doc="of the readings")
+    bandwidth: float = quantity(
+        "Hz", POSITIVE, default=200.0, doc="at which half the power is left"
+    )
+    order: str = choice(FILTERS, default="second", doc="low-pass, second is Butterworth's")
+    force_noise: float = quantity(
+        "N", NOT_NEGATIVE, default=0.0, doc="standard deviation of each force, behind the filter"
+    )
+    torque_noise: float = quantity(
+        "N m", NOT_NEGATIVE, default=0.0, doc="standard deviation of the torque, behind the filter"
+    )
+
+
+@dataclass(frozen=True)
+class Sensors(Checked):
+    """What measures the bench, beside the truth that the simulator knows."""
+
+    motion_capture: MotionCapture | None = None
+    load_cell: LoadCell | None = None
+    seed: int = quantity("1", Range(0, 2**63 - 1), default=0, doc="of the noise")
+
+
+@dataclass(frozen=True)
+class Scene(Checked):
+    """Everything on the bench, and how to run it."""
+
+    name: str
+    title: str
+    chaser: Vehicle
+    target: Vehicle
+    cylinder: Cylinder
+    probe: Probe
+    buffer: Buffer
+    cone: Cone
+    contact: Contact
+    friction: Friction
+    initial: Initial
+    run: Run
+    detector: Detector
+    supports: Supports | None = None
+    rail: Rail | None = None
+    string: String | None = None
+    latch: Latch | None = None
+    stops: Stops | None = None
+    sensors: Sensors | None = None
+    gravity: float = quantity("m/s^2", POSITIVE, default=9.80665)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from capture_sim.scene.rules import check_scene
+
+        check_scene(self)
+
+    @property
+    def rest_length(self) -> float:
+        """Hinge to tip centre with the axial spring relaxed, m."""
+        if self.buffer.rest_length is not None:
+            return self.buffer.rest_length
+        return self.probe.length + self.probe.tip_radius
+
+    @property
+    def chaser_total_mass(self) -> float:
+        """Chaser with cylinder and probe, kg."""
+        return self.chaser.mass + self.cylinder.mass + self.probe.mass
+
+    @cached_property
+    def contact_stiffness(self) -> float:
+        """K of eq. (2), N/m^1.5."""
+        return (
+            4.0
+            * math.sqrt(self.probe.tip_radius)
+            / (3.0 * (self.contact.tip.sigma + self.contact.wall.sigma))
+        )
+
+    def initial_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return q (8,) and v (8,) at the release, m, rad and per second."""
+        c, t = self.initial.chaser, self.initial.target
+        q = np.array([c.x, c.y, c.theta, c.theta, self.rest_length, t.x, t.y, t.theta])
+        v = np.array([c.vx, c.vy, c.omega, c.omega, 0.0, t.vx, t.vy, t.omega])
+        return q, v
+
+    def to_yaml(self) -> str:
+        """Return the whole scene as YAML text that gives this scene again, exactly."""
+        from capture_sim.scene.files import scene_to_text
+
+        return scene_to_text(self)
+
+
+def as_mapping(part: Any) -> Any:
+    """Return a scene (or part) as plain nested dictionaries and lists."""
+    if is_dataclass(part) and not isinstance(part, type):
+        return {f.name: as_mapping(getattr(part, f.name)) for f in fields(part)}
+    if isinstance(part, tuple):
+        return [as_mapping(item) for item in part]
+    return part

@@ -1,0 +1,87 @@
+"""Parameters of a scene by name: where they stand, what they may be, how they are changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from capture_sim.errors import SceneError
+from capture_sim.scene.parts import Scene
+
+#: Short names, and where the value stands in a scene.
+ALIASES: Mapping[str, tuple[str, ...]] = {
+    "c_rr": ("supports.chaser.c_rr", "supports.target.c_rr"),
+    "e": ("contact.restitution",),
+    "mu": ("friction.mu",),
+    "c_A": ("buffer.c_A",),
+}
+#: Parts of a scene that are how it is simulated, judged and measured, not what is on the bench.
+NO_PHYSICS = ("run", "detector", "sensors")
+#: How the chaser was launched, which is known.
+LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
+
+
+def value_of(scene: Scene, name: str) -> float:
+    """Return the value of a parameter in a scene.
+
+    Raises
+    ------
+    SceneError
+        It is no number there.
+    """
+    return float(get(scene, paths_of(scene, name)[0]))
+
+
+def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
+    """Return where a parameter stands in a scene.
+
+    Raises
+    ------
+    SceneError
+        It is no number there, or no property of the bench.
+    """
+    paths = ALIASES.get(name, (name,))
+    for path in paths:
+        value = get(scene, path)
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not is_number or path.split(".")[0] in NO_PHYSICS or path in LAUNCH:
+            raise SceneError(
+                f"parameter {name}: allowed are {', '.join(ALIASES)}, or a number of the bench as "
+                f"buffer.k_A; not of {', '.join(NO_PHYSICS)}, and not {', '.join(LAUNCH)}, which "
+                "are as recorded"
+            )
+    return paths
+
+
+def get(scene: Scene, path: str) -> Any:
+    """Return what stands at a path of a scene; None where nothing does."""
+    value: Any = scene
+    for part in path.split("."):
+        # what follows from fields, as probe.rod_mass does, cannot be changed
+        known = dataclasses.is_dataclass(value) and part in (f.name for f in fields(value))
+        value = getattr(value, part) if known else None
+    return value
+
+
+def changed(part: Any, path: str, value: float) -> Any:
+    """Return a scene, or a part of one, with another value at a path."""
+    name, _, rest = path.partition(".")
+    new = changed(getattr(part, name), rest, value) if rest else value
+    return dataclasses.replace(part, **{name: new})
+
+
+def range_of(scene: Scene, path: str) -> tuple[float, float]:
+    """Return the least and the largest value that is allowed at a path."""
+    *parents, name = path.split(".")
+    owner = get(scene, ".".join(parents)) if parents else scene
+    (declared,) = (f for f in fields(owner) if f.name == name)
+    allowed = declared.metadata.get("allowed")
+    return (-math.inf, math.inf) if allowed is None else (allowed.low, allowed.high)
+
+
+def usual_size(name: str) -> float:
+    """Return the scale of a parameter whose value is zero."""
+    return {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}.get(name, 1.0)

@@ -1,0 +1,212 @@
+"""Rules that tie several parts of a scene together; one line per broken rule."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture_sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from capture_sim.scene.parts import Scene
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise SceneError for the first rule that the scene breaks."""
+    for rule in (
+        *(_name, _contact, _friction, _throat, _rates),
+        *(_start, _supports, _rail, _string, _latch),
+    ):
+        rule(scene)
+
+
+#: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+
+
+def as_name(text: str) -> str:
+    """Return a name that a scene may have, of any text: what is not allowed becomes ``_``."""
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
+    return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
+
+
+def _name(scene: Scene) -> None:
+    if not _NAME.fullmatch(scene.name):
+        raise SceneError(
+            f"name = {scene.name!r}: allowed are up to 64 letters (a to z), digits and _ . -, "
+            "beginning with neither . nor -: files bear it"
+        )
+
+
+def _contact(scene: Scene) -> None:
+    from capture_sim.model.contact_laws import NEED_POSITIVE_RESTITUTION
+
+    if scene.contact.law in NEED_POSITIVE_RESTITUTION and scene.contact.restitution <= 0.0:
+        raise SceneError(
+            f"contact.restitution = {scene.contact.restitution!r}: allowed is > 0 and <= 1 "
+            f"with the law {scene.contact.law}"
+        )
+
+
+def _friction(scene: Scene) -> None:
+    mu_s = scene.friction.mu_s
+    if mu_s is not None and mu_s < scene.friction.mu:
+        raise SceneError(
+            f"friction.mu_s = {mu_s!r}: allowed is >= {scene.friction.mu:g}, friction.mu, or null"
+        )
+
+
+def _throat(scene: Scene) -> None:
+    if scene.cone.R_c < scene.probe.tip_radius:
+        raise SceneError(
+            f"cone.R_c = {scene.cone.R_c!r} m: allowed is >= {scene.probe.tip_radius:g}, the "
+            "radius of the tip, or the tip can never come to BE"
+        )
+    if scene.buffer.rest_length is not None and scene.buffer.rest_length <= scene.probe.tip_radius:
+        raise SceneError(
+            f"buffer.rest_length = {scene.buffer.rest_length!r} m: allowed is > "
+            f"{scene.probe.tip_radius:g}, the radius of the tip"
+        )
+
+
+def _rates(scene: Scene) -> None:
+    ratio = scene.run.state_rate / scene.run.rate
+    if ratio < 1.0 or ratio != round(ratio):
+        raise SceneError(
+            f"run.rate = {scene.run.rate!r} Hz: allowed is run.state_rate "
+            f"({scene.run.state_rate:g} Hz) divided by a whole number"
+        )
+    for name in ("motion_capture", "load_cell"):
+        sensor = None if scene.sensors is None else getattr(scene.sensors, name)
+        if sensor is not None:
+            ratio = scene.run.state_rate / sensor.rate
+            if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+                raise SceneError(
+                    f"sensors.{name}.rate = {sensor.rate!r} Hz: allowed is run.state_rate "
+                    f"({scene.run.state_rate:g} Hz) divided by a whole number"
+                )
+
+
+def _supports(scene: Scene) -> None:
+    if scene.supports is None:
+        return
+    from capture_sim.model.parameters import loads
+
+    for vehicle in ("chaser", "target"):
+        balls = getattr(scene.supports, vehicle).balls
+        try:
+            load = loads(scene, vehicle)
+        except np.linalg.LinAlgError:
+            load = np.array([math.nan])
+        if not np.all(np.isfinite(load)) or np.abs(load).max() > 1e6 * scene.gravity * 1e3:
+            raise SceneError(
+                f"supports.{vehicle}.balls = {[list(b) for b in balls]} m: allowed is three "
+                "points that do not lie in one line"
+            )
+        if load.min() < 0.0:
+            raise SceneError(
+                f"supports.{vehicle}.balls = {[list(b) for b in balls]} m: allowed is a triangle "
+                f"round the centre of mass; as it is, ball {int(load.argmin())} would lift off"
+            )
+
+
+def _rail(scene: Scene) -> None:
+    from capture_sim.launch.plan import travel_to_touch
+
+    if scene.rail is None:
+        return
+    chaser, target = scene.initial.chaser, scene.initial.target
+    along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
+    across = chaser.vy * math.cos(chaser.theta) - chaser.vx * math.sin(chaser.theta)
+    if chaser.omega != 0.0:
+        raise SceneError(f"initial.chaser.omega = {chaser.omega!r} rad/s: allowed is 0 on the rail")
+    if abs(across) > 1e-12 * max(1.0, abs(along)) or along < 0.0:
+        raise SceneError(
+            f"initial.chaser.vx, vy = {chaser.vx!r}, {chaser.vy!r} m/s: allowed on the rail is a "
+            "velocity along the chaser's heading, forwards"
+        )
+    for name in ("vx", "vy", "omega"):
+        value = getattr(target, name)
+        if value != 0.0:
+            unit = "rad/s" if name == "omega" else "m/s"
+            raise SceneError(
+                f"initial.target.{name} = {value!r} {unit}: allowed is 0 while the scene has a rail"
+            )
+    travel = travel_to_touch(scene)
+    if scene.rail.length >= travel:
+        raise SceneError(
+            f"rail.length = {scene.rail.length!r} m: allowed is < {travel:.6g}, where the tip "
+            "meets the cone: the rail must end before the contact"
+        )
+
+
+def _string(scene: Scene) -> None:
+    from capture_sim.launch.plan import plan_launch
+
+    string = scene.string
+    if string is None:
+        return
+    if scene.rail is None:
+        raise SceneError("string: allowed only with a rail to guide the chaser; rail is null")
+    given = [
+        name
+        for name in ("impact_speed", "hanging_mass", "drop_height")
+        if getattr(string, name) is not None
+    ]
+    if len(given) != 2:
+        raise SceneError(
+            f"string: {', '.join(given) if given else 'nothing'} given: allowed are exactly two of "
+            "impact_speed (m/s), hanging_mass (kg), drop_height (m); the third is null and follows"
+        )
+    if string.drop_height is not None and string.drop_height > scene.rail.length:
+        raise SceneError(
+            f"string.drop_height = {string.drop_height!r} m: allowed is <= "
+            f"{scene.rail.length:g}, rail.length: the mass must land before the rail ends"
+        )
+    start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
+    if start != 0.0:
+        raise SceneError(
+            f"initial.chaser.vx, vy: speed {start!r} m/s: allowed is 0 with a string: the mass "
+            "starts from rest, and the string would be slack"
+        )
+    plan_launch(scene)
+
+
+def _latch(scene: Scene) -> None:
+    if scene.latch is None:
+        return
+    mouth = scene.cone.L_c * math.cos(scene.cone.beta)
+    if scene.latch.radius >= mouth:
+        raise SceneError(
+            f"latch.radius = {scene.latch.radius!r} m: allowed is < {mouth:.6g}, the cone's depth"
+        )
+
+
+def _start(scene: Scene) -> None:
+    from capture_sim.model.geometry import nearest_on_wall
+
+    q, _ = scene.initial_coordinates()
+    reach = scene.buffer.a + scene.rest_length
+    dx = q[0] + reach * math.cos(q[3]) - q[5]
+    dy = q[1] + reach * math.sin(q[3]) - q[6]
+    c, s = math.cos(q[7]), math.sin(q[7])
+    px, py = c * dx + s * dy, c * dy - s * dx
+    cone = scene.cone
+    for side, name in ((1.0, "+y"), (-1.0, "-y")):
+        distance, _, _ = nearest_on_wall.py_func(  # type: ignore[attr-defined]
+            -(px + cone.L_T),
+            side * py,
+            cone.R_c,
+            cone.L_c,
+            math.cos(cone.beta),
+            math.sin(cone.beta),
+        )
+        gap = distance - scene.probe.tip_radius
+        if gap < 0.0:
+            raise SceneError(
+                f"initial: the tip starts {-gap:.6g} m inside the cone's {name} wall: allowed is a "
+                "gap >= 0 m; move initial.target.x or initial.chaser.x"
+            )

@@ -1,0 +1,209 @@
+"""What the sensors of a bench make of the truth: noise, rate and bandwidth.
+
+Every sensor draws from a stream of random numbers of its own, in the order of its
+readings: they depend on the seed and the run alone, not on the pace, nor on how the run is
+cut into blocks, nor on which other sensors there are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.model.parameters import pack
+from capture_sim.model.supports import rolling_wrench
+from capture_sim.scene.parts import LoadCell, MotionCapture, Scene
+
+Pose = tuple[float, float, float]  # m, m, rad, in the world
+Wrench = tuple[float, float, float]  # N, N, N m
+
+# indices into q and v, see samples.COORDINATES
+_CHASER, _TARGET = slice(0, 3), slice(5, 8)
+
+
+class Reading(NamedTuple):
+    """What was read at one sample; None for a sensor that was not due.
+
+    Attributes
+    ----------
+    chaser, target
+        Poses by motion capture.
+    wrench
+        By the load cell: what the tip does to the cone, in the axes of the target, about
+        its centre of mass.
+    """
+
+    chaser: Pose | None = None
+    target: Pose | None = None
+    wrench: Wrench | None = None
+
+
+class Sensors:
+    """The sensors of one run; feed every sample in order.
+
+    Parameters
+    ----------
+    scene
+        Its ``sensors`` say what there is.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._count = 0
+        self._motion_capture: _MotionCapture | None = None
+        self._load_cell: _LoadCell | None = None
+        parts = scene.sensors
+        if parts is None:
+            return
+        if parts.motion_capture is not None:
+            rng = np.random.default_rng([parts.seed, 0])
+            self._motion_capture = _MotionCapture(parts.motion_capture, scene, rng)
+        if parts.load_cell is not None:
+            rng = np.random.default_rng([parts.seed, 1])
+            self._load_cell = _LoadCell(parts.load_cell, scene, rng)
+
+    def read(self, sample: np.void) -> Reading:
+        """Return what is read at the next sample, of dtype SAMPLE."""
+        k, self._count = self._count, self._count + 1
+        chaser = target = wrench = None
+        if self._motion_capture is not None and k % self._motion_capture.every == 0:
+            chaser, target = self._motion_capture.read(sample)
+        if self._load_cell is not None:
+            wrench = self._load_cell.read(sample, due=k % self._load_cell.every == 0)
+        return Reading(chaser, target, wrench)
+
+
+class _MotionCapture:
+    def __init__(self, part: MotionCapture, scene: Scene, rng: np.random.Generator) -> None:
+        self.every = round(scene.run.state_rate / part.rate)
+        scatter = [part.position_noise, part.position_noise, part.heading_noise]
+        self._scatter = np.array(scatter * 2)
+        self._rng = rng
+
+    def read(self, sample: np.void) -> tuple[Pose, Pose]:
+        error = (self._scatter * self._rng.standard_normal(6)).tolist()
+        c = sample["q"][_CHASER].tolist()
+        t = sample["q"][_TARGET].tolist()
+        return (
+            (c[0] + error[0], c[1] + error[1], c[2] + error[2]),
+            (t[0] + error[3], t[1] + error[4], t[2] + error[5]),
+        )
+
+
+class _LoadCell:
+    """Under the cone, in the axes of the target.
+
+    What it feels between two samples is taken from the target's change of momentum, less
+    what its supports did: exact for the mean over the interval however short a touch was,
+    where the force at the sample would alias.  The cone's own mass is left out.
+    """
+
+    def __init__(self, part: LoadCell, scene: Scene, rng: np.random.Generator) -> None:
+        self.every = round(scene.run.state_rate / part.rate)
+        self._inert = (scene.target.mass, scene.target.mass, scene.target.inertia)
+        self._front = scene.cone.L_T
+        self._scatter = np.array([part.force_noise, part.force_noise, part.torque_noise])
+        self._rng = rng
+        dt = 1.0 / scene.run.state_rate
+        self._filters = [low_pass(part.order, part.bandwidth, dt) for _ in range(3)]
+        self._rolling = _rolling(scene)
+        self._last: tuple[float, list[float], Wrench, int] | None = None
+
+    def read(self, sample: np.void, *, due: bool) -> Wrench | None:
+        t, v = float(sample["t"]), sample["v"][_TARGET].tolist()
+        theta, at_rest = float(sample["q"][7]), int(sample["at_rest"]) & 2
+        rolling = self._rolling(sample)
+        mean = (0.0, 0.0, 0.0)
+        if self._last is not None:
+            t_0, v_0, rolling_0, rested = self._last
+            if at_rest and rested:
+                # nothing moves: the supports hold against just what the cell feels
+                mean = _pressed(sample, self._front)
+            else:
+                dt = t - t_0
+                mean_x, mean_y, mean_m = (
+                    m * (b - a) / dt - 0.5 * (r_0 + r)
+                    for m, a, b, r_0, r in zip(self._inert, v_0, v, rolling_0, rolling, strict=True)
+                )
+                mean = (mean_x, mean_y, mean_m)
+        self._last = (t, v, rolling, at_rest)
+        c, s = math.cos(theta), math.sin(theta)
+        felt = (c * mean[0] + s * mean[1], c * mean[1] - s * mean[0], mean[2])
+        seen = [a_filter(value) for a_filter, value in zip(self._filters, felt, strict=True)]
+        if not due:
+            return None
+        x, y, m = (np.array(seen) + self._scatter * self._rng.standard_normal(3)).tolist()
+        return x, y, m
+
+
+def _pressed(sample: np.void, front: float) -> Wrench:
+    """Return force (N, world axes) and torque (N m) of the tip on the target at a sample.
+
+    About the target's centre of mass; ``front`` is its distance to BE, L_T, m.
+    """
+    fx, fy = (-(sample["contact_force"] + sample["latch_force"])).tolist()
+    theta = float(sample["q"][7])
+    c, s = math.cos(theta), math.sin(theta)
+    px, py = -(float(sample["tip_axial"]) + front), float(sample["tip_lateral"])
+    rx, ry = c * px - s * py, s * px + c * py
+    return fx, fy, rx * fy - ry * fx - float(sample["contact_torque"])
+
+
+def _rolling(scene: Scene) -> Callable[[np.void], Wrench]:
+    """Return what gives the supports' wrench on the target at a sample, world axes."""
+    if scene.supports is None:
+        return lambda sample: (0.0, 0.0, 0.0)
+    part = pack(scene, math.nan, math.nan)[0]
+    balls, v_eps = np.array(part["balls_T"]), float(part["v_eps_ball"])
+    resistance = rolling_wrench.py_func  # type: ignore[attr-defined]
+
+    def rolling(sample: np.void) -> Wrench:
+        vx, vy, omega = sample["v"][_TARGET].tolist()
+        theta = float(sample["q"][7])
+        fx, fy, m, _ = resistance(vx, vy, omega, math.cos(theta), math.sin(theta), balls, v_eps)
+        return float(fx), float(fy), float(m)
+
+    return rolling
+
+
+def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float]:
+    """Return a low-pass filter of a signal given by its means over intervals of ``dt``.
+
+    Exact for a signal that is constant within each interval, so stable at any bandwidth.
+
+    Parameters
+    ----------
+    order
+        ``"first"``: 1 / (1 + s / w); ``"second"``: 1 / (1 + sqrt(2) s / w + (s / w)^2)
+        (Butterworth).
+    bandwidth
+        w / (2 pi), where the power is halved, Hz.
+    dt
+        s.
+    """
+    w = 2.0 * math.pi * bandwidth
+    if order == "first":
+        decay = math.exp(-w * dt)
+        state = 0.0
+
+        def first(value: float) -> float:
+            nonlocal state
+            state = value + (state - value) * decay
+            return state
+
+        return first
+    # y'' + sqrt(2) w y' + w^2 y = w^2 u: poles w (-1 +- i) / sqrt(2); e = y - u is free motion
+    a = w / math.sqrt(2.0)
+    fade, c, s = math.exp(-a * dt), math.cos(a * dt), math.sin(a * dt)
+    place = speed = 0.0
+
+    def second(value: float) -> float:
+        nonlocal place, speed
+        e = place - value
+        place = value + fade * (e * (c + s) + speed / a * s)
+        speed = fade * (speed * (c - s) - 2.0 * a * e * s)
+        return place
+
+    return second

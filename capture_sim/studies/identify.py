@@ -1,0 +1,403 @@
+"""Fitting parameters of the bench to measurements, with standard errors.
+
+Weighted least squares on the simulator itself: the residuals are what was measured less what
+is simulated, each divided by its noise; scipy's trust-region method (Branch, Coleman and Li,
+1999) keeps the parameters within their ranges.  The covariance is that of the linearised
+problem, (J^T J)^-1, widened where the residuals are larger than the noise explains.
+
+Poses, stroke and torsion depend on the parameters smoothly, through all chatter of the tip.
+A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
+it.  Instead of it the first touches serve, by the time of their start and their peak force,
+in a second stage when the fit is near enough for the touches to correspond.
+
+On a real bench the release is seldom known as well as a touch is measured, and a millisecond of it
+moves other parameters by many of their standard errors, in fits that look good
+(docs/recording.md): so it can be fitted along with the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from capture_sim.bench import Bench, compile_kernels
+from capture_sim.errors import SceneError, SimulationError
+from capture_sim.launch.plan import LaunchPlan
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
+from capture_sim.studies.measured_touches import Touches
+from capture_sim.studies.measurements import Measurements, Series, measured_in
+
+#: Least noise that is believed: rounding and what no sensor betters; m, rad, m, rad.
+NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
+    "chaser": (1e-6, 1e-6, 1e-6),
+    "target": (1e-6, 1e-6, 1e-6),
+    "stroke": (1e-7,),
+    "torsion": (1e-7,),
+}
+#: Name of a parameter that stands in no scene: when the chaser was really released, s after the
+#: time that is taken for it.
+RELEASE = "release"
+#: Its scale, s.
+_RELEASE_SIZE = 0.01
+#: Searches that begin round the best place found, to see whether it is the best there.
+_NEARBY = 4
+#: Step of the numerical derivatives, of a parameter's scale.
+_STEP = 3e-3
+#: Longest step that the errors are taken over.
+_LONGEST_STEP = 0.3
+#: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
+_FAR = 1e3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit gave.
+
+    Attributes
+    ----------
+    names
+        Of the parameters.
+    values, errors : ndarray (k,)
+        Fitted, and their standard errors; units of the scene's fields.
+    correlation : ndarray (k, k)
+        Of the errors.
+    chi2
+        Sum of the squared residuals over the degrees of freedom: 1 when the model explains
+        all but the noise.
+    freedom
+        Degrees of freedom: residuals less parameters.
+    at_bound
+        Parameters that ended at a bound of their range: their errors mean nothing.
+    evaluations
+        Simulations that it took.
+    scene
+        With the fitted values.
+    touches
+        How many were used.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    errors: np.ndarray
+    correlation: np.ndarray
+    chi2: float
+    freedom: int
+    at_bound: tuple[str, ...]
+    evaluations: int
+    scene: Scene = field(repr=False)
+    touches: int = 0
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Parameters that the measurements do not depend on."""
+        return tuple(
+            n for n, e in zip(self.names, self.errors, strict=True) if not math.isfinite(e)
+        )
+
+
+def identify(
+    scene: Scene,
+    measured: Measurements,
+    names: Sequence[str],
+    *,
+    plan: LaunchPlan | None = None,
+    touches: Touches | None = None,
+    noise: Mapping[str, Sequence[float]] | None = None,
+    until: float = math.inf,
+    starts: int = 10,
+    seed: int = 0,
+) -> Fit:
+    """Fit parameters of a scene to what was measured in one run.
+
+    Parameters
+    ----------
+    scene
+        With the values where the search begins.
+    measured
+        Times in s since the release.  The force is not used, see above.
+    names
+        ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, or fields as ``buffer.k_A``; and
+        :data:`RELEASE`, where that is not known exactly.
+    plan
+        The launch as it was done; None lets the scene's be planned.  It stays as it is
+        whatever the parameters.
+    touches
+        The first touches; None does without.  Those found in a force that is sampled too
+        slowly for touches as the scene has them are not used.
+    noise
+        Standard deviations by series, see :data:`NOISE_FLOOR`; what is missing is estimated
+        from the series' own scatter.
+    until
+        s; what was measured later is not used.
+    starts
+        Searches at most, the best counts, and some round it in the end.  The first begins
+        at the scene's values; where more is left than noise explains, others begin within
+        a factor of two of them.  With 1 it is that one alone.
+    seed
+        Of the other places.
+
+    Raises
+    ------
+    SceneError
+        A name is unknown or given twice, nothing was measured, or a noise is not positive.
+    SimulationError
+        The scene cannot be simulated where the search begins.
+    """
+    compile_kernels()
+    if touches is not None:
+        if min(touches.start_noise, touches.peak_noise) <= 0.0:
+            raise SceneError(
+                f"noise of touches = {touches.start_noise:g} s, {touches.peak_noise:g} N: "
+                "allowed is > 0"
+            )
+        used = touches.start <= until
+        touches = dataclasses.replace(touches, start=touches.start[used], peak=touches.peak[used])
+    problem = _Problem(scene, measured, names, plan, noise or {}, until)
+    _, expected = problem.simulate(problem.begin)  # raises what is wrong with the scene
+    if touches is not None:
+        first = expected[np.argsort(expected["start"], kind="stable")][: touches.start.size]
+        if touches.could_be_missed(first["end"] - first["start"]):
+            touches = None
+    rng = np.random.default_rng(seed)
+
+    def search(begin: np.ndarray) -> Any:
+        found = problem.solve(begin, None)
+        return found if touches is None else problem.solve(found.x, touches)
+
+    best = search(problem.begin)
+    for _ in range(starts - 1):
+        if is_explained(problem.result(best, touches)):
+            break
+        away = problem.begin * 2.0 ** rng.uniform(-1.0, 1.0, problem.begin.size)
+        found = search(np.where(problem.in_scene, away, best.x))
+        best = min(best, found, key=lambda result: result.cost)
+    # the chatter puts kinks into the way, and a kink may hold a search close to its aim
+    for _ in range(_NEARBY if starts > 1 else 0):
+        off = 0.1 * rng.standard_normal(best.x.size)
+        near = best.x + off * np.where(problem.in_scene, best.x, 1.0)
+        best = min(best, problem.solve(near, touches), key=lambda result: result.cost)
+    return problem.result(best, touches)
+
+
+def is_explained(fit: Fit) -> bool:
+    """Whether what is left of the measurements is no larger than noise makes it."""
+    # chi2 of so many freedoms scatters by sqrt(2 / freedom); noise is known to some 10 %
+    return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)
+
+
+class _Problem:
+    """Residuals as a function of the scaled parameters."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        measured: Measurements,
+        names: Sequence[str],
+        plan: LaunchPlan | None,
+        noise: Mapping[str, Sequence[float]],
+        until: float,
+    ) -> None:
+        self._names = tuple(names)
+        self._paths = [() if name == RELEASE else paths_of(scene, name) for name in names]
+        self.in_scene = np.array([name != RELEASE for name in names])
+        if not names or len(set(names)) != len(names):
+            raise SceneError(f"parameters {', '.join(names)!r}: allowed are names, each once")
+        self._scene = scene
+        self._plan = Bench(scene).plan if plan is None else plan
+        self.evaluations = 0
+        self._series: list[tuple[str, Series, np.ndarray]] = []
+        for name, series in measured.items():
+            kept = (series.t <= min(until, scene.run.t_end)) & (series.t >= 0.0)
+            if name in NOISE_FLOOR and kept.any():
+                cut = Series(series.t[kept], series.values[kept])
+                sigma = np.asarray(noise.get(name) or scatter(cut), dtype=float)
+                self._series.append((name, cut, np.maximum(sigma, NOISE_FLOOR[name])))
+        if not self._series:
+            raise SceneError(
+                "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
+            )
+        self._times = np.unique(np.concatenate([series.t for _, series, _ in self._series]))
+        values = [get(scene, paths[0]) if paths else 0.0 for paths in self._paths]
+        # a value of zero has no scale of its own
+        sizes = {RELEASE: _RELEASE_SIZE}
+        self._scale = np.array(
+            [
+                abs(value) if value else sizes.get(name, usual_size(name))
+                for value, name in zip(values, names, strict=True)
+            ]
+        )
+        self.begin = np.array(values) / self._scale
+        last = float(self._times[-1])
+        ranges = [range_of(scene, paths[0]) if paths else (-last, last) for paths in self._paths]
+        self._low = np.array([low for low, _ in ranges]) / self._scale
+        self._high = np.array([high for _, high in ranges]) / self._scale
+
+    def clipped(self, x: np.ndarray) -> np.ndarray:
+        """Return parameters strictly within their ranges, as the search wants them."""
+        margin = 1e-6
+        return np.clip(x, self._low + margin, self._high - margin)
+
+    def scene_at(self, x: np.ndarray) -> Scene:
+        """Return the scene with these scaled parameters."""
+        scene = self._scene
+        for value, paths in zip(x * self._scale, self._paths, strict=True):
+            for path in paths:
+                scene = changed(scene, path, float(value))
+        if scene.string is not None:  # what hangs there does not follow the parameters
+            scene = dataclasses.replace(
+                scene,
+                string=dataclasses.replace(
+                    scene.string,
+                    impact_speed=None,
+                    hanging_mass=self._plan.hanging_mass,
+                    drop_height=self._plan.drop_height,
+                ),
+            )
+        return scene
+
+    def simulate(self, x: np.ndarray) -> tuple[Measurements, np.ndarray]:
+        """Return what would be measured, and the touches; times are s since the release at x."""
+        self.evaluations += 1
+        scene = self.scene_at(x)
+        times = np.unique(self._since_release(self._times, x))
+        if times[-1] > scene.run.t_end:
+            run = dataclasses.replace(scene.run, t_end=float(times[-1]))
+            scene = dataclasses.replace(scene, run=run)
+        bench = Bench(scene)
+        samples = bench.advance(times)
+        return measured_in(samples), bench.touches
+
+    def _released(self, x: np.ndarray) -> float:
+        """Return when the release was, s after the time that was taken for it."""
+        return float((x * self._scale)[~self.in_scene].sum())
+
+    def _since_release(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return times of the measurements as those of the simulation: before, all is at rest."""
+        return np.maximum(t - self._released(x), 0.0)
+
+    def residuals(self, x: np.ndarray, touches: Touches | None) -> np.ndarray:
+        """Return measured less simulated, in units of noise."""
+        try:
+            simulated, touched = self.simulate(x)
+        except (SimulationError, SceneError):  # that far off the bench does not work
+            size = sum(series.values.size for _, series, _ in self._series)
+            return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAR)
+        parts = []
+        for name, series, sigma in self._series:
+            own: Series = getattr(simulated, name)
+            # where the run ended before, it stays where it is
+            at = np.searchsorted(own.t, self._since_release(series.t, x), side="right") - 1
+            values = own.values[np.maximum(at, 0)]
+            parts.append(((series.values - values) / sigma).ravel())
+        if touches is not None:
+            touched = touched[touched["peak_force"] >= touches.least]
+            touched = touched[np.argsort(touched["start"], kind="stable")]
+            n = min(touches.start.size, touched.size)
+            far = np.full(touches.start.size - n, _FAR)
+            began = touches.start[:n] - self._released(x)
+            start = (began - touched["start"][:n]) / touches.start_noise
+            peak = (touches.peak[:n] - touched["peak_force"][:n]) / touches.peak_noise
+            parts += [start, far, peak, far]
+        return np.concatenate(parts)
+
+    def jacobian(
+        self, x: np.ndarray, touches: Touches | None, steps: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the derivatives of the residuals, by central differences."""
+        columns = []
+        for k, step in enumerate(np.full(x.size, _STEP) if steps is None else steps):
+            ahead, back = x.copy(), x.copy()
+            ahead[k] = min(x[k] + step, self._high[k])
+            back[k] = max(x[k] - step, self._low[k])
+            change = self.residuals(ahead, touches) - self.residuals(back, touches)
+            columns.append(change / (ahead[k] - back[k]))
+        return np.stack(columns, axis=1)
+
+    def solve(self, begin: np.ndarray, touches: Touches | None) -> Any:
+        """Return scipy's result of a search from there."""
+        return least_squares(
+            lambda x: self.residuals(x, touches),
+            self.clipped(begin),
+            jac=lambda x: self.jacobian(x, touches),
+            bounds=(self._low, self._high),
+            xtol=1e-8,
+            ftol=1e-8,
+            max_nfev=60,
+        )
+
+    def result(self, found: Any, touches: Touches | None) -> Fit:
+        """Return the fit of a search that has ended."""
+        freedom = max(found.fun.size - found.x.size, 1)
+        chi2 = float(2.0 * found.cost / freedom)
+        variance, covariance = spread(self.jacobian(found.x, touches))
+        # Where the dependence has kinks, the slope at the very minimum may be steep: an error
+        # counts that is confirmed by differences over its own size.
+        steps = np.clip(np.sqrt(variance), _STEP / 30.0, _LONGEST_STEP)
+        wide, _ = spread(self.jacobian(found.x, touches, steps))
+        variance = np.maximum(variance, wide)
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        near = np.minimum(found.x - self._low, self._high - found.x) < 1e-4
+        return Fit(
+            names=self._names,
+            values=found.x * self._scale,
+            errors=np.sqrt(variance * max(1.0, chi2)) * self._scale,
+            correlation=covariance / np.outer(scale, scale),
+            chi2=chi2,
+            freedom=freedom,
+            at_bound=tuple(n for n, at in zip(self._names, near, strict=True) if at),
+            evaluations=self.evaluations,
+            scene=self.scene_at(found.x),
+            touches=0 if touches is None else touches.start.size,
+        )
+
+
+def spread(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variances of least-squares parameters, and their covariances.
+
+    Parameters
+    ----------
+    J
+        (n, k) derivatives of residuals of unit variance.
+
+    Returns
+    -------
+    variance, covariance : ndarray (k,), (k, k)
+        The variance is infinite for what the data do not tell; the covariance leaves it out.
+    """
+    _, singular, right = np.linalg.svd(J, full_matrices=False)
+    tiny = singular <= 1e-10 * singular.max(initial=1e-300)
+    loads = right.T**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(tiny, np.inf, singular**-2.0)
+        variance = np.where(loads > 1e-12, loads * inverse, 0.0).sum(axis=1)
+    return variance, (right.T * np.where(tiny, 0.0, inverse)) @ right
+
+
+def scatter(series: Series) -> np.ndarray:
+    """Estimate the noise of a smooth series from its third differences.
+
+    The third difference of white noise has 20 times its variance, that of a smooth motion
+    is small; the median keeps bends at touches from counting.
+
+    Parameters
+    ----------
+    series
+        n evenly spaced values or rows of m.
+
+    Returns
+    -------
+    ndarray (m,)
+        Standard deviations; m = 1 for plain values.
+    """
+    values = series.values.reshape(len(series.t), -1)
+    if len(values) < 5:
+        return np.zeros(values.shape[1])
+    rough = np.abs(np.diff(values, n=3, axis=0))
+    return np.asarray(np.median(rough, axis=0) / 0.6745 / math.sqrt(20.0))
