@@ -16,7 +16,7 @@ help:
 	@echo "make test        set up, check the style and run the tests"
 	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
-	@echo "make lint        only check style and types"
+	@echo "make lint        only check style, types and layers"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      lay out the Python files as lint wants them"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
@@ -46,6 +46,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 picture: setup
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
