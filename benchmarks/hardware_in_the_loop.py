@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.machine import processor
 from capture_sim import load_scene
-from capture_sim.benchmarking.machine import processor
 from capture_sim.hardware.contact_rig import ContactRig, bounce_with_delay, gain_rate
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -18,8 +18,8 @@ sys.path[:0] = [str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
 
 from suite_trials import PARTS, settings  # noqa: E402
 
+from benchmarks.machine import clock_rate, describe  # noqa: E402
 from capture_sim.bench import compile_kernels  # noqa: E402
-from capture_sim.benchmarking.machine import clock_rate, describe  # noqa: E402
 
 PAGE = ROOT / "docs" / "node_suite.md"
 FIGURES = ROOT / "docs" / "node_suite.json"

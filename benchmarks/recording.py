@@ -26,8 +26,8 @@ import numpy as np
 import yaml
 
 import capture_sim
-from capture_sim.benchmarking.machine import clock_rate, describe, load
-from capture_sim.benchmarking.noisy_bench import NAMES, noisy_run
+from benchmarks.machine import clock_rate, describe, load
+from benchmarks.noisy_bench import NAMES, noisy_run
 from capture_sim.messages.convert import RunDescription
 from capture_sim.recording import LiveRecorder, RunWriter, read_run, write_run
 from capture_sim.recording.damage import cuts, expected, flips, saved_rightly

@@ -18,9 +18,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.machine import clock_rate, describe
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.benchmarking.machine import clock_rate, describe
 from capture_sim.commands.opening import open_runs
 from capture_sim.viewing import save_figure, save_overview, save_rrd
 from capture_sim.viewing.report import ReportedRun, save_report

@@ -19,9 +19,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.cli import main
 from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureState

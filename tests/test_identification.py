@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import capture_sim
+from benchmarks.noisy_bench import NAMES, POSE_NOISE, noisy_run
 from capture_sim.bench import Bench
-from capture_sim.benchmarking.noisy_bench import NAMES, POSE_NOISE, noisy_run
 from capture_sim.errors import SceneError
 from capture_sim.studies.identify import identify, is_explained, scatter
 from capture_sim.studies.measured_touches import Touches

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
-from capture_sim.benchmarking.noisy_replay import Disturbance, disturbed, judge
 from capture_sim.detection.align import Aligner, Source
 from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
 from capture_sim.detection.tip_path import NoiseEstimate, TipPath, third_difference

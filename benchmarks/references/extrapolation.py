@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking.numpy_model import NumpyModel
+from benchmarks.engines.numpy_model import NumpyModel
 
 Real = np.longdouble
 SEQUENCE = (2, 4, 6, 8, 10, 12, 14, 16)

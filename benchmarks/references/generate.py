@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from extrapolation import COLUMNS, Real, Reference, table
 
+from benchmarks.engines.python_model import PythonModel
+from benchmarks.reference import physics_of
 from capture_sim import load_scene
-from capture_sim.benchmarking.python_model import PythonModel
-from capture_sim.benchmarking.reference import physics_of
 from capture_sim.scene.parts import FRICTION_LAWS, Scene
 
 FOLDER = Path(__file__).resolve().parent

@@ -22,7 +22,6 @@ COMMANDS = (
     "sensitivity",
     "envelope",
     "reproduce",
-    "benchmark",
     "scenes",
     "show",
 )

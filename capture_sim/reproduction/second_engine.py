@@ -1,7 +1,7 @@
 """Figures 10 and 11: velocities beside those of an independent engine.
 
 The paper set its own model beside one in SimMechanics; this sets ours beside one in Exudyn (see
-:mod:`capture_sim.benchmarking.exudyn_engine`).  Exudyn knows friction clamped at v_eps only, so
+:mod:`capture_sim.reproduction.exudyn_engine`).  Exudyn knows friction clamped at v_eps only, so
 both are run with that law; what the law itself changes is told apart.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_sim.benchmarking import exudyn_engine
+from capture_sim.reproduction import exudyn_engine
 from capture_sim.results import first_cluster
 from capture_sim.scene.files import load_scene
 from capture_sim.scene.parts import Scene

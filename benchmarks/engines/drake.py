@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking import bounce
-from capture_sim.benchmarking.outcome import Outcome
-from capture_sim.benchmarking.own_runs import with_run
-from capture_sim.benchmarking.trial import Trial
+from benchmarks.engines import bounce
+from benchmarks.engines.own import with_run
+from benchmarks.outcome import Outcome
+from benchmarks.trial import Trial
 from capture_sim.scene.parts import Scene
 
 NAME = "Drake"

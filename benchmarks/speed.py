@@ -1,22 +1,29 @@
-"""``capture-sim benchmark``: measure, show, write the page and its pictures."""
+"""Speed against error on this machine, beside what else there is; writes docs/benchmark.md.
+
+    make benchmark
+
+that is ``python -m benchmarks.speed``; ``--quick`` for a reduced sweep of less than a minute.
+"""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import costs, engines, machine, operations, tables, work_precision
+from benchmarks.page import FOLDER, page
+from benchmarks.plots import save_all
+from benchmarks.reference import load_reference
+from benchmarks.results import Results
+from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
-from capture_sim.benchmarking import costs, engines, machine, operations, tables, work_precision
-from capture_sim.benchmarking.page import FOLDER, page
-from capture_sim.benchmarking.reference import load_reference
-from capture_sim.benchmarking.results import Results
-from capture_sim.benchmarking.trial import Progress
-from capture_sim.errors import RecordingError
 from capture_sim.scene.files import load_scene
 
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 SCENE = "paper_designed"
 _ON_RAIL = "tilt_0"  # a scene with rail and string
 
@@ -71,26 +78,26 @@ def _references(agreement: list[engines.Agreement]) -> list[str]:
     return [SCENE, *dict.fromkeys(f"{SCENE}_{a.law}" for a in agreement)]
 
 
-def run(options: argparse.Namespace) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the tables, write page and pictures; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a reduced sweep")
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page (default: docs)")
+    options = parser.parse_args(arguments)
+    folder: Path = options.out
     progress = Progress()
     try:
         results = measure(options.quick, progress)
     finally:
         progress.close()
     print(tables.summary(results))
-    folder = Path(options.out)
-    try:
-        (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-        (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
-        tables.write_trials(results, folder / FOLDER / "trials.csv")
-        try:
-            from capture_sim.benchmarking.plots import save_all
-
-            save_all(results, folder / FOLDER)
-        except ImportError as error:
-            print(f"no pictures: {error}")
-    except OSError as error:
-        raise RecordingError(f"--out {folder}: cannot be written: {error.strerror}") from None
+    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
+    tables.write_trials(results, folder / FOLDER / "trials.csv")
+    save_all(results, folder / FOLDER)
     print(f"\npage in {folder / 'benchmark.md'}, pictures in {folder / FOLDER}")
     return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from capture_sim.benchmarking import work_precision
-from capture_sim.benchmarking.results import Results
-from capture_sim.benchmarking.trial import Trial
+from benchmarks import work_precision
+from benchmarks.results import Results
+from benchmarks.trial import Trial
 
 # Okabe and Ito's colours, told apart with any common colour vision
 _COLOURS = {

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from capture_sim.benchmarking.costs import BatchCost, EvaluationCost, PartCost, RunCost
-from capture_sim.benchmarking.engines import Agreement, EngineResult
-from capture_sim.benchmarking.work_precision import WorkPrecision
+from benchmarks.costs import BatchCost, EvaluationCost, PartCost, RunCost
+from benchmarks.engines import Agreement, EngineResult
+from benchmarks.work_precision import WorkPrecision
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Results:
     quick : bool
         It was a reduced sweep.
     machine : dict
-        From :func:`capture_sim.benchmarking.machine.describe`.
+        From :func:`benchmarks.machine.describe`.
     clock : float
         Hz.
     loads : tuple of float

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.engines.problems import packed
+from benchmarks.outcome import TOUCHED, Outcome
 from capture_sim.bench import Bench
-from capture_sim.benchmarking.outcome import TOUCHED, Outcome
-from capture_sim.benchmarking.problems import packed
 from capture_sim.errors import SimulationError
 from capture_sim.scene.parts import Scene
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from capture_sim.benchmarking.outcome import Errors, Outcome, errors
+from benchmarks.outcome import Errors, Outcome, errors
 
 #: Returns what is to be timed, which returns what reads the outcome.
 Prepare = Callable[[], Callable[[], Callable[[], Outcome]]]

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking.outcome import TOUCHED, Outcome
+from benchmarks.outcome import TOUCHED, Outcome
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene, as_mapping
 
-#: In a checkout; references are not installed.
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "references"
+FOLDER = Path(__file__).resolve().parent / "references"
 
 #: What of a scene changes the motion.
 PHYSICS = (
@@ -101,7 +100,7 @@ def load_reference(name: str, scene: Scene | None = None) -> Reference:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError:
         raise SceneError(
-            f"no reference {name}: benchmarks/references comes with a source checkout only"
+            f"no reference {name}: benchmarks/references holds none of that name"
         ) from None
     if scene is not None:
         wanted, there = json.loads(json.dumps(physics_of(scene))), data["physics"]

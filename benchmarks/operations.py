@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking.problems import into_wall, packed
+from benchmarks.engines.problems import into_wall, packed
 from capture_sim.model import equations
 from capture_sim.scene.parts import Scene
 

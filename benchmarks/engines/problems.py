@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from capture_sim.benchmarking.numpy_model import NumpyModel
-from capture_sim.benchmarking.python_model import PythonModel
+from benchmarks.engines.numpy_model import NumpyModel
+from benchmarks.engines.python_model import PythonModel
 from capture_sim.engine import loop
 from capture_sim.kernels import entry_kernel
 from capture_sim.launch.plan import plan_launch
@@ -108,7 +108,7 @@ class CompiledProblem:
 
 
 class NumpyProblem:
-    """The vector model, :class:`capture_sim.benchmarking.numpy_model.NumpyModel`."""
+    """The vector model, :class:`benchmarks.engines.numpy_model.NumpyModel`."""
 
     def __init__(self, scene: Scene) -> None:
         self._model = NumpyModel(scene)
@@ -132,7 +132,7 @@ class NumpyProblem:
 
 
 class PythonProblem:
-    """The same in plain numbers, :class:`capture_sim.benchmarking.python_model.PythonModel`."""
+    """The same in plain numbers, :class:`benchmarks.engines.python_model.PythonModel`."""
 
     def __init__(self, scene: Scene) -> None:
         self._model = PythonModel(scene, friction=scene.friction.law)

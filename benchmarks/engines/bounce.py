@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.engines.own import with_run
 from capture_sim.bench import Bench
-from capture_sim.benchmarking.own_runs import with_run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 

@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from capture_sim.benchmarking import work_precision
-from capture_sim.benchmarking.results import Results
-from capture_sim.benchmarking.trial import Trial, spread
-from capture_sim.benchmarking.work_precision import WorkPrecision
+from benchmarks import work_precision
+from benchmarks.results import Results
+from benchmarks.trial import Trial, spread
+from benchmarks.work_precision import WorkPrecision
 
 _ERRORS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)  # m or rad
 _NAMES = {"compiled": "compiled RHS", "numpy": "NumPy RHS", "python": "tuned Python RHS"}

@@ -10,20 +10,16 @@ from types import ModuleType
 
 import numpy as np
 
-from capture_sim.benchmarking import (
-    drake_engine,
-    exudyn_engine,
-    mujoco_engine,
-    own_runs,
-    work_precision,
-)
-from capture_sim.benchmarking.outcome import Outcome
-from capture_sim.benchmarking.reference import load_reference
-from capture_sim.benchmarking.trial import Progress, Trial
+from benchmarks import work_precision
+from benchmarks.engines import drake, exudyn, mujoco
+from benchmarks.engines.own import with_run
+from benchmarks.outcome import Outcome
+from benchmarks.reference import load_reference
+from benchmarks.trial import Progress, Trial
 from capture_sim.scene.parts import Scene
 
 #: Each has NAME, MODULE, PACKAGE, REFERENCE, NOTE and ``trials(scene, quick)``.
-ADAPTERS: tuple[ModuleType, ...] = (exudyn_engine, mujoco_engine, drake_engine)
+ADAPTERS: tuple[ModuleType, ...] = (exudyn, mujoco, drake)
 _ENOUGH = 1e-6  # m or rad: compared there, or where an engine's error ends
 
 
@@ -84,7 +80,7 @@ def measure(
             results.append(EngineResult(adapter.NAME, "", adapter.NOTE, reason, [], []))
             continue
         version = importlib.metadata.version(adapter.PACKAGE)
-        run_scene = own_runs.with_run(scene, t_end=plan.t_end)
+        run_scene = with_run(scene, t_end=plan.t_end)
         theirs = list(adapter.trials(run_scene, quick))
         own = list(work_precision.own_trials(run_scene, adaptive))
         truth = load_reference(scene.name, scene).at(plan.t_end)
@@ -125,15 +121,15 @@ def _interleave(
 
 def exudyn_agreement(scene: Scene, progress: Progress) -> list[Agreement]:
     """Return how Exudyn at a tight tolerance agrees with references of its own law."""
-    if why_missing(exudyn_engine):
+    if why_missing(exudyn):
         return []
     found = []
     for law in ("frictionless", "clamp"):
         reference = load_reference(f"{scene.name}_{law}")
         for number, t in enumerate(reference.times):
             progress.at(f"agreement with Exudyn, {law}", number, len(reference.times), f"{t:g} s")
-            changed = own_runs.with_run(scene, t_end=t)
-            job = exudyn_engine.prepare(changed, 1e-10, 0.0 if law == "frictionless" else None)
+            changed = with_run(scene, t_end=t)
+            job = exudyn.prepare(changed, 1e-10, 0.0 if law == "frictionless" else None)
             difference = np.abs(job()().q - reference.at(t).q).max()
             found.append(Agreement(law, t, float(difference)))
     return found

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking import bounce
-from capture_sim.benchmarking.outcome import Outcome
-from capture_sim.benchmarking.trial import Trial
+from benchmarks.engines import bounce
+from benchmarks.outcome import Outcome
+from benchmarks.trial import Trial
 from capture_sim.scene.parts import Scene
 
 NAME = "MuJoCo"

@@ -1,67 +1,24 @@
-"""The paper's scene in Exudyn: an independent multibody code with a contact as ours.
+"""A scene's two vehicles, buffer and cone in Exudyn: an independent multibody code.
 
 A kinematic tree (chaser, cylinder, probe), a planar rigid body (target) and two contacts of a
 sphere with a triangle.  Exudyn's Hunt-Crossley factor 3/2 (1 - e) is made that of our law by
-its restitution, and its friction is mu F_n clamp(v / v_eps), so it is compared with a
-reference of that law.  Touches are not located: the impact speed is that at a step's end.
+its restitution; its friction is mu F_n clamp(v / v_eps).  Touches are not located: the impact
+speed is that at a step's end.
 """
 
 from __future__ import annotations
 
-import functools
 import importlib
-from collections.abc import Callable, Iterator
+import math
 from typing import Any
 
 import numpy as np
 
-from capture_sim.benchmarking.outcome import Outcome
-from capture_sim.benchmarking.python_model import PythonModel
-from capture_sim.benchmarking.trial import Trial
 from capture_sim.scene.parts import Scene
 
 NAME = "Exudyn"
 MODULE = "exudyn"
-PACKAGE = "exudyn"
-REFERENCE = "_clamp"  # what the reference's name ends with, friction by clamp
-NOTE = (
-    "KinematicTree, RigidBody2D and ContactSphereTriangle, DOPRI5; same contact law, friction "
-    "clamped on both sides"
-)
 _HALF_WIDTH = 0.1  # m, of the wall across the plane of motion
-
-
-def trials(scene: Scene, quick: bool) -> Iterator[Trial]:
-    """Yield the settings to try."""
-    for rtol in (1e-6,) if quick else (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10):
-        yield Trial(NAME, f"rtol {rtol:.0e}", functools.partial(prepare, scene, rtol), "engine")
-
-
-def prepare(
-    scene: Scene, rtol: float, mu: float | None = None
-) -> Callable[[], Callable[[], Outcome]]:
-    """Build the system; return what runs it and returns what reads the outcome.
-
-    ``mu`` takes the place of the scene's coefficient of friction.
-    """
-    exu = importlib.import_module(MODULE)
-    system, tree_node, target_node = build(scene, scene.friction.mu if mu is None else mu)
-    settings = solver_settings(exu, scene.run.t_end, rtol)
-
-    def run() -> Callable[[], Outcome]:
-        done = system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5)
-
-        def read() -> Outcome:
-            if not done:
-                return Outcome(np.full(8, np.nan), 0, failure="solver gave up")
-            kind = exu.OutputVariableType.Coordinates
-            c = system.GetNodeOutput(tree_node, kind)
-            t = system.GetNodeOutput(target_node, kind)
-            return Outcome(np.array([c[0], c[1], c[2], c[2] + c[3], c[4], *t[:3]]), 0)
-
-        return read
-
-    return run
 
 
 def solver_settings(exu: Any, t_end: float, rtol: float, output_step: float = 1e-3) -> Any:
@@ -86,7 +43,10 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
     """Return the assembled system and the numbers of its two nodes."""
     exu = importlib.import_module(MODULE)
     items = importlib.import_module(f"{MODULE}.itemInterface")
-    model, b = PythonModel(scene), scene.buffer
+    b, cone, contact = scene.buffer, scene.cone, scene.contact
+    compliance = sum((1.0 - part.nu**2) / part.E for part in (contact.tip, contact.wall))
+    stiffness = 4.0 * math.sqrt(scene.probe.tip_radius) / (3.0 * compliance)  # Hertz
+    damping = 0.75 * (1.0 - contact.restitution**2)
     system = exu.SystemContainer().AddSystem()
     q, v = scene.initial_coordinates()
     tree_node = system.AddNode(
@@ -135,26 +95,28 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
     tip = system.AddMarker(
         items.MarkerKinematicTreeRigid(objectNumber=tree, linkNumber=4, localPosition=[0.0] * 3)
     )
-    cone = system.AddMarker(items.MarkerBodyRigid(bodyNumber=target, localPosition=[0.0] * 3))
-    for x, y, along_x, along_y in model.walls:
-        lip = [x + along_x * model.L_c, y + along_y * model.L_c, 0.0]
+    walls = system.AddMarker(items.MarkerBodyRigid(bodyNumber=target, localPosition=[0.0] * 3))
+    for side in (1.0, -1.0):
+        x, y = -cone.L_T, side * cone.R_c  # the wall's inner end, in the target's frame
+        lip_x = x - cone.L_c * math.cos(cone.beta)
+        lip = [lip_x, y + side * cone.L_c * math.sin(cone.beta), 0.0]
         data = items.NodeGenericData(
             initialCoordinates=[0.1, 0.0, 0.0, 0.0], numberOfDataCoordinates=4
         )
         system.AddObject(
             items.ObjectContactSphereTriangle(
-                markerNumbers=[tip, cone],
+                markerNumbers=[tip, walls],
                 nodeNumber=system.AddNode(data),
                 sphereRadius=scene.probe.tip_radius,
                 trianglePoints=exu.Vector3DList([[x, y, -_HALF_WIDTH], [x, y, _HALF_WIDTH], lip]),
                 includeEdges=7,
                 dynamicFriction=mu,
                 frictionProportionalZone=scene.friction.v_eps,
-                contactStiffness=model.K,
+                contactStiffness=stiffness,
                 contactStiffnessExponent=1.5,
                 # 3/2 (1 - e) is to be our factor
-                restitutionCoefficient=1.0 - model.damping / 1.5,
-                minimumImpactVelocity=scene.contact.v_0_floor,
+                restitutionCoefficient=1.0 - damping / 1.5,
+                minimumImpactVelocity=contact.v_0_floor,
                 impactModel=1,
             )
         )

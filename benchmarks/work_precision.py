@@ -11,18 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import error_scale
-from capture_sim.benchmarking import own_runs, scipy_runs
-from capture_sim.benchmarking.outcome import Outcome
-from capture_sim.benchmarking.problems import (
+from benchmarks.engines import own as own_runs
+from benchmarks.engines import scipy_ivp as scipy_runs
+from benchmarks.engines.problems import (
     CompiledProblem,
     NumpyProblem,
     Problem,
     PythonProblem,
     packed,
 )
-from capture_sim.benchmarking.reference import load_reference
-from capture_sim.benchmarking.trial import Progress, Trial, run_rounds, spread
+from benchmarks.outcome import Outcome
+from benchmarks.reference import load_reference
+from benchmarks.trial import Progress, Trial, run_rounds, spread
+from capture_sim.bench import error_scale
 from capture_sim.scene.parts import METHODS, Scene
 
 #: Right-hand sides that are handed to SciPy, by group.

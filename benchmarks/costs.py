@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.engines.own import with_run
+from benchmarks.engines.problems import into_wall, packed
+from benchmarks.trial import Progress, spread
 from capture_sim.bench import Bench
-from capture_sim.benchmarking.own_runs import with_run
-from capture_sim.benchmarking.problems import into_wall, packed
-from capture_sim.benchmarking.trial import Progress, spread
 from capture_sim.kernels import entry_kernel
 from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL, rate_of_change
 from capture_sim.scene.parts import BallSupport, Latch, Scene, Stops, Supports

@@ -2,7 +2,7 @@
 
 Written for the benchmark, from the paper's eq. (1) to (9) and body by body; it shares no code
 with :mod:`capture_sim.model`.  On vectors of two, Python's own numbers are two to three
-times as fast as :mod:`capture_sim.benchmarking.numpy_model`.  The same text runs with
+times as fast as :mod:`benchmarks.engines.numpy_model`.  The same text runs with
 ``numpy.longdouble``, which is how the references in ``benchmarks/references`` are made.
 """
 
