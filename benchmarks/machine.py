@@ -62,6 +62,31 @@ def load() -> float:
         return float("nan")
 
 
+#: Cores that others may keep busy on average before a measurement is no more to be trusted.
+QUIET = 0.1
+
+
+class OthersAtWork:
+    """How many cores other processes, and other guests of the host, kept busy since it was made."""
+
+    def __init__(self) -> None:
+        self._since, self._before = time.monotonic(), self._others()
+
+    def cores(self) -> float:
+        """Return the average number of cores; NaN where the system does not say."""
+        return (self._others() - self._before) / (time.monotonic() - self._since)
+
+    @staticmethod
+    def _others() -> float:
+        """Return the processor time of all others since the system's start, s."""
+        stat = Path("/proc/stat")
+        if not stat.is_file():
+            return float("nan")
+        ticks = [int(x) for x in stat.read_text(encoding="ascii").splitlines()[0].split()[1:9]]
+        everybody = (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")  # idle, iowait
+        return everybody - sum(os.times()[:4])
+
+
 def describe(clock: float) -> dict[str, str]:
     """Return what a reader must know of the machine, by name."""
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]

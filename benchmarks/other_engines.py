@@ -13,9 +13,8 @@ import numpy as np
 from benchmarks import work_precision
 from benchmarks.engines import drake, exudyn, mujoco
 from benchmarks.engines.own import with_run
-from benchmarks.outcome import Outcome
 from benchmarks.reference import load_reference
-from benchmarks.trial import Progress, Trial
+from benchmarks.trial import Outcome, Progress, Trial
 from capture_sim.scene.parts import Scene
 
 #: Each has NAME, MODULE, PACKAGE, REFERENCE, NOTE and ``trials(scene, quick)``.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.outcome import TOUCHED, Outcome
+from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene, as_mapping
 

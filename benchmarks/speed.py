@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import costs, engines, machine, operations, tables, work_precision
+from benchmarks import costs, machine, other_engines, tables, work_precision
 from benchmarks.page import FOLDER, page
 from benchmarks.plots import save_all
 from benchmarks.reference import load_reference
-from benchmarks.results import Results
+from benchmarks.tables import Results
 from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
 from capture_sim.scene.files import load_scene
@@ -31,7 +31,7 @@ _ON_RAIL = "tilt_0"  # a scene with rail and string
 def measure(quick: bool, progress: Progress) -> Results:
     """Measure everything; ``quick`` takes a reduced sweep of less than a minute."""
     began = time.monotonic()
-    before = machine.load()
+    others = machine.OthersAtWork()
     scene = load_scene(SCENE)
     progress.at("compiling", 0, 1, "kernels")
     compile_kernels()
@@ -39,8 +39,8 @@ def measure(quick: bool, progress: Progress) -> Results:
     # what diverges in a trial step of some solver is rejected there, not here
     with np.errstate(all="ignore"):
         works = [work_precision.measure(scene, plan, progress) for plan in plans]
-        others = engines.measure(scene, plans[0], quick, progress)
-        agreement = [] if quick else engines.exudyn_agreement(scene, progress)
+        found = other_engines.measure(scene, plans[0], quick, progress)
+        agreement = [] if quick else other_engines.exudyn_agreement(scene, progress)
     repeats = 5 if quick else 25
     horizon = plans[0].t_end
     references = {name: load_reference(name) for name in _references(agreement)}
@@ -51,13 +51,13 @@ def measure(quick: bool, progress: Progress) -> Results:
         machine=machine.describe(clock),
         clock=clock,
         works=works,
-        engines=others,
+        engines=found,
         agreement=agreement,
         uncertainty={
             name: dict(zip(r.times, r.uncertainty, strict=True)) for name, r in references.items()
         },
         evaluation=costs.evaluation_cost(scene, repeats),
-        operations=operations.count(scene),
+        operations=costs.operations(scene),
         parts=costs.part_costs(scene, horizon, repeats, progress),
         rail=costs.rail_cost(load_scene(_ON_RAIL), repeats),
         times=costs.time_costs(
@@ -69,12 +69,12 @@ def measure(quick: bool, progress: Progress) -> Results:
         batches=costs.batch_costs(
             scene, horizon, (1, 10) if quick else (1, 10, 100, 1000), 3, progress
         ),
-        loads=(before, machine.load()),
+        others=others.cores(),
         seconds=time.monotonic() - began,
     )
 
 
-def _references(agreement: list[engines.Agreement]) -> list[str]:
+def _references(agreement: list[other_engines.Agreement]) -> list[str]:
     return [SCENE, *dict.fromkeys(f"{SCENE}_{a.law}" for a in agreement)]
 
 
@@ -84,19 +84,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="a reduced sweep")
     parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page (default: docs)")
     options = parser.parse_args(arguments)
-    folder: Path = options.out
     progress = Progress()
     try:
         results = measure(options.quick, progress)
     finally:
         progress.close()
-    print(tables.summary(results))
+    print(save(results, options.out))
+    return 0
+
+
+def save(results: tables.Results, folder: Path) -> str:
+    """Write page, trials and pictures into a folder; return the tables for a terminal."""
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
     tables.write_trials(results, folder / FOLDER / "trials.csv")
     save_all(results, folder / FOLDER)
-    print(f"\npage in {folder / 'benchmark.md'}, pictures in {folder / FOLDER}")
-    return 0
+    text = tables.summary(results)
+    return f"{text}\n\npage in {folder / 'benchmark.md'}, pictures in {folder / FOLDER}"
 
 
 if __name__ == "__main__":

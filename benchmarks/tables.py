@@ -1,19 +1,79 @@
-"""The tables of a benchmark: Markdown that reads well as plain text."""
+"""What a benchmark has measured, and its tables: Markdown that reads well as plain text."""
 
 from __future__ import annotations
 
 import csv
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import work_precision
-from benchmarks.results import Results
+from benchmarks.costs import BatchCost, EvaluationCost, PartCost, RunCost
+from benchmarks.machine import QUIET
+from benchmarks.other_engines import Agreement, EngineResult
 from benchmarks.trial import Trial, spread
 from benchmarks.work_precision import WorkPrecision
 
 _ERRORS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)  # m or rad
 _NAMES = {"compiled": "compiled RHS", "numpy": "NumPy RHS", "python": "tuned Python RHS"}
+
+
+@dataclass(frozen=True)
+class Results:
+    """Measurements, and what they were made on.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the scene of works, engines and costs.
+    quick : bool
+        It was a reduced sweep.
+    machine : dict
+        From :func:`benchmarks.machine.describe`.
+    clock : float
+        Hz.
+    others : float
+        Cores that other processes kept busy meanwhile.
+    seconds : float
+        That the benchmark took.
+    works : list of WorkPrecision
+        One for each horizon.
+    engines : list of EngineResult
+        Other engines, skipped ones too.
+    agreement : list of Agreement
+        With Exudyn.
+    uncertainty : dict
+        Of each reference at its times, m or rad: {name: {t: u}}.
+    evaluation : EvaluationCost
+        Of the equations of motion.
+    operations : dict
+        Arithmetic in one evaluation, by phase.
+    parts, rail, times, batches
+        What things cost.
+    """
+
+    scene: str
+    quick: bool
+    machine: dict[str, str]
+    clock: float
+    others: float
+    seconds: float
+    works: list[WorkPrecision]
+    engines: list[EngineResult]
+    agreement: list[Agreement]
+    uncertainty: dict[str, dict[float, float]]
+    evaluation: EvaluationCost
+    operations: dict[str, dict[str, int]]
+    parts: list[PartCost]
+    rail: RunCost
+    times: list[RunCost]
+    batches: list[BatchCost]
+
+    @property
+    def busy(self) -> bool:
+        """Whether others were at work, or may have been: then no target counts as met."""
+        return not self.others <= QUIET
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -61,7 +121,7 @@ def targets(results: Results) -> str:
     for work in results.works:
         for c in work.comparisons:
             wanted = "" if math.isnan(c.target) else f"{c.target:g}"
-            met = "" if not wanted else "yes" if c.met else "**no**"
+            met = "" if not wanted else "busy" if results.busy else "yes" if c.met else "**no**"
             rows.append(
                 [
                     f"{c.error:.0e} m at {c.t_end:g} s",
@@ -275,9 +335,14 @@ def batches(results: Results) -> str:
     return table(["runs", "all", "each", "runs/s", "of it before the integration"], rows)
 
 
+#: Said of results that were measured while others were at work.
+BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
+
+
 def summary(results: Results) -> str:
     """Return what is shown on the terminal."""
-    parts_ = [targets(results)]
+    parts_ = [BUSY] if results.busy else []
+    parts_ += [targets(results)]
     parts_ += [f"To {w.plan.t_end:g} s:\n\n{at_errors(w)}" for w in results.works]
     parts_ += [engines(results), engine_ratios(results), evaluation(results), parts(results)]
     parts_ += [times(results), batches(results)]

@@ -20,9 +20,8 @@ from benchmarks.engines.problems import (
     PythonProblem,
     packed,
 )
-from benchmarks.outcome import Outcome
 from benchmarks.reference import load_reference
-from benchmarks.trial import Progress, Trial, run_rounds, spread
+from benchmarks.trial import Outcome, Progress, Trial, run_rounds, spread
 from capture_sim.bench import error_scale
 from capture_sim.scene.parts import METHODS, Scene
 

@@ -1,12 +1,20 @@
 """The benchmark: its references, and that it says what it found, failures too."""
 
 import csv
+import dataclasses
+import math
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
+from benchmarks.machine import OthersAtWork
+from benchmarks.page import page
 from benchmarks.reference import load_reference
-from benchmarks.speed import main
+from benchmarks.speed import measure, save
+from benchmarks.trial import Progress
 from capture_sim import load_scene, simulate
 
 REFERENCES = {
@@ -32,12 +40,14 @@ def test_the_bench_agrees_with_the_references(name, method):
     assert begun == pytest.approx(starts[starts <= 0.35], abs=1e-9)
 
 
-def test_a_quick_benchmark_writes_its_page_and_every_trial(tmp_path, capsys):
-    assert main(["--quick", "--out", str(tmp_path)]) == 0
-    shown = capsys.readouterr().out
-    page = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    assert "SciPy" in page
-    assert "wanted" in shown
+@pytest.fixture(scope="module")
+def results():
+    return measure(True, Progress())
+
+
+def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
+    assert "wanted" in save(results, tmp_path)
+    assert "SciPy" in (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     with (tmp_path / "benchmark" / "trials.csv").open(encoding="utf-8") as file:
         trials = list(csv.DictReader(file))
     families = {trial["family"] for trial in trials}
@@ -50,3 +60,27 @@ def test_a_quick_benchmark_writes_its_page_and_every_trial(tmp_path, capsys):
     ours = [t for t in trials if t["family"] == "dop853" and t["setting"] == "rtol 1e-08"]
     assert float(ours[0]["position_error_m_or_rad"]) < 1e-9
     assert (tmp_path / "benchmark" / "work_precision.svg").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("others, trusted", [(0.02, True), (0.5, False), (math.nan, False)])
+def test_a_page_measured_on_a_busy_machine_says_so_at_its_top(results, others, trusted):
+    text = page(dataclasses.replace(results, others=others))
+    head = text.split("## What was asked for")[1].split("\n\n")[1]
+    assert ("busy machine" in "\n".join(text.splitlines()[:4])) is not trusted
+    assert ("yes |" in head or "**no** |" in head) is trusted
+
+
+def test_the_machine_tells_others_work_from_its_own():
+    others = OthersAtWork()
+    burn = "sum(range(10**7))"
+    before = time.process_time()
+    while time.process_time() - before < 0.3:
+        sum(range(10**5))
+    own = others.cores()
+    others = OthersAtWork()
+    with subprocess.Popen([sys.executable, "-c", f"while True: {burn}"]) as process:
+        time.sleep(0.5)
+        beside = others.cores()
+        process.kill()
+    assert own >= -0.05
+    assert beside > 0.2

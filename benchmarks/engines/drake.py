@@ -19,8 +19,7 @@ import numpy as np
 
 from benchmarks.engines import bounce
 from benchmarks.engines.own import with_run
-from benchmarks.outcome import Outcome
-from benchmarks.trial import Trial
+from benchmarks.trial import Outcome, Trial
 from capture_sim.scene.parts import Scene
 
 NAME = "Drake"

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from benchmarks.outcome import Outcome
-from benchmarks.trial import Trial
+from benchmarks.trial import Outcome, Trial
 from capture_sim.reproduction.exudyn_engine import MODULE, NAME, build, solver_settings
 from capture_sim.scene.parts import Scene
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.engines.problems import packed
-from benchmarks.outcome import TOUCHED, Outcome
+from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.bench import Bench
 from capture_sim.errors import SimulationError
 from capture_sim.scene.parts import Scene

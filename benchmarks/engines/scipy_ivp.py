@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.engines.problems import Problem
-from benchmarks.outcome import TOUCHED, Outcome
+from benchmarks.trial import TOUCHED, Outcome
 
 METHODS = ("DOP853", "RK45", "LSODA", "BDF", "Radau")
 _JUST_OFF = 1e-13  # m: gap at which a touch has ended, a thousand times its rounding
