@@ -1,0 +1,97 @@
+"""Files that are whole once they have their name, under names that lead nowhere else."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+#: Bytes of a name, so that a number, a suffix and a mark for unfinished files fit behind it.
+NAME_BYTES = 180
+
+_UNSAFE = re.compile(r"[^\w.+=,@-]+")
+
+
+def file_name(text: str, fallback: str = "unnamed") -> str:
+    """Return the name of a file for whatever text from outside, with no folder in it.
+
+    Letters, digits and ``. _ + = , @ -`` stay; all else becomes ``_``.  A name neither begins
+    with a dot, which would hide it, nor with a dash, which commands take for an option.
+
+    Parameters
+    ----------
+    text
+        A run's or a topic's name, say.
+    fallback
+        Returned where nothing is left.
+    """
+    # lone surrogates are no text that a file system takes
+    clean = _UNSAFE.sub("_", text.encode(errors="replace").decode()).lstrip(".-")
+    clean = clean.encode()[:NAME_BYTES].decode(errors="ignore")
+    return clean if clean.strip("_.") else fallback
+
+
+def free_path(path: Path) -> Path:
+    """Return the path, or with ``_2``, ``_3`` ... behind its stem the first that is free."""
+    candidate, number = path, 1
+    while os.path.lexists(candidate):
+        number += 1
+        candidate = path.with_name(f"{path.stem}_{number}{path.suffix}")
+    return candidate
+
+
+@contextmanager
+def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
+    """Let a file be written beside its place, and move it there when it is whole.
+
+    Without an error at the block's end the file takes its name in one step, so that whoever
+    looks, and whoever writes the same at the same time, finds a whole file.  After an error
+    nothing is left; after a kill ``.<name>.part-<random><suffix>``.
+
+    Parameters
+    ----------
+    path
+        Where the file goes; its folder is made.  A device (``/dev/stdout``) is written to
+        directly.
+    replace
+        Whether a file of that name may be replaced.
+
+    Yields
+    ------
+    Path
+        To write to; of the same suffix.
+
+    Raises
+    ------
+    FileExistsError
+        The file exists and may not be replaced.
+    OSError
+        It cannot be written.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        yield path
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem[:NAME_BYTES]}.part-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        yield part
+        if replace:
+            part.replace(path)
+        else:
+            _take_name(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _take_name(part: Path, path: Path) -> None:
+    """Give a file its name without replacing another that has it, in one step."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links: the name is claimed first
+        path.open("xb").close()
+        part.replace(path)
