@@ -15,7 +15,7 @@ from bench_processes import Client, Simulation, processes, wait_until
 
 from benchmarks.machine import load
 from capture_sim import load_scene, simulate
-from capture_sim.control.simulation_control import Code, State
+from capture_sim.control.simulation import Code, State
 from capture_sim.nodes.places import claim_place
 from capture_sim.recording import read_run
 

@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
-from capture_sim.control.simulation_control import State
+from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
 from capture_sim.nodes.simulation_services import definitions
 

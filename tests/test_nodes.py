@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.control.simulation_control import Code, State
+from capture_sim.control.simulation import Code, State
 from capture_sim.nodes.flow_control import Followers, samples_between_acks
 from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class

@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.control.simulation_control import Code, State
+from capture_sim.control.simulation import Code, State
 from capture_sim.messages.topics import LAUNCH_COMMAND, LAUNCHER_STATE
 from capture_sim.nodes.running import message_class
 from capture_sim.nodes.simulation_services import FEATURES

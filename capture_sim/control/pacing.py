@@ -1,7 +1,8 @@
-"""Simulated time at a given rate of wall time, by a steady clock."""
+"""Simulated or recorded time at a given rate of wall time, by a steady clock."""
 
 from __future__ import annotations
 
+import math
 import time
 from array import array
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from capture_sim.scene.quantities import Range
 FACTORS = Range(0.0, 1000.0)
 #: What a run is late by more than this is given up, not caught up with, s (wall).
 MOST_BEHIND = 1.0
-#: Ticks whose lateness is kept; the oldest are overwritten beyond.
+#: Ticks whose lateness is kept at most.
 _KEPT = 1_000_000
 
 
@@ -29,87 +30,111 @@ class Lateness(NamedTuple):
 
 
 class Pacer:
-    """Lets ticks come when they are due; what is late is caught up with.
+    """Says when ticks are due, and keeps how late they came; what is late is caught up with.
 
     The due time of every tick is counted from one origin, so that an error of one tick does
-    not move the others.
+    not move the others.  The first tick after :meth:`reset` is due at once.
 
     Parameters
     ----------
     factor
         Simulated seconds per second; 0 does not wait at all.
-    clock, sleep
-        A steady clock, s, and a way to wait on it, s.
+    clock
+        A steady clock, s.
 
     Attributes
     ----------
+    t : float
+        Simulated time of the last tick, s; NaN before the first.
+    ticks : int
+        Ticks that were paced.
     given_up : float
         Wall time by which the run fell behind for good, s.
     """
 
-    def __init__(
-        self,
-        factor: float,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.given_up = 0.0
+    def __init__(self, factor: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._factor = factor
         self._clock = clock
-        self._sleep = sleep
-        self._wanted = self._factor = factor
-        self._origin = clock()  # wall, when simulated time t_origin was due
-        self._t_origin = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, without a memory of what was paced before."""
+        self.t = math.nan
+        self.ticks = 0
+        self.given_up = 0.0
+        self._origin: float | None = None  # wall, when simulated time t_origin was due
+        self._t_origin = math.nan
+        self._wall = self._simulated = 0.0  # s, while it ran
         self._late = array("d")
-        self._next = 0
-        self._ticks = 0
 
     @property
     def factor(self) -> float:
-        """The factor that is wanted; may be set by another thread."""
-        return self._wanted
+        """Simulated seconds per second; changed on the way, time goes on from where it is."""
+        return self._factor
 
     @factor.setter
     def factor(self, value: float) -> None:
-        self._wanted = value
+        self.hold()
+        self._factor = value
 
-    def restart(self, t: float) -> None:
-        """Take up pacing again: simulated time ``t`` (s) is due now."""
-        self._factor = self._wanted
-        self._origin, self._t_origin = self._clock(), t
+    def hold(self) -> None:
+        """Let time stand still until the next :meth:`delay`."""
+        if self._origin is not None:
+            passed = self._clock() - self._origin
+            self._wall += passed
+            self._t_origin += passed * self._factor
+            self._origin = None
 
-    def wait_for(self, t: float) -> None:
-        """Wait until simulated time ``t`` (s) is due."""
-        if self._factor != self._wanted:
-            self.restart(t)
-            return
+    def delay(self, t: float) -> float:
+        """Return in how many seconds (wall) simulated time ``t`` (s) is due; <= 0 if it is."""
+        now = self._clock()
+        if self._origin is None:
+            # what was late before a pause is not caught up with
+            self._t_origin = float(np.fmin(np.fmax(self._t_origin, self.t), t))
+            self._origin = now
+        if self._factor == 0.0:
+            return 0.0
+        return self._origin + (t - self._t_origin) / self._factor - now
+
+    def tick(self, t: float) -> None:
+        """Note that simulated time ``t`` (s) passes now, in its turn."""
+        late = -self.delay(t)
+        if not math.isnan(self.t):
+            self._simulated += t - self.t
+        self.t = t
         if self._factor == 0.0:
             return
-        due = self._origin + (t - self._t_origin) / self._factor
-        delay = due - self._clock()
-        if delay > 0.0:
-            self._sleep(delay)
-        late = self._clock() - due
-        self._note(late)
-        if late > MOST_BEHIND:
+        self.ticks += 1
+        if len(self._late) == _KEPT:
+            del self._late[: _KEPT // 2]
+        self._late.append(late)
+        if late > MOST_BEHIND and self._origin is not None:
             self.given_up += late
+            self._wall += late
             self._origin += late
 
-    def _note(self, late: float) -> None:
-        self._ticks += 1
-        if len(self._late) < _KEPT:
-            self._late.append(late)
-        else:
-            self._late[self._next] = late
-            self._next = (self._next + 1) % _KEPT
+    def skip(self, t: float) -> None:
+        """Note that simulated time ``t`` (s) passes in a step: neither as time nor as speed."""
+        self.t = t
 
     @property
-    def ticks(self) -> int:
-        """Ticks that were paced."""
-        return self._ticks
+    def running(self) -> bool:
+        """Whether time goes on: after a tick in its turn, until it is held."""
+        return self._origin is not None
+
+    @property
+    def wall(self) -> float:
+        """Wall time spent running, without pauses, s."""
+        return self._wall + (0.0 if self._origin is None else self._clock() - self._origin)
+
+    @property
+    def achieved(self) -> float:
+        """Simulated seconds per second so far, without pauses and steps."""
+        return self._simulated / max(self.wall, 1e-9)
 
     def late_ticks(self, limit: float) -> int:
         """Return how many of the ticks that are kept came later than ``limit``, s."""
-        # a copy: the stepping thread could not append to an array that is looked at
+        # a copy: an array cannot grow while NumPy looks at it
         return int(np.count_nonzero(np.frombuffer(bytes(self._late)) > limit))
 
     def lateness(self, last: int | None = None) -> Lateness | None:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from capture_sim.control.pacing import Pacer
-from capture_sim.control.simulation_control import SimulationControl, State
+from capture_sim.control.simulation import SimulationControl, State
 from capture_sim.nodes.running import BenchNode, message_class
 from capture_sim.nodes.stepping import Stepping
 
@@ -37,15 +36,15 @@ class SimulatorDiagnostics:
         self._value = message_class("diagnostic_msgs/msg/KeyValue")
         self._publisher = node.create_publisher(self._array, "/diagnostics", 10)
         self._wall = Clock(clock_type=ClockType.SYSTEM_TIME)
-        self._run: tuple[Stepping, Pacer] | None = None
+        self._run: Stepping | None = None
         self._on = False
         self._ticks = 0
         self._rounds = 0
         node.create_timer(PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def begin(self, stepping: Stepping, pacer: Pacer) -> None:
+    def begin(self, stepping: Stepping) -> None:
         """Report on this run from now on."""
-        self._run = stepping, pacer
+        self._run = stepping
         self._on = True
         self._ticks = self._rounds = 0
 
@@ -59,16 +58,15 @@ class SimulatorDiagnostics:
         self._rounds += 1
         playing = self._on and self._control.state is State.PLAYING
         if playing and self._run is not None and self._rounds % _SAY_EVERY == 0:
-            stepping = self._run[0]
-            scene = stepping.bench.scene
-            text = f"{scene.name}: {stepping.figures}, at most {scene.run.t_end:g} s"
+            scene = self._run.bench.scene
+            text = f"{scene.name}: {self._run.figures}, at most {scene.run.t_end:g} s"
             self._node.get_logger().info(text)
 
     def _publish(self, *, whole: bool) -> None:
         values: dict[str, object] = {"state": self._control.state.name.lower()}
         level, text = self._status.OK, values["state"]
         if self._run is not None:
-            level, text = self._judge(*self._run, values, whole=whole)
+            level, text = self._judge(self._run, values, whole=whole)
         status = self._status(
             level=level,
             name=f"{self._node.get_name()}: stepping",
@@ -82,10 +80,11 @@ class SimulatorDiagnostics:
         self._publisher.publish(message)
 
     def _judge(
-        self, stepping: Stepping, pacer: Pacer, values: dict[str, object], *, whole: bool
+        self, stepping: Stepping, values: dict[str, object], *, whole: bool
     ) -> tuple[Any, str]:
         scene, statistics = stepping.bench.scene, stepping.bench.statistics
-        factor, achieved = pacer.factor, stepping.achieved
+        pacer = self._control.pacer
+        factor, achieved = pacer.factor, pacer.achieved
         fresh, self._ticks = pacer.ticks - self._ticks, pacer.ticks
         lateness = pacer.lateness(None if whole else fresh) if fresh or whole else None
         period = 1.0 / (scene.run.state_rate * factor) if factor > 0.0 else 0.0
@@ -107,7 +106,7 @@ class SimulatorDiagnostics:
         if lateness is not None:
             for key, late in zip(("p50", "p99", "p99.9", "max"), lateness, strict=True):
                 values[f"tick lateness {key} [us]"] = f"{1e6 * late:.1f}"
-        settled = factor > 0.0 and stepping.wall > PERIOD and not whole
+        settled = factor > 0.0 and pacer.wall > PERIOD and not whole
         if settled and abs(achieved / factor - 1.0) > _SLACK:
             return self._status.WARN, f"not as fast as wanted: {achieved:.3f} of {factor:g}"
         return self._status.OK, f"{scene.name}: {stepping.figures}"

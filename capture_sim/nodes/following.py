@@ -17,7 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 
-from capture_sim.control.simulation_control import QUITTING, RESET, STOPPED
+from capture_sim.control.simulation import QUITTING, RESET, STOPPED
 from capture_sim.messages.telemetry import samples_per_message
 from capture_sim.messages.topics import (
     BENCH_STATE,

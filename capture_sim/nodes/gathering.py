@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from capture_sim.control.simulation_control import SimulationControl
+from capture_sim.control.simulation import SimulationControl
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import SIMULATOR, topics_of
 from capture_sim.nodes.flow_control import POLL, Followers
@@ -81,7 +81,7 @@ class Gathering:
         silence = REPORT_PERIOD
         with self._followers.changed:
             while text := lacking():
-                self._control.look()
+                self._control.check()
                 self._followers.changed.wait(POLL)
                 for name in self._followers.drop_silent():
                     why = f"{name}: {self._followers.lost[name]}"

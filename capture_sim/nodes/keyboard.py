@@ -12,11 +12,14 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from capture_sim.control.playing import Transport
+from capture_sim.control.pacing import FACTORS
+from capture_sim.control.simulation import SimulationControl, State
 
 HELP = "keys: space pauses and goes on, s steps, + and - play at twice and half the rate"
 #: The thread looks up this often, to end with the player, s.
 _POLL = 0.1
+#: The slowest rate that the keys set, recorded seconds per second.
+LEAST_RATE = 0.01
 
 
 class Keyboard:
@@ -26,14 +29,14 @@ class Keyboard:
 
     Parameters
     ----------
-    transport
-        Is controlled.
+    control
+        Of the player.
     tell
         Called with what a key did.
     """
 
-    def __init__(self, transport: Transport, tell: Callable[[str], object]) -> None:
-        self._transport = transport
+    def __init__(self, control: SimulationControl, tell: Callable[[str], object]) -> None:
+        self._control = control
         self._tell = tell
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -71,15 +74,20 @@ class Keyboard:
 
     def press(self, key: str) -> None:
         """Do what a key is for; nothing for any other."""
-        transport = self._transport
+        control = self._control
         if key == " ":
-            if transport.paused:
-                transport.resume()
-                self._tell("playing")
-            else:
-                transport.pause()
-                self._tell("paused")
+            paused = control.state is State.PAUSED
+            control.set_state(State.PLAYING if paused else State.PAUSED)
+            self._tell("playing" if paused else "paused")
         elif key == "s":
-            self._tell(transport.step() or "a step")
+            request = control.step(1)
+            refused = request.done() and request.wait().message
+            self._tell(refused or "a step")
         elif key in ("+", "-"):
-            self._tell(transport.change_rate(2.0 if key == "+" else 0.5))
+            rate = control.pacer.factor * (2.0 if key == "+" else 0.5)
+            if rate == 0.0:
+                self._tell("rate: as fast as it goes")
+                return
+            rate = min(max(rate, LEAST_RATE), FACTORS.high)
+            control.set_factor(rate)
+            self._tell(f"rate: {rate:g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.duration import Duration
@@ -17,9 +17,8 @@ from rclpy.qos import (
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from capture_sim.control.pacing import FACTORS
-from capture_sim.control.playing import Transport
-from capture_sim.control.playing_control import FEATURES, INFO, PlayerControl
+from capture_sim.control.pacing import FACTORS, Pacer
+from capture_sim.control.simulation import Request, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import (
     BENCH_STATE,
@@ -38,6 +37,15 @@ from capture_sim.nodes.simulation_services import SimulationServices
 from capture_sim.recording.playback import Playback, PlayedTopic, Rewritten, run_id_of
 
 PLAYER = "player"
+#: What SimulatorFeatures.msg lists and a player has, by its numbers there.
+FEATURES = {
+    "SIMULATION_STATE_GETTING": 24,
+    "SIMULATION_STATE_SETTING": 25,
+    "SIMULATION_STATE_PAUSE": 26,
+    "STEP_SIMULATION_SINGLE": 31,
+    "STEP_SIMULATION_MULTIPLE": 32,
+}
+INFO = "a step is all messages of the next time; playing and paused are the states it has."
 #: Readers that a writer has found may need this long to find it too, s (wall).
 SETTLING = 0.3
 #: A run's followers get this long to close their files, s (wall).
@@ -106,7 +114,12 @@ class PlayerNode(BenchNode):
                 f"parameter consumers = {self._consumers!r}: allowed are none, as no "
                 f"{RUN_INFO.name} is played, by which nodes take up a run"
             )
-        self._transport = Transport(rate, paused=paused)
+        self._control = SimulationControl(
+            State.PAUSED if paused else State.PLAYING,
+            Pacer(rate),
+            states=(State.PLAYING, State.PAUSED),
+            resets=False,
+        )
         self._followers = Followers(self._consumers, 10.0)
         self._outlets: dict[str, Any] = {}
         for name in self._played:
@@ -117,13 +130,13 @@ class PlayerNode(BenchNode):
         if self._consumers:  # a reader of this tells followers that they are waited for
             self.listen(STREAM_ACK, self._heard)
         for name, action in (
-            ("pause", self._transport.pause),
-            ("resume", self._transport.resume),
-            ("play_next", self._transport.step),
+            ("pause", lambda: self._control.set_state(State.PAUSED)),
+            ("resume", lambda: self._control.set_state(State.PLAYING)),
+            ("play_next", lambda: self._control.step(1)),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
-        self._control = SimulationServices(
-            self, PlayerControl(self._transport), FEATURES, "capture_sim's player: " + INFO
+        self._served = SimulationServices(
+            self, self._control, FEATURES, "capture_sim's player: " + INFO
         )
 
     # set-up
@@ -156,9 +169,10 @@ class PlayerNode(BenchNode):
             return
         self._outlets[topic.name] = self.create_publisher(kind, topic.name, qos_from(topic.qos))
 
-    def _serving(self, action: Any) -> Any:
+    def _serving(self, ask: Callable[[], Request]) -> Any:
         def serve(_: Any, response: Any) -> Any:
-            response.message = action()
+            request = ask()
+            response.message = request.wait().message if request.done() else ""
             response.success = not response.message
             return response
 
@@ -173,7 +187,7 @@ class PlayerNode(BenchNode):
         """Play; return the exit status."""
         if not self._keyboard:
             return self._work()
-        with Keyboard(self._transport, self.get_logger().info):
+        with Keyboard(self._control, self.get_logger().info):
             return self._work()
 
     def _work(self) -> int:
@@ -200,6 +214,7 @@ class PlayerNode(BenchNode):
                     return status
         finally:
             self._control.close()
+            self._served.close()
 
     def _play(self, suffix: str) -> int | None:
         """Play once; return how many messages were played, None when a follower was not ready."""
@@ -210,7 +225,7 @@ class PlayerNode(BenchNode):
             self._await(self._all_free, self._patience)
         elif not suffix:
             time.sleep(self._delay)
-        self._transport.start()
+        self._control.begin()
         began = time.monotonic()
         run_id = ""
         count = states = 0
@@ -218,7 +233,7 @@ class PlayerNode(BenchNode):
         stamp = self._playback.start
         try:
             for stamp, name, data in self._playback.messages(self._offset, self._outlets):
-                self._transport.wait_until(stamp)
+                self._control.tick((stamp - self._playback.start) / 1e9)
                 if self._ticker is not None:
                     self._tick(ticks, stamp)
                 sent = rewrite(name, data)
@@ -236,7 +251,7 @@ class PlayerNode(BenchNode):
                     self._await(lambda run_id=run_id: self._all_ready(run_id), self._patience)
                     self._followers.start(run_id)
                     time.sleep(SETTLING)
-                    self._transport.start()
+                    self._control.pacer.reset()
                     began = time.monotonic()
             spent = max(time.monotonic() - began, 1e-9)
             if self._consumers:
@@ -246,6 +261,8 @@ class PlayerNode(BenchNode):
         except CaptureSimError as error:
             log.error(str(error))
             return None
+        finally:
+            self._control.end()
         played = (stamp - self._playback.start) / 1e9 - self._offset
         log.info(
             f"{count} messages, {played:.2f} s played in {spent:.2f} s "

@@ -17,7 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
-from capture_sim.control.simulation_control import Answer, Code, Control
+from capture_sim.control.simulation import Answer, Code, SimulationControl
 from capture_sim.nodes.running import ENDING, SERVICES
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
@@ -68,7 +68,7 @@ class SimulationServices:
     def __init__(
         self,
         node: Node,
-        control: Control,
+        control: SimulationControl,
         features: Mapping[str, int] = FEATURES,
         info: str = INFO,
     ) -> None:

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation_control import RunCut, SimulationControl, State
+from capture_sim.control.simulation import RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.kernels import is_compiled
 from capture_sim.launch.plan import LaunchPlan, plan_launch
@@ -131,11 +131,12 @@ class SimulatorNode(BenchNode):
         self._scenes = _load(names, overrides)
         self._reporting = [SIMULATOR, *(name for name in consumers if topics_of(name))]
         self._followers = Followers(consumers, timeout)
-        self.control = SimulationControl(State[state.upper()], self._followers.changed)
+        self.control = SimulationControl(
+            State[state.upper()], Pacer(factor), changed=self._followers.changed
+        )
         self._gathering = Gathering(
             self, self._followers, self.control, replaced=not self._exit_when_done
         )
-        self._pacer = Pacer(factor)
         # run ids of one simulator begin alike, so that another's are known for what they are
         self._session = uuid.uuid4().hex[:24]
         self._numbers = itertools.count(1)
@@ -204,7 +205,7 @@ class SimulatorNode(BenchNode):
     def _parameters_set(self, parameters: list[Parameter]) -> None:
         for parameter in parameters:
             if parameter.name == "pace":
-                self._pacer.factor = parameter.value
+                self.control.set_factor(parameter.value)
             elif parameter.name in ("scenes", "overrides"):
                 self._scenes = _load(*self._scene_parameters({}))
 
@@ -314,9 +315,8 @@ class SimulatorNode(BenchNode):
         assert self._telemetry is not None
         name = bench.scene.name
         self.get_logger().info(f"{name}: released")
-        self._pacer = Pacer(self._pacer.factor)
-        stepping = Stepping(bench, self._telemetry, self.control, self._pacer)
-        self._diagnostics.begin(stepping, self._pacer)
+        stepping = Stepping(bench, self._telemetry, self.control)
+        self._diagnostics.begin(stepping)
         try:
             failure = stepping.run(self.send, self._leave_room, self._model.move)
         finally:

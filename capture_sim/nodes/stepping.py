@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -10,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.bench import Bench
-from capture_sim.control.pacing import Pacer
-from capture_sim.control.simulation_control import RunCut, SimulationControl
+from capture_sim.control.simulation import RunCut, SimulationControl
 from capture_sim.errors import SimulationError
 from capture_sim.messages.telemetry import BenchTelemetry, Sent
 from capture_sim.messages.topics import BENCH_EVENT, BENCH_STATE, Topic
@@ -31,9 +29,7 @@ class Stepping:
     telemetry
         Makes its messages.
     control
-        Asked before every sample.
-    pacer
-        Waited for with every sample.
+        Asked before every sample, and its pacer waited for.
 
     Attributes
     ----------
@@ -45,20 +41,13 @@ class Stepping:
         Energy residual of the last one, J.
     """
 
-    def __init__(
-        self, bench: Bench, telemetry: BenchTelemetry, control: SimulationControl, pacer: Pacer
-    ) -> None:
+    def __init__(self, bench: Bench, telemetry: BenchTelemetry, control: SimulationControl) -> None:
         self.bench = bench
         self.count = 0
         self.t = self.residual = 0.0
         self._telemetry = telemetry
         self._control = control
-        self._pacer = pacer
         self._events = self._traced = 0  # of the bench that are handed on
-        self._spent = 0.0  # wall, s, running
-        self._since: float | None = None  # wall, since when it runs
-        self._simulated = 0.0  # s, while running
-        self._from = 0.0
 
     def run(
         self,
@@ -103,8 +92,6 @@ class Stepping:
         show: Callable[[np.void], None],
     ) -> str:
         failure = ""
-        self._pacer.restart(0.0)
-        self._resume()
         while not (self.bench.done or failure):
             try:
                 samples = self.bench.advance(self.bench.times(self.count, self._block()))
@@ -119,60 +106,30 @@ class Stepping:
                 self.residual = float(sample["energy_residual"])
                 if due[-1][0] is BenchTelemetry.LAST_PERIODIC:
                     show(sample)
-        self._halt()
+        self._control.pacer.hold()
         return failure
 
     def _block(self) -> int:
-        factor, run = self._pacer.factor, self.bench.scene.run
+        factor, run = self._control.pacer.factor, self.bench.scene.run
         lot = samples_between_acks(run.state_rate, run.rate)  # no more: their room is waited for
         if factor == 0.0:
             return lot
         return int(np.clip(BLOCK_TIME * factor * run.state_rate, 1, lot))
 
     def _send(self, due: list[Sent], t: float, send: Callable[[Topic, Any], None]) -> None:
-        if not self._control.free:
-            self._halt()
-            self._control.pass_sample()
-            self._pacer.restart(t)
-            if self._control.free:
-                self._resume()  # a step counts neither as time nor as speed
+        self._control.tick(t)
         for topic, message in due:
-            if topic is BENCH_EVENT:
-                self._pacer.wait_for(message.t)
-            elif topic is BENCH_STATE:
-                self._pacer.wait_for(t)
+            if topic is BENCH_STATE:
                 self.t = t
                 self.count += 1
             send(topic, message)
 
-    # how fast it went
-
-    def _resume(self) -> None:
-        self._since, self._from = time.monotonic(), self.t
-
-    def _halt(self) -> None:
-        if self._since is not None:
-            self._spent += time.monotonic() - self._since
-            self._simulated += self.t - self._from
-            self._since = None
-
-    @property
-    def wall(self) -> float:
-        """Wall time spent running, without pauses, s."""
-        since = self._since
-        return self._spent + (0.0 if since is None else time.monotonic() - since)
-
-    @property
-    def achieved(self) -> float:
-        """Simulated seconds per second so far, without pauses."""
-        running = 0.0 if self._since is None else self.t - self._from
-        return (self._simulated + running) / max(self.wall, 1e-9)
-
     @property
     def figures(self) -> str:
         """How far the run is and how fast it went, in words."""
-        text = f"{self.t:.2f} s simulated in {self.wall:.2f} s ({self.achieved:.5g} x real time)"
-        late = self._pacer.lateness() if self._since is None else None
+        pacer = self._control.pacer
+        text = f"{self.t:.2f} s simulated in {pacer.wall:.2f} s ({pacer.achieved:.5g} x real time)"
+        late = None if pacer.running else pacer.lateness()
         if late is not None:
             shown = ", ".join(f"{1e6 * value:.0f}" for value in late)
             text += f"; ticks late by {shown} us (p50, p99, p99.9, max)"

@@ -1,0 +1,359 @@
+"""Play, pause, step, reset, of the simulator and of a player; without ROS.
+
+Requests come from any thread; the thread that runs asks :meth:`SimulationControl.tick` before
+everything that it sends.  What ``simulation_interfaces`` (ros-simulation, 2.1) says on a state
+or result stands in its own definitions; its names and numbers are used here.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future
+from enum import IntEnum
+from typing import NamedTuple
+
+from capture_sim.control.pacing import Pacer
+
+#: Why runs end that somebody asked to end.
+RESET, STOPPED, QUITTING = "reset", "stopped", "quitting"
+#: A step waits this long for a release that does not come, s (wall).
+RELEASE_PATIENCE = 5.0
+#: The running thread wakes this often while it waits for a request, s.
+_POLL = 0.2
+
+
+class State(IntEnum):
+    """States of a simulation, as in SimulationState.msg."""
+
+    STOPPED = 0
+    PLAYING = 1
+    PAUSED = 2
+    QUITTING = 3
+    NO_WORLD = 4
+    LOADING_WORLD = 5
+
+
+class Code(IntEnum):
+    """Results, as in Result.msg and SetSimulationState.srv."""
+
+    FEATURE_UNSUPPORTED = 0
+    OK = 1
+    NOT_FOUND = 2
+    INCORRECT_STATE = 3
+    OPERATION_FAILED = 4
+    ALREADY_IN_TARGET_STATE = 101
+    INCORRECT_TRANSITION = 103
+
+
+class Scope(IntEnum):
+    """Bits of ResetSimulation's scope."""
+
+    DEFAULT = 0
+    TIME = 1
+    STATE = 2
+    SPAWNED = 4
+    ALL = 255
+
+
+class Answer(NamedTuple):
+    """What a request came to."""
+
+    code: Code
+    message: str = ""
+
+
+class Request(Future[Answer]):
+    """A request that may take a while."""
+
+    def wait(self, timeout: float | None = None) -> Answer:
+        """Return the answer; a failure when it takes longer than ``timeout``, s."""
+        try:
+            return self.result(timeout)
+        except TimeoutError:
+            return Answer(Code.OPERATION_FAILED, f"not done within {timeout:g} s")
+
+
+def _answered(code: Code, message: str = "") -> Request:
+    request = Request()
+    request.set_result(Answer(code, message))
+    return request
+
+
+class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
+    """The run that is on must end; the text says why.
+
+    Attributes
+    ----------
+    again
+        The same run is to begin anew.
+    asked_for
+        By a request; else something has gone wrong.
+    """
+
+    def __init__(self, reason: str, *, again: bool = False, asked_for: bool = True) -> None:
+        super().__init__(reason)
+        self.again = again
+        self.asked_for = asked_for
+
+
+class SimulationControl:
+    """The state of a simulator or player, and when its next tick may pass.
+
+    Parameters
+    ----------
+    state
+        At the start.
+    pacer
+        Says when ticks are due.
+    changed
+        Notified at every change; a lock that the caller may share with other news.
+    states
+        Those that can be asked for.
+    resets
+        Whether a run can begin anew.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        pacer: Pacer,
+        *,
+        changed: threading.Condition | None = None,
+        states: Sequence[State] = (State.STOPPED, State.PLAYING, State.PAUSED, State.QUITTING),
+        resets: bool = True,
+    ) -> None:
+        self.pacer = pacer
+        self.changed = threading.Condition(threading.RLock()) if changed is None else changed
+        self._states, self._resets = tuple(states), resets
+        self._state = state
+        self._cut: RunCut | None = None  # the run that is on is to end
+        self._running = False  # a run is on
+        self._free = False  # unpaced ticks may pass without a look
+        self._settling: list[Request] = []  # to pause, answered when nothing passes any more
+        self._resetting: list[Request] = []
+        self._step: Request | None = None
+        self._step_since = 0.0
+        self._asked = self._left = 0  # ticks of the step
+
+    # requests, from any thread
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+        return self._state
+
+    def set_state(self, target: int) -> Request:
+        """Ask for another state.
+
+        Pausing is done when no further tick will pass, stopping when the run has ended;
+        quitting is answered while it can be.
+        """
+        with self.changed:
+            if target not in self._states:
+                allowed = ", ".join(f"{state:d} {state.name.lower()}" for state in self._states)
+                return _answered(
+                    Code.INCORRECT_TRANSITION, f"state {target}: allowed are {allowed}"
+                )
+            if self._state is State.QUITTING:
+                return _answered(Code.INCORRECT_STATE, "already quitting")
+            if target == self._state:
+                return _answered(
+                    Code.ALREADY_IN_TARGET_STATE, f"already {self._state.name.lower()}"
+                )
+            self._state = State(target)
+            if self._state in (State.STOPPED, State.QUITTING):
+                self._end_run()
+                self._answer(self._resetting)
+            if self._state is not State.PAUSED:
+                self._fail_step("the state was changed to " + self._state.name.lower())
+            self._notify()
+            if self._state in (State.PLAYING, State.QUITTING) or not self._running:
+                return _answered(Code.OK)
+            self._settling.append(Request())
+            return self._settling[-1]
+
+    def step(self, count: int) -> Request:
+        """Ask for ``count`` ticks; done when they have passed and the run waits again."""
+        with self.changed:
+            if self._state is not State.PAUSED:
+                text = f"stepping needs a paused run; this one is {self._state.name.lower()}"
+                return _answered(Code.OPERATION_FAILED, text)
+            if self._step is not None:
+                return _answered(Code.OPERATION_FAILED, "still busy with another step")
+            if count == 0:
+                return _answered(Code.OK)
+            self._step, self._asked, self._left = Request(), count, count
+            self._step_since = time.monotonic()
+            self._notify()
+            return self._step
+
+    def reset(self, scope: int) -> Request:
+        """Ask for the start again, of time and state together; done when the run can begin.
+
+        A playing or paused run stays so; a stopped one is at its start already.
+        """
+        with self.changed:
+            if not self._resets:
+                text = "there is no reset: start it again, or let it loop"
+                return _answered(Code.FEATURE_UNSUPPORTED, text)
+            if self._state is State.QUITTING:
+                return _answered(Code.INCORRECT_STATE, "already quitting")
+            both = Scope.TIME | Scope.STATE
+            if scope != Scope.DEFAULT and scope & both != both:
+                text = f"scope {scope}: time and state are reset together, by 0, 3, 7 or 255"
+                return _answered(Code.FEATURE_UNSUPPORTED, text)
+            if self._state is State.STOPPED:
+                return _answered(Code.OK)
+            self._resetting.append(request := Request())
+            if self._running:
+                self._cut = RunCut(RESET, again=True)
+            self._fail_step("the simulation was reset")
+            self._notify()
+            return request
+
+    def cut(self, reason: str) -> None:
+        """End the run that is on, since something has gone wrong."""
+        with self.changed:
+            if self._running:
+                self._cut = RunCut(reason, asked_for=False)
+            self._notify()
+
+    def set_factor(self, factor: float) -> None:
+        """Run faster or slower from now on, see :class:`Pacer`."""
+        with self.changed:
+            self.pacer.factor = factor
+            self._notify()
+
+    # the thread that runs
+
+    def await_start(self) -> State:
+        """Wait while stopped; return the state that ended it."""
+        with self.changed:
+            while self._state is State.STOPPED:
+                self.changed.wait(_POLL)
+            return self._state
+
+    def begin(self) -> None:
+        """A run begins: from here on it can be cut."""
+        with self.changed:
+            self.pacer.reset()
+            self._running, self._cut = True, None
+            if self._state in (State.STOPPED, State.QUITTING):
+                self._end_run()
+            self._notify()
+
+    def ready(self) -> None:
+        """The run could start now: resets are done."""
+        with self.changed:
+            self._answer(self._resetting)
+            self._answer(self._settling)
+
+    def check(self) -> None:
+        """Answer requests while the run waits for others.
+
+        Raises
+        ------
+        RunCut
+            The run is to end.
+        """
+        with self.changed:
+            if self._cut is not None:
+                raise self._cut
+            self._answer(self._settling)
+            if self._step and time.monotonic() - self._step_since > RELEASE_PATIENCE:
+                self._fail_step(f"the chaser is held: no release within {RELEASE_PATIENCE:g} s")
+
+    def tick(self, t: float) -> None:
+        """Wait until time ``t`` (s) may pass: playing and due, or stepped while paused.
+
+        The time that passed last passes again at once.
+
+        Raises
+        ------
+        RunCut
+            The run is to end.
+        """
+        if self._free and self.pacer.factor == 0.0:
+            self.pacer.tick(t)
+            return
+        with self.changed:
+            while True:
+                if self._cut is not None:
+                    raise self._cut
+                if t == self.pacer.t:
+                    return
+                if self._state is State.PLAYING:
+                    delay = self.pacer.delay(t)
+                    if delay <= 0.0:
+                        self.pacer.tick(t)
+                        self._free = True
+                        return
+                    self.changed.wait(delay)
+                    continue
+                self.pacer.hold()
+                if self._step is not None and self._left > 0:
+                    self._left -= 1
+                    self.pacer.skip(t)
+                    return
+                self._finish_step()
+                self._answer(self._settling)
+                self.changed.wait(_POLL)
+
+    def end(self, failure: str = "") -> None:
+        """The run is over, for ``failure`` or as it should be."""
+        with self.changed:
+            self._running = False
+            self.pacer.hold()
+            self._answer(self._settling)
+            if self._left == 0:
+                self._finish_step()
+            self._fail_step(failure or "the run is over")
+            if failure and not (self._cut is not None and self._cut.again):
+                self._answer(self._resetting, Answer(Code.OPERATION_FAILED, failure))
+            self._notify()
+
+    def finish(self) -> None:
+        """Nothing is left to run: stop, unless something else was asked for meanwhile."""
+        with self.changed:
+            if self._state is not State.QUITTING:
+                self._state = State.STOPPED
+            self._answer(self._resetting)
+            self._notify()
+
+    def close(self) -> None:
+        """Nothing will be done any more: answer all that wait."""
+        with self.changed:
+            self._state = State.QUITTING
+            self._fail_step("the simulation has ended")
+            self._answer(self._resetting, Answer(Code.OPERATION_FAILED, "the simulation has ended"))
+            self._answer(self._settling)
+            self._notify()
+
+    # under the lock
+
+    def _end_run(self) -> None:
+        if self._running:
+            self._cut = RunCut(STOPPED if self._state is State.STOPPED else QUITTING)
+
+    def _finish_step(self) -> None:
+        if self._step is not None:
+            self._step.set_result(Answer(Code.OK))
+            self._step = None
+
+    def _fail_step(self, why: str) -> None:
+        if self._step is not None:
+            text = f"{why} after {self._asked - self._left} of {self._asked} steps"
+            self._step.set_result(Answer(Code.OPERATION_FAILED, text))
+            self._step = None
+
+    def _notify(self) -> None:
+        self._free = False  # until the running thread has looked
+        self.changed.notify_all()
+
+    @staticmethod
+    def _answer(requests: list[Request], answer: Answer = Answer(Code.OK)) -> None:  # noqa: B008
+        for request in requests:
+            request.set_result(answer)
+        requests.clear()
