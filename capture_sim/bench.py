@@ -7,13 +7,16 @@ depend on how the time is cut into calls.
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from capture_sim.engine import loop, notebook
 from capture_sim.engine.steps import N_WATCHED
-from capture_sim.errors import SimulationError
+from capture_sim.errors import SceneError, SimulationError
 from capture_sim.interrupts import do_apart
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
@@ -24,6 +27,8 @@ from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.radau import make_work
 
+#: Samples per call into the engine; large enough to make the call's own cost vanish.
+BLOCK = 4096
 _EVENT_ROOM = 256
 _TRACE_ROOM = 1024
 
@@ -115,6 +120,7 @@ class Bench:
         self._touches: list[np.void] = []
         self._events: list[Event] = []
         self._unread: list[np.ndarray] = []
+        self._asked = -math.inf  # last sample time asked for, s
         self._log(EventKind.RELEASE, 0.0, q, v, detail=self._describe_release())
 
     def _begin(self) -> None:
@@ -186,8 +192,8 @@ class Bench:
         Parameters
         ----------
         times
-            (n,) ascending, s since the release, none before the last one asked for; none at
-            all runs to the end.
+            (n,) finite, ascending, s since the release, all after the last one asked for; none
+            at all runs to the end.
 
         Returns
         -------
@@ -196,10 +202,14 @@ class Bench:
 
         Raises
         ------
+        SceneError
+            The times are not so.
         SimulationError
             Names time, phase and cause; ``partial`` holds the samples up to there.
         """
-        times = np.ascontiguousarray(times, dtype=float)
+        times = check_times(times, self._asked)
+        if times.size:
+            self._asked = float(times[-1])
         if not self.done and (times.size == 0 or times[-1] >= self.scene.run.t_end):
             # nothing lies beyond: a time that is never reached runs to the end
             times = np.append(times, np.inf)
@@ -286,6 +296,95 @@ class Bench:
         touch: np.void | None = None,
     ) -> None:
         self._events.append(Event(kind, t, q, v, wall, detail, touch))
+
+
+def check_times(
+    times: ArrayLike, after: float = -math.inf, t_end: float = sys.float_info.max
+) -> np.ndarray:
+    """Return sample times as an array (n,), s.
+
+    Parameters
+    ----------
+    times
+        s since the release.
+    after, t_end
+        Allowed are times after ``after`` and up to ``t_end``, s.
+
+    Raises
+    ------
+    SceneError
+        They are not finite, not ascending or not within the run.
+    """
+    try:
+        t = np.ascontiguousarray(times, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise SceneError("sample times: allowed are numbers, s") from None
+    if t.ndim != 1:
+        raise SceneError(f"sample times of shape {t.shape}: allowed is (n,)")
+    if t.size and not (after < t[0] >= 0.0 and t[-1] <= t_end and np.all(np.diff(t) > 0.0)):
+        before = np.concatenate([[after], t[:-1]])
+        k = int(np.argmin((t > before) & (t >= 0.0) & (t <= t_end)))
+        least = f"> {before[k]:.9g}" if before[k] >= 0.0 else ">= 0"
+        most = "" if t_end == sys.float_info.max else f" and <= {t_end:.9g}"
+        raise SceneError(
+            f"sample time number {k} = {t[k]:.9g} s: allowed is {least}{most}, finite and ascending"
+        )
+    return t
+
+
+class Block(NamedTuple):
+    """A piece of a run: what is new since the piece before."""
+
+    samples: np.ndarray  # (n,) of dtype SAMPLE
+    events: list[Event]
+    trace: np.ndarray  # (k,) of dtype SAMPLE, empty unless asked for
+    failure: SimulationError | None  # why the run had to stop; then this is its last piece
+
+
+def drive(
+    bench: Bench, times: np.ndarray | None = None, *, block: int | Callable[[], int] = BLOCK
+) -> Iterator[Block]:
+    """Run a bench to its end piece by piece.
+
+    Parameters
+    ----------
+    bench
+        At its release.
+    times
+        (n,) ascending sample times, s; None takes the grid of ``scene.run.state_rate``.
+    block
+        Samples of a piece, or what is asked for them before each piece.
+
+    Yields
+    ------
+    Block
+        Who has seen enough leaves the loop: nothing is computed ahead.
+
+    Examples
+    --------
+    Until the tip is within 10 mm of the centre of BE:
+
+    >>> from capture_sim import Bench, load_scene
+    >>> from capture_sim.bench import drive
+    >>> for piece in drive(Bench(load_scene("tilt_0")), block=100):
+    ...     if piece.samples["tip_distance"].min() < 0.01:
+    ...         break
+    """
+    served = seen = traced = 0
+    while not bench.done:
+        size = block if isinstance(block, int) else block()
+        wanted = bench.times(served, size) if times is None else times[served : served + size]
+        failure = None
+        try:
+            samples = bench.advance(wanted)
+        except SimulationError as error:
+            samples, failure = error.partial, error
+        served += size
+        events, seen = bench.events[seen:], len(bench.events)
+        trace, traced = bench.trace[traced:], len(bench.trace)
+        yield Block(samples, events, trace, failure)
+        if failure is not None:
+            return
 
 
 def _detail(kind: EventKind, raw: np.void) -> str:

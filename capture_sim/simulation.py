@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench, Statistics, compile_kernels
+from capture_sim.bench import Bench, Statistics, check_times, compile_kernels, drive
 from capture_sim.detection.exact import (
     CaptureDetector,
     CaptureState,
@@ -19,14 +19,10 @@ from capture_sim.detection.exact import (
     Observation,
 )
 from capture_sim.detection.watching import MotionCaptureWatch
-from capture_sim.errors import SimulationError
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.results import summarize
 from capture_sim.samples import ENERGIES, Event, EventKind
 from capture_sim.scene.parts import Scene
-
-#: Samples per call into the core; large enough to make the call's own cost vanish.
-BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -189,20 +185,20 @@ def simulate(
     compile_kernels()
     began = time.perf_counter()
     bench = Bench(scene)
-    blocks: list[np.ndarray] = []
-    statuses: list[CaptureStatus] = []
-    extra = None if t_eval is None else np.asarray(t_eval, dtype=float)
-    failure: SimulationError | None = None
-    try:
-        for block in run_blocks(bench, extra):
-            blocks.append(block.samples if extra is None else block.extra)
-            statuses += block.statuses
-    except SimulationError as error:
-        failure = error
+    grid = times = bench.times(0, math.floor(run.t_end * run.state_rate) + 2)
+    if t_eval is not None:
+        wanted = check_times(t_eval, t_end=run.t_end)
+        times = np.union1d(grid, wanted)
+    pieces = list(drive(bench, times))
+    failure = pieces[-1].failure
+    samples = np.concatenate([piece.samples for piece in pieces])
+    statuses = _judge(
+        scene, samples if t_eval is None else _at(samples, grid), cut=failure is not None
+    )
     result = Result(
         scene=scene,
         plan=bench.plan,
-        samples=np.concatenate(blocks),
+        samples=samples if t_eval is None else _at(samples, wanted),
         touches=bench.touches,
         events=bench.events,
         statuses=statuses,
@@ -258,70 +254,20 @@ def _touch_sequence(result: Result) -> list[tuple[str, int]]:
     ]
 
 
-def _motion_capture_watch(scene: Scene) -> MotionCaptureWatch | None:
-    """Return what judges by motion capture; None where the detector sees the truth."""
-    if scene.sensors is None or scene.sensors.motion_capture is None:
-        return None
-    return MotionCaptureWatch(scene)
+def _at(samples: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the samples at some of the times."""
+    taken: np.ndarray = samples[np.isin(samples["t"], times)]
+    return taken
 
 
-class Block(NamedTuple):
-    """A piece of a run: what is new since the piece before."""
-
-    samples: np.ndarray  # (n,) of dtype SAMPLE, on the grid
-    extra: np.ndarray  # (m,) likewise, at the extra times
-    events: list[Event]
-    statuses: list[CaptureStatus]
-
-
-def run_blocks(bench: Bench, extra: np.ndarray | None = None) -> Iterator[Block]:
-    """Run a bench to its end piece by piece, with the detector watching.
-
-    Parameters
-    ----------
-    bench
-        At its release.
-    extra
-        (m,) ascending times to sample beside the grid, s.
-
-    Yields
-    ------
-    Block
-        The last one holds the final verdict.
-
-    Raises
-    ------
-    SimulationError
-        After what was computed until then has been yielded.
-    """
-    scene = bench.scene
+def _judge(scene: Scene, samples: np.ndarray, *, cut: bool) -> list[CaptureStatus]:
+    """Return what the detector says of a run's samples at ``run.state_rate``, verdict last."""
+    if scene.sensors is not None and scene.sensors.motion_capture is not None:
+        watch = MotionCaptureWatch(scene)
+        return [*watch.look(samples), *watch.finish(cut=cut)]
     detector = CaptureDetector(scene)
-    watch = _motion_capture_watch(scene)
     every = round(scene.run.state_rate / scene.run.rate)
-    first = seen = 0
-    failure: SimulationError | None = None
-    while not bench.done and failure is None:
-        grid = bench.times(first, BLOCK)
-        wanted, last = grid, np.inf if grid.size < BLOCK else grid[-1]
-        if extra is not None:
-            # each piece takes the times after the last grid point of the one before
-            begin = (first - 1) / scene.run.state_rate if first else -np.inf
-            wanted = np.union1d(grid, extra[(extra > begin) & (extra <= last)])
-        try:
-            taken = bench.advance(wanted)
-        except SimulationError as error:
-            failure, taken = error, error.partial
-        samples = taken if extra is None else taken[np.isin(taken["t"], grid)]
-        beside = taken[:0] if extra is None else taken[np.isin(taken["t"], extra)]
-        if watch is not None:
-            statuses = watch.look(samples)
-        else:
-            statuses = [detector.update(observation(s)) for s in samples[(-first) % every :: every]]
-        if bench.done or failure is not None:
-            cut = failure is not None
-            statuses += [detector.finish(cut=cut)] if watch is None else watch.finish(cut=cut)
-        events, seen = bench.events[seen:], len(bench.events)
-        yield Block(samples, beside, events, statuses)
-        first += BLOCK
-    if failure is not None:
-        raise failure
+    return [
+        *(detector.update(observation(sample)) for sample in samples[::every]),
+        detector.finish(cut=cut),
+    ]
