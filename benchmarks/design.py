@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/design.py [--scenes 20] [--seed 7]
 
 writes docs/design.md with its figures.  A buffer is checked by whole runs at a tenth of the
-tolerance: captured, the force kept, the strokes of the first contact within 2 % of the wish.  A
+tolerance: captured, the force kept, the strokes of the first contact within 2 % of the target.  A
 refusal is checked by a search that knows nothing of the flow: grids of springs, the best places of
 them refined, and a grid of dampers.
 """
@@ -27,19 +27,25 @@ from capture_sim.errors import RecordingError
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
-from capture_sim.studies.design import Design, Wish, design_buffer, trade_off
+from capture_sim.studies.design import (
+    ACCEPTED,
+    Design,
+    DesignTarget,
+    design_buffer,
+    trade_off,
+    with_buffer,
+)
 from capture_sim.studies.first_contact import run_first_contact
-from capture_sim.studies.stroke_matching import ACCEPTED, with_buffer
 from capture_sim.viewing.design_plots import save_design, save_trade_off
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = DOCS / "design.md"
 FACTORS = "0.3:3:9"  # of the stroke, for the trade-off
-WITHIN = 0.02  # of the wish
+WITHIN = 0.02  # of the target
 
 
-def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, Wish]]:
-    """Yield scenes and wishes: every fourth on supports, every third damped, every fifth limited.
+def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
+    """Yield scenes and targets: every fourth on supports, every third damped, every fifth limited.
 
     Speed 0.04 to 0.2 m/s, offset 3 to 45 mm to either side, angle up to 10 degrees; strokes
     0.5 to 2.2 and 0.3 to 3 times those of the paper's springs in its case, times the speed.
@@ -62,7 +68,7 @@ def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, Wish]]:
         if near is not None:
             yield (
                 near,
-                Wish(
+                DesignTarget(
                     axial,
                     torsion,
                     damped=number % 3 == 2,
@@ -80,13 +86,13 @@ class Verdict:
     peak_force: float
     stroke_off: float
 
-    def meets(self, wish: Wish) -> bool:
-        """Whether the wish is met, but for the strokes."""
-        limit = wish.peak_force
+    def meets(self, target: DesignTarget) -> bool:
+        """Whether the target is met, but for the strokes."""
+        limit = target.peak_force
         return self.captured and (limit is None or self.peak_force <= limit)
 
 
-def judge(scene: Scene, wish: Wish, strokes: bool = True) -> Verdict:
+def judge(scene: Scene, target: DesignTarget, strokes: bool = True) -> Verdict:
     """Run a buffer as a user would: whole, by ``simulate``."""
     try:
         result = simulate(scene)
@@ -94,27 +100,29 @@ def judge(scene: Scene, wish: Wish, strokes: bool = True) -> Verdict:
         return Verdict(False, math.nan, math.nan)
     final = next((s for s in result.statuses if s.final), result.statuses[-1])
     before = result.touches[result.touches["start"] <= final.t]
-    off = strokes_off(scene, wish) if strokes else math.nan
+    off = strokes_off(scene, target) if strokes else math.nan
     return Verdict(
         result.verdict.label == "captured", float(before["peak_force"].max(initial=0.0)), off
     )
 
 
-def strokes_off(scene: Scene, wish: Wish) -> float:
-    """Largest relative difference of a stroke from the wish, by samples every 50 us."""
+def strokes_off(scene: Scene, target: DesignTarget) -> float:
+    """Largest relative difference of a stroke from the target, by samples every 50 us."""
     b = scene.buffer
-    scene = scene if wish.damped else with_buffer(scene, b.k_A, b.k_T, 0.0)
+    scene = scene if target.damped else with_buffer(scene, b.k_A, b.k_T, 0.0)
     touches = first_cluster(simulate(scene).touches)
     start, end = touches["start"].min(), touches["end"].max()
     times = np.append(np.arange(start, end, 5e-5), end)
     fine = simulate(scene, t_end=float(end), t_eval=times).samples
     return max(
-        abs(float(np.abs(fine["axial_stroke"]).max()) / wish.axial_stroke - 1.0),
-        abs(float(np.abs(fine["torsion"]).max()) / wish.torsion - 1.0),
+        abs(float(np.abs(fine["axial_stroke"]).max()) / target.axial_stroke - 1.0),
+        abs(float(np.abs(fine["torsion"]).max()) / target.torsion - 1.0),
     )
 
 
-def springs_by_grid(scene: Scene, wish: Wish, c_A: float) -> tuple[float, float, float, int]:
+def springs_by_grid(
+    scene: Scene, target: DesignTarget, c_A: float
+) -> tuple[float, float, float, int]:
     """Return the smallest miss of the strokes on grids of springs, those springs, and the runs."""
     runs = 0
 
@@ -124,7 +132,9 @@ def springs_by_grid(scene: Scene, wish: Wish, c_A: float) -> tuple[float, float,
         c = run_first_contact(with_buffer(scene, k_A, k_T, c_A))
         if c.failure:
             return math.inf
-        return max(abs(c.axial_stroke / wish.axial_stroke - 1), abs(c.torsion / wish.torsion - 1))
+        return max(
+            abs(c.axial_stroke / target.axial_stroke - 1), abs(c.torsion / target.torsion - 1)
+        )
 
     def search(axial: np.ndarray, torsion: np.ndarray) -> list[tuple[float, float, float]]:
         pairs = itertools.product(axial.tolist(), torsion.tolist())
@@ -143,10 +153,10 @@ def springs_by_grid(scene: Scene, wish: Wish, c_A: float) -> tuple[float, float,
 
 def confirm(design: Design, scene: Scene) -> tuple[bool, str]:
     """Look for what a refusal denies; return whether it is confirmed, and what was found."""
-    wish = design.wish
+    target = design.target
     dampers = [0.0, *np.geomspace(0.05, 3000.0, 300).tolist()]
-    if not wish.damped:
-        off, k_A, k_T, runs = springs_by_grid(scene, wish, 0.0)
+    if not target.damped:
+        off, k_A, k_T, runs = springs_by_grid(scene, target, 0.0)
         if design.refusal.startswith("no springs"):
             return off > ACCEPTED, f"{runs} pairs of springs: the nearest misses by {off:.1%}"
         springs = [(k_A, k_T, c_A) for c_A in dampers]
@@ -157,24 +167,26 @@ def confirm(design: Design, scene: Scene) -> tuple[bool, str]:
         springs = []
         runs = 0
         for c_A in [0.0, *np.geomspace(0.5, 500.0, 16).tolist()]:
-            off, k_A, k_T, more = springs_by_grid(scene, wish, c_A)
+            off, k_A, k_T, more = springs_by_grid(scene, target, c_A)
             runs += more
             if off <= WITHIN:
                 springs.append((k_A, k_T, c_A))
-    good = [s for s in springs if judge(with_buffer(scene, *s), wish, strokes=False).meets(wish)]
-    said = f"{runs} pairs of springs, {len(springs)} whole buffers: {len(good)} meet the wish"
+    good = [
+        s for s in springs if judge(with_buffer(scene, *s), target, strokes=False).meets(target)
+    ]
+    said = f"{runs} pairs of springs, {len(springs)} whole buffers: {len(good)} meet the target"
     return not good, said
 
 
-def row(number: int, scene: Scene, wish: Wish) -> tuple[bool, str]:
+def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, str]:
     """Design, check, and return whether the answer holds and its row of the table."""
     began = time.perf_counter()
-    design = design_buffer(scene, wish)
+    design = design_buffer(scene, target)
     seconds = time.perf_counter() - began
-    asked = f"{wish.axial_stroke * 1e3:.2f}{' damped' if wish.damped else ''}"
-    limit = f"{wish.peak_force:.0f}" if wish.peak_force else ""
+    asked = f"{target.axial_stroke * 1e3:.2f}{' damped' if target.damped else ''}"
+    limit = f"{target.peak_force:.0f}" if target.peak_force else ""
     head = f"| {number} | {'supports' if scene.supports else 'free'} | {asked} | "
-    head += f"{wish.torsion * 1e3:.2f} | {limit} | {len(design.history)} | {seconds:.1f} | "
+    head += f"{target.torsion * 1e3:.2f} | {limit} | {len(design.history)} | {seconds:.1f} | "
     if not design.met:
         holds, found = confirm(design, scene)
         return holds, f"{head}refused: {design.refusal} | {found} | {'yes' if holds else 'NO'} |"
@@ -182,8 +194,8 @@ def row(number: int, scene: Scene, wish: Wish) -> tuple[bool, str]:
     assert design.capturing is not None
     b = design.scene.buffer
     finer = replace(design.scene, run=replace(design.scene.run, rtol=0.1 * scene.run.rtol))
-    verdict = judge(finer, wish)
-    holds = verdict.meets(wish) and verdict.stroke_off <= WITHIN
+    verdict = judge(finer, target)
+    holds = verdict.meets(target) and verdict.stroke_off <= WITHIN
     low, high = design.capturing
     return holds, (
         f"{head}{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g} ({low:.3g} to {high:.3g}) | "
@@ -196,12 +208,12 @@ def paper_row() -> list[str]:
     """The paper's springs from the strokes they give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
-    design = design_buffer(scene, Wish(own.axial_stroke, own.torsion))
+    design = design_buffer(scene, DesignTarget(own.axial_stroke, own.torsion))
     assert design.scene is not None
     assert design.capturing is not None
     assert design.energy is not None
     save_design(design, DOCS / "design" / "design.png")
-    strokes = trade_off(scene, design.wish, np.geomspace(0.3, 3.0, 9).tolist())
+    strokes = trade_off(scene, design.target, np.geomspace(0.3, 3.0, 9).tolist())
     save_trade_off(strokes, DOCS / "design" / "trade_off.png")
     b, low, high, energy = design.scene.buffer, *design.capturing, design.energy
     springs = sum(trial.step == 5 for trial in design.history)
@@ -211,10 +223,8 @@ def paper_row() -> list[str]:
         f"k_A = {b.k_A:.3f} N/m and k_T = {b.k_T:.3f} N m/rad after {springs} runs "
         f"({len(design.history)} in all), and c_A = {b.c_A:.1f} N s/m, the middle of {low:.1f} to "
         f"{high:.1f}, all of which capture. The paper's 13 is among them, near the lower end. Of "
-        f"{energy.approach * 1e3:.1f} mJ the damper absorbs {energy.damper * 1e3:.2f} (by the area "
-        f"of load over stroke; ledger {energy.damper_ledger * 1e3:.2f}), the touches "
-        f"{energy.contact * 1e3:.2f} (force over penetration; ledger "
-        f"{energy.contact_ledger * 1e3:.2f}).",
+        f"{energy.approach * 1e3:.1f} mJ the damper absorbs {energy.damper * 1e3:.2f} (the area "
+        f"of load over stroke), the touches {energy.contact * 1e3:.2f} (force over penetration).",
         "",
         "![How the paper's buffer is found](design/design.png)",
         "",
@@ -232,8 +242,8 @@ def main() -> None:
     compile_kernels()
     rows, held = [], 0
     tasks = random_tasks(options.scenes, options.seed)
-    for number, (scene, wish) in enumerate(tqdm(tasks, total=options.scenes)):
-        holds, text = row(number, scene, wish)
+    for number, (scene, target) in enumerate(tqdm(tasks, total=options.scenes)):
+        holds, text = row(number, scene, target)
         held += holds
         rows.append(text)
         tqdm.write(text)
@@ -248,10 +258,10 @@ def main() -> None:
             "",
             f"## {options.scenes} random scenes: {held} answers hold",
             "",
-            "Wished strokes are of the first contact without the damper, or where it says damped, "
+            "Target strokes are of the first contact without the damper, or where it says damped, "
             "with it. A buffer holds if whole runs at a tenth of the tolerance capture, keep the "
-            f"force, and have strokes within {WITHIN:.0%} of the wish. A refusal holds if a search "
-            "by grids finds no buffer either. Seconds as on a busy machine of two cores.",
+            f"force, and have strokes within {WITHIN:.0%} of the target. A refusal holds if a "
+            "search by grids finds no buffer either. Seconds as on a busy machine of two cores.",
             "",
             "| | scene | stroke mm | torsion mrad | limit N | runs | s | "
             "k_A N/m, k_T N m/rad, c_A N s/m (capturing) | check | holds |",

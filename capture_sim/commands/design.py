@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     from capture_sim.scene.parts import Scene
     from capture_sim.studies.capture_margin import Spread
-    from capture_sim.studies.design import Design, Trial, Wish
+    from capture_sim.studies.design import Design, DesignTarget, Trial
 
 HELP = "find springs and damper for the strokes you want"
 DESCRIPTION = (
     "The paper's design flow: strokes wished for in, k_A, k_T and c_A out, or the reason why no "
-    "buffer meets the wish (exit status 1). Without strokes those of the scene's own springs are "
+    "buffer meets the target (exit status 1). Without strokes those of the scene's own springs are "
     "taken."
 )
 
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trade-off",
         metavar="LOW:HIGH:N",
-        help="also design for N axial strokes from LOW to HIGH times the wish, as 0.3:3:9",
+        help="also design for N axial strokes from LOW to HIGH times the target, as 0.3:3:9",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("runs/design"), help="folder (default: runs/design)"
@@ -66,17 +66,17 @@ def run(options: argparse.Namespace) -> int:
     spread = _spread(options.spread)
     prepare_folder(options.out)
     compile_first()
-    wish = _wish(options, scene, spread)
+    target = _target(options, scene, spread)
     say(
-        f"wanted: {wish.axial_stroke * 1e3:.4g} mm and {wish.torsion * 1e3:.4g} mrad "
-        f"{'with' if wish.damped else 'without'} the damper"
+        f"wanted: {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
+        f"{'with' if target.damped else 'without'} the damper"
     )
-    design = design_buffer(scene, wish, _tell)
+    design = design_buffer(scene, target, _say_trial)
     _report(design)
     _keep(design, options.out)
     designs: Sequence[Design] = ()
     if factors:
-        designs = trade_off(scene, wish, factors)
+        designs = trade_off(scene, target, factors)
         for one in designs:
             say(_line(one))
     try:
@@ -90,11 +90,10 @@ def run(options: argparse.Namespace) -> int:
     return OK if design.met else FAILED
 
 
-def _wish(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> Wish:
+def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> DesignTarget:
     from capture_sim.errors import SceneError
-    from capture_sim.studies.design import Wish
+    from capture_sim.studies.design import DesignTarget, with_buffer
     from capture_sim.studies.first_contact import run_first_contact
-    from capture_sim.studies.stroke_matching import with_buffer
 
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):
@@ -103,7 +102,7 @@ def _wish(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> W
         b = scene.buffer
         own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))
         stroke, torsion = own.axial_stroke * 1e3, own.torsion * 1e3
-    return Wish(stroke * 1e-3, torsion * 1e-3, options.damped, options.peak_force, spread)
+    return DesignTarget(stroke * 1e-3, torsion * 1e-3, options.damped, options.peak_force, spread)
 
 
 def _spread(text: str | None) -> Spread | None:
@@ -136,7 +135,7 @@ def _factors(text: str | None) -> list[float]:
     return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
 
 
-def _tell(trial: Trial) -> None:
+def _say_trial(trial: Trial) -> None:
     from capture_sim.commands.showing import say
 
     buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
@@ -153,7 +152,7 @@ def _report(design: Design) -> None:
 
     say("")
     if not design.met:
-        say(f"no buffer meets the wish: {design.refusal}")
+        say(f"no buffer meets the target: {design.refusal}")
         return
     assert design.scene is not None
     assert design.undamped is not None
@@ -183,7 +182,7 @@ def _report(design: Design) -> None:
 
 
 def _line(design: Design) -> str:
-    stroke = f"{design.wish.axial_stroke * 1e3:8.4g} mm"
+    stroke = f"{design.target.axial_stroke * 1e3:8.4g} mm"
     if not design.met or design.scene is None or design.damped is None:
         return f"{stroke}  {design.refusal}"
     b = design.scene.buffer
@@ -208,7 +207,7 @@ def _keep(design: Design, folder: Path) -> None:
         return row
 
     kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
-    kept["wish"] = dataclasses.asdict(design.wish)
+    kept["target"] = dataclasses.asdict(design.target)
     kept["history"] = [plain(trial) for trial in design.history]
     try:
         text = json.dumps(kept, indent=1, allow_nan=False) + "\n"

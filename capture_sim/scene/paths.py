@@ -66,7 +66,7 @@ def get(scene: Scene, path: str) -> Any:
     return value
 
 
-def changed(part: Any, path: str, value: float) -> Any:
+def changed(part: Any, path: str, value: Any) -> Any:
     """Return a scene, or a part of one, with another value at a path."""
     name, _, rest = path.partition(".")
     new = changed(getattr(part, name), rest, value) if rest else value

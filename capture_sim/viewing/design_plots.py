@@ -58,16 +58,16 @@ def draw_design(design: Design) -> Figure:
 def _draw_strokes(axes: Axes, design: Design) -> None:
     trials = [trial for trial in design.history if trial.step == 5]
     number = np.arange(1, len(trials) + 1)
-    wish = design.wish
+    target = design.target
     for values, name, colour in (
-        ([t.axial_stroke / wish.axial_stroke for t in trials], "axial", palette.BLUE),
-        ([t.torsion / wish.torsion for t in trials], "torsional", palette.VERMILION),
+        ([t.axial_stroke / target.axial_stroke for t in trials], "axial", palette.BLUE),
+        ([t.torsion / target.torsion for t in trials], "torsional", palette.VERMILION),
     ):
         off = np.maximum(np.abs(np.array(values) - 1.0), 1e-6)
         axes.plot(number, off, "o-", color=colour, label=f"{name} stroke")
     axes.set_yscale("log")
     axes.set_xlabel("run")
-    axes.set_ylabel("off the wish, relative")
+    axes.set_ylabel("off the target, relative")
     axes.set_title("Steps 1 to 5: springs for the strokes", fontsize=15)
     axes.grid(color=palette.LIGHT, lw=0.6)
     axes.legend(fontsize=12.5)
@@ -102,7 +102,7 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("axial damping  [N s/m]")
     axes.set_ylabel("nearest to the centre of BE  [mm]")
-    title = "Step 7: damper by the verdict" if design.met else "Step 7: no damper meets the wish"
+    title = "Step 7: damper by the verdict" if design.met else "Step 7: no damper meets the target"
     axes.set_title(title, fontsize=15)
     axes.grid(color=palette.LIGHT, lw=0.6)
     if trials:
@@ -114,7 +114,7 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     figure = new_figure(13.0, 5.6)
     force, buffer = figure.subplots(1, 2)
     good = [d for d in designs if d.met]
-    stroke = [d.wish.axial_stroke * 1e3 for d in good]
+    stroke = [d.target.axial_stroke * 1e3 for d in good]
     curves = (
         ("largest touch until the verdict", "outcome", "peak_force", palette.VERMILION, "o-"),
         ("largest touch of the first contact", "damped", "peak_force", palette.ORANGE, "s-"),
@@ -147,10 +147,10 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     for axes in (force, buffer):
         for design in designs:
             if not design.met:
-                note = "no buffer meets the wish" if design is refused[0] else None
-                place = design.wish.axial_stroke * 1e3
+                note = "no buffer meets the target" if design is refused[0] else None
+                place = design.target.axial_stroke * 1e3
                 axes.axvline(place, color=palette.GREY, ls=":", lw=1.5, label=note)
-        axes.set_xlabel("axial stroke wished for  [mm]")
+        axes.set_xlabel("target axial stroke  [mm]")
         axes.grid(color=palette.LIGHT, lw=0.6)
         axes.legend(fontsize=12, loc="upper left", framealpha=1.0)
     force.set_ylim(0.0, 1.45 * force.get_ylim()[1])

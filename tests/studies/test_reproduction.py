@@ -1,0 +1,142 @@
+"""The paper reproduced: its statements, the second engine, the assumptions, and the page."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene, simulate
+from capture_sim.cli import main
+from capture_sim.commands.reproduce import page, terminal_table
+from capture_sim.studies import paper
+from capture_sim.studies.approach import placed
+from capture_sim.studies.executors import InProcess
+from capture_sim.studies.paper import (
+    ASSUMPTIONS,
+    CASES,
+    DOCKING,
+    Assumption,
+    Evidence,
+    Together,
+    run_case,
+    scan_assumptions,
+    second_engine,
+    vary_together,
+)
+from capture_sim.viewing.paper_figures import FIGURES
+
+RADIUS = Assumption("radius", "detector.radius", "mm", 1e3, (3e-3, 5e-3, 8e-3), "", 5e-3)
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    """All that the statements need, the assumptions on small grids."""
+    found = Evidence(InProcess())
+    found.__dict__["scans"] = scan_assumptions(InProcess(), [RADIUS])
+    found.__dict__["together"] = vary_together(InProcess(), 3, seed=4)
+    return found
+
+
+def test_first_impact_from_one_metre_comes_after_ten_seconds(evidence):
+    far, near = evidence.run(DOCKING), evidence.run("paper_designed")
+    touch = far.summary["first_contact_time"]
+    assert touch == pytest.approx(10.0, abs=1e-9)
+    k = int(np.searchsorted(far.t, touch))
+    assert abs(far.samples["tip_axial"][[0, k]] @ [1, -1]) == pytest.approx(1.0, abs=1e-3)
+    assert far.verdict.label == "captured"
+    for key in ("first_contact_duration", "first_contact_peak_force"):
+        assert far.summary[key] == pytest.approx(near.summary[key], rel=1e-6)
+
+
+def test_every_statement_agrees_but_cases_2_and_3(evidence):
+    found = list(paper.claims(evidence))
+    assert [claim.paper[:12] for claim in found if claim.agrees is False] == [
+        "paper_case_2",
+        "paper_case_3",
+    ]
+    assert sum(claim.agrees is None for claim in found) == 1
+    assert len(found) == 19
+
+
+def test_a_statement_that_does_not_hold_differs(evidence):
+    swapped = Evidence(InProcess())
+    swapped._runs["paper_clamped"] = evidence.run("paper_undamped")
+    swapped._runs["paper_undamped"] = evidence.run("paper_clamped")
+    swapped.__dict__["durations"] = {0.5: 0.0125}
+    assert [c.agrees for c in paper.buffer_against_clamped(swapped)] == [None, False, False]
+    assert next(paper.undamped(swapped)).agrees is False
+
+
+def test_second_engine_agrees_on_velocities():
+    engine = second_engine()
+    assert engine.source.startswith("Exudyn ")
+    assert engine.difference.max() < 1e-5
+    # a difference of the law alone is seen
+    assert engine.law_effect.max() > 1e-5
+    assert [claim.agrees for claim in paper.velocities(engine)] == [True, True]
+
+
+def test_a_radius_of_capture_decides_cases_2_and_3(evidence):
+    (scan,) = evidence.scans
+    assert scan.agrees("paper_case_2") == [True, False, False]
+    assert scan.agrees("paper_case_3") == [False, False, True]
+    assert scan.agrees("paper_designed") == [False, True, True]
+    assert scan.where("paper_case_2") == "3 mm"
+    assert scan.where("paper_designed") == "5 to 8 mm"
+    assert scan.where("paper_undamped") == "all"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
+    point = run_case((case, tuple((a.field, a.assumed) for a in ASSUMPTIONS)))
+    whole = evidence.run(case)
+    assert point.verdict == whole.verdict.label
+    final = next((s for s in whole.statuses if s.final), whole.statuses[-1])
+    assert point.nearest == pytest.approx(final.nearest_distance, abs=1e-5)
+
+
+def test_the_first_touch_is_at_b():
+    scene = load_scene("paper_designed", ["initial.target.x=2.0"])
+    cone = scene.cone
+    offset = -(cone.R_c + (0.045 - scene.probe.tip_radius) * math.sin(cone.beta))
+    near = placed(scene, 0.0, offset, 0.1, 1e-4)
+    given = load_scene("paper_designed").initial
+    assert near.initial.chaser.y - near.initial.target.y == pytest.approx(
+        given.chaser.y - given.target.y, abs=1e-12
+    )
+    assert simulate(near, t_end=0.002).touches["start"][0] == pytest.approx(1e-3, abs=1e-9)
+
+
+def test_shares_of_samples():
+    agrees = {case: np.array([True, True, False, False]) for case in CASES}
+    agrees["paper_case_2"] = np.array([False, True, True, False])
+    together = Together(agrees)
+    assert together.share("paper_case_2") == 0.5
+    assert together.share("paper_case_2", "paper_designed") == 0.25
+    assert together.share(*CASES) == 0.25
+
+
+def test_the_page_has_every_figure_with_its_command(evidence):
+    found = list(paper.claims(evidence))
+    text = page(found, evidence, {name: figure.title for name, figure in FIGURES.items()})
+    commands = re.findall(r"!\[.*\]\(reproduction/(\w+)\.png\)\n\n    (.*)\n", text)
+    assert commands == [
+        (name, f".venv/bin/capture-sim reproduce --only {name} --out runs") for name in FIGURES
+    ]
+    assert "16 statements agree, 2 do not, 1 cannot be compared." in text
+    assert "agrees" in terminal_table(found)
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_is_drawn(evidence, name, tmp_path):
+    path = tmp_path / "figure.png"
+    FIGURES[name].draw(evidence).savefig(path)
+    assert path.stat().st_size > 10_000
+
+
+def test_one_figure_by_the_command(tmp_path, capsys):
+    assert main(["reproduce", "--only", "figure_12", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "reproduction" / "figure_12.png").stat().st_size > 10_000
+    assert main(["reproduce", "--only", "figure_99", "--out", str(tmp_path)]) == 2
+    assert "allowed are figure_5" in capsys.readouterr().err
