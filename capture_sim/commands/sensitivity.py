@@ -57,7 +57,6 @@ def run(options: argparse.Namespace) -> int:
     from capture_sim.errors import SceneError
     from capture_sim.studies.executors import default_workers, open_executor
     from capture_sim.studies.sensitivity import (
-        STEPS,
         check_method,
         default_parameters,
         global_sensitivity,
@@ -75,18 +74,16 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     whole: Global | None = None
-    count, done = 1 + 2 * len(parameters) * (1 + len(STEPS)), 0
     with (
         open_executor(options.workers or default_workers(), options.scheduler) as executor,
         Progress() as progress,
     ):
-
-        def heard(more: int) -> None:
-            nonlocal done
-            done += more
-            progress.at("derivatives", done, count)
-
-        near = local_sensitivity(scene, parameters, executor, heard)
+        near = local_sensitivity(
+            scene,
+            parameters,
+            executor,
+            lambda done, count: progress.at("derivatives", done, count),
+        )
         if options.method != "none":
             whole = global_sensitivity(
                 scene,
@@ -95,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
                 options.method,
                 options.samples,
                 options.seed,
-                lambda some, of: progress.at(options.method, some, of),
+                lambda done, count: progress.at(options.method, done, count),
             )
     _report(near)
     if whole is not None:
@@ -116,21 +113,26 @@ def run(options: argparse.Namespace) -> int:
 def _report(near: Local) -> None:
     """Print what a parameter off by its spread would do, were it linear; ! where that is not so."""
     from capture_sim.commands.showing import say
-    from capture_sim.studies.sensitivity import QUANTITIES
+    from capture_sim.studies.sensitivity import SMOOTH
 
-    smooth = QUANTITIES[:-1]
     say("change of each quantity for a parameter that is off by its spread, by its derivative")
-    say("(!: ill-conditioned, does not settle; *: another verdict at an end of the spread)")
+    say("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)")
     say("")
-    head = [f"{name} {unit}" for name, unit in smooth]
+    head = [f"{q.name} {q.unit}" for q in SMOOTH]
     say(f"{'':22}" + "".join(f"{text:>16}" for text in head))
     base = near.base.tolist()
-    say(f"{'at the scene':22}" + "".join(f"{value:16.5g}" for value in base[:-1]))
+    say(
+        f"{'at the scene':22}"
+        + "".join(f"{q.factor * v:16.5g}" for q, v in zip(SMOOTH, base[:-1], strict=True))
+    )
     for parameter, row, low, high in zip(
         near.parameters, near.derivatives, near.low, near.high, strict=True
     ):
         flips = "*" if low[-1] != base[-1] or high[-1] != base[-1] else " "
-        cells = "".join(f"{d.value:15.3g}{' ' if d.settled else '!'}" for d in row)
+        cells = "".join(
+            f"{q.factor * d.value:15.3g}{' ' if d.converged else '!'}"
+            for q, d in zip(SMOOTH, row, strict=True)
+        )
         say(f"{parameter.name + flips:22}{cells}")
     say("")
 
@@ -148,7 +150,7 @@ def _keep(near: Local, whole: Global | None, folder: Path) -> None:
         return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
 
     kept: dict[str, Any] = {
-        "quantities": [list(pair) for pair in QUANTITIES],
+        "quantities": [q.name for q in QUANTITIES],
         "parameters": [dataclasses.asdict(parameter) for parameter in near.parameters],
         "base": near.base.tolist(),
         "low": near.low.tolist(),
@@ -180,9 +182,8 @@ def _write(path: Path, text: str) -> None:
 
 def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str:
     """Return derivatives and pictures as a page in Markdown."""
-    from capture_sim.studies.sensitivity import QUANTITIES
+    from capture_sim.studies.sensitivity import SMOOTH
 
-    smooth = QUANTITIES[:-1]
     command = f"capture-sim sensitivity {options.scene} --method {options.method}"
     command += f" --samples {options.samples} --seed {options.seed} --spread {options.spread:g}"
     lines = [
@@ -192,22 +193,24 @@ def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str
         "the first contact; nearest is until the verdict.",
         "",
         "Change of each quantity for a parameter that is off by its spread, by its derivative. "
-        "**!**: ill-conditioned, the difference quotient does not settle as its step shrinks. "
+        "**!**: ill-conditioned, the difference quotient does not converge as its step shrinks. "
         "**\\***: another verdict at an end of the spread.",
         "",
-        "| parameter | spread | " + " | ".join(f"{n} {unit}" for n, unit in smooth) + " |",
-        "|---" * (2 + len(smooth)) + "|",
-        "| at the scene | | " + " | ".join(f"{v:.4g}" for v in near.base[:-1].tolist()) + " |",
+        "| parameter | spread | " + " | ".join(f"{q.name} {q.unit}" for q in SMOOTH) + " |",
+        "|---" * (2 + len(SMOOTH)) + "|",
+        "| at the scene | | "
+        + " | ".join(f"{q.factor * v:.4g}" for q, v in zip(SMOOTH, near.base[:-1], strict=True))
+        + " |",
     ]
     for parameter, row, low, high in zip(
         near.parameters, near.derivatives, near.low, near.high, strict=True
     ):
         flips = " **\\***" if {low[-1], high[-1]} != {near.base[-1]} else ""
-        spread = f"{parameter.spread:.3g} {parameter.unit}"
-        if parameter.relative:
-            spread = f"{100 * parameter.spread:g} %"
-        cells = " | ".join(f"{d.value:.3g}{'' if d.settled else ' **!**'}" for d in row)
-        lines.append(f"| {parameter.name}{flips} | {spread} | {cells} |")
+        cells = " | ".join(
+            f"{q.factor * d.value:.3g}{'' if d.converged else ' **!**'}"
+            for q, d in zip(SMOOTH, row, strict=True)
+        )
+        lines.append(f"| {parameter.name}{flips} | {parameter.displayed_spread} | {cells} |")
     lines += ["", "![Tornado](tornado.png)", ""]
     if whole is not None:
         lines += [

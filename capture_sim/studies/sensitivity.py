@@ -1,45 +1,59 @@
-"""How force, strokes and verdict move with each parameter of a scene.
+"""How force, strokes and verdict change with each parameter of a scene.
 
 Near the scene, by central differences; over the whole spread, one parameter at a time (the
 tornado) or all at once (Morris' or Sobol's method, by SALib).  A run has corners where a touch
-more or less decides: a difference quotient that does not settle as its step shrinks, or whose
+more or less decides: a difference quotient that does not converge as its step shrinks, or whose
 two runs do not have the same touches, is flagged.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import MissingPackageError, SceneError
+from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.executors import Executor, ordered
 from capture_sim.studies.first_contact import run_first_contact
 from capture_sim.studies.verdict import run_to_verdict
 
-#: What is looked at: name, unit.  Force, strokes and duration are of the first contact, nearest
-#: is until the verdict, captured 1 or 0.
+
+class Quantity(NamedTuple):
+    """What is computed, SI, and how it is displayed: ``factor`` from SI to ``unit``."""
+
+    name: str
+    title: str
+    unit: str
+    factor: float
+
+
+#: Force, strokes and duration are of the first contact, nearest is until the verdict, captured
+#: 1 or 0.
 QUANTITIES = (
-    ("peak_force", "N"),
-    ("axial_stroke", "m"),
-    ("torsion", "rad"),
-    ("duration", "s"),
-    ("nearest", "m"),
-    ("captured", "1"),
+    Quantity("peak_force", "peak force of the first contact", "N", 1.0),
+    Quantity("axial_stroke", "axial stroke of the first contact", "mm", 1e3),
+    Quantity("torsion", "torsion of the first contact", "mrad", 1e3),
+    Quantity("duration", "duration of the first contact", "ms", 1e3),
+    Quantity("nearest", "nearest to the centre of BE", "mm", 1e3),
+    Quantity("captured", "captured", "1", 1.0),
 )
-_SMOOTH = len(QUANTITIES) - 1  # all but the verdict have derivatives
+#: Those that have derivatives: all but the verdict.
+SMOOTH = QUANTITIES[:-1]
 
 #: Steps of the difference quotients, of the parameter's spread.
 STEPS = (0.1, 0.03, 0.01, 0.003, 0.001)
 
 #: A derivative that changes by more than this part of itself from step to step is flagged.
-SETTLED = 0.1
+CONVERGED = 0.1
 
+_APPROACH = ("approach.angle", "approach.offset", "approach.speed")
 _RUN_UP = 1e-3  # m
 
 
@@ -56,6 +70,20 @@ class Parameter:
     unit: str
     spread: float
     relative: bool = True
+
+    def reach(self, value: float) -> float:
+        """Return the spread about a value, SI."""
+        return self.spread * abs(value) if self.relative else self.spread
+
+    @property
+    def displayed_spread(self) -> str:
+        """The spread in the units of the commands: per cent, deg, mm."""
+        if self.relative:
+            return f"{100 * self.spread:.3g} %"
+        factor, unit = {"rad": (180.0 / math.pi, "deg"), "m": (1e3, "mm")}.get(
+            self.unit, (1.0, self.unit)
+        )
+        return f"{factor * self.spread:.3g} {unit}"
 
 
 def default_parameters(part: float = 0.1) -> tuple[Parameter, ...]:
@@ -90,7 +118,7 @@ def default_parameters(part: float = 0.1) -> tuple[Parameter, ...]:
 
 @dataclass(frozen=True)
 class Derivative:
-    """How a quantity moves with a parameter, at the scene.
+    """How a quantity changes with a parameter, at the scene.
 
     Attributes
     ----------
@@ -100,15 +128,15 @@ class Derivative:
         Change of ``value`` from the step before to the one taken.
     step : float
         The step that was taken, of the spread.
-    settled : bool
-        The quotient settles as the step shrinks, and both runs have the same touches: without
+    converged : bool
+        The quotient converges as the step shrinks, and both runs have the same touches: without
         that the value is not to be trusted.
     """
 
     value: float
     error: float
     step: float
-    settled: bool
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -154,12 +182,12 @@ def value_of(scene: Scene, parameter: Parameter) -> float:
     SceneError
         The scene has no such number.
     """
-    part, _, name = parameter.name.partition(".")
-    if part == "approach" and name in ("angle", "offset", "speed"):
-        return dict(zip(("angle", "offset", "speed"), approach_of(scene), strict=True))[name]
-    value = getattr(getattr(scene, part, None), name, None)
+    name = parameter.name
+    if name in _APPROACH:
+        return approach_of(scene)[_APPROACH.index(name)]
+    value = paths.get(scene, name)
     if not isinstance(value, (int, float)) or isinstance(value, bool):
-        raise SceneError(f"{parameter.name}: allowed is a number of the scene that it has")
+        raise SceneError(f"{name}: allowed is a number of the scene that it has")
     return float(value)
 
 
@@ -171,20 +199,20 @@ def changed(scene: Scene, parameters: Sequence[Parameter], values: Sequence[floa
     SceneError
         A value is out of its range, or the chaser misses the cone.
     """
-    approach = dict(zip(("angle", "offset", "speed"), approach_of(scene), strict=True))
+    approach = dict(zip(_APPROACH, approach_of(scene), strict=True))
     start = scene.initial
     # out of the way while sizes change: it is placed anew
     far = replace(start.chaser, x=start.target.x - 10.0, y=start.target.y, theta=0.0)
     scene = replace(scene, initial=replace(start, chaser=far), rail=None, string=None)
     for parameter, value in zip(parameters, values, strict=True):
-        part, _, name = parameter.name.partition(".")
-        if part == "approach":
-            approach[name] = value
+        if parameter.name in approach:
+            approach[parameter.name] = value
         else:
-            scene = replace(scene, **{part: replace(getattr(scene, part), **{name: value})})
-    near = placed(scene, approach["angle"], approach["offset"], approach["speed"], _RUN_UP)
+            scene = paths.changed(scene, parameter.name, value)
+    angle, offset, speed = approach.values()
+    near = placed(scene, angle, offset, speed, _RUN_UP)
     if near is None:
-        raise SceneError(f"{scene.name}: with {dict(approach)} the chaser misses the cone")
+        raise SceneError(f"{scene.name}: with {approach} the chaser misses the cone")
     return near
 
 
@@ -192,7 +220,7 @@ def respond(task: tuple[Scene, tuple[Parameter, ...], tuple[float, ...]]) -> tup
     """Return the quantities (q,) of a changed scene, and the touches of its first contact."""
     scene = changed(*task)
     contact, outcome = run_first_contact(scene), run_to_verdict(scene, finer=10)
-    values = [getattr(contact, name) for name, _ in QUANTITIES[:4]]
+    values = [getattr(contact, quantity.name) for quantity in QUANTITIES[:4]]
     return np.array([*values, outcome.nearest, float(outcome.captured)]), contact.touches
 
 
@@ -200,11 +228,12 @@ def local_sensitivity(
     scene: Scene,
     parameters: tuple[Parameter, ...],
     executor: Executor,
-    tell: Callable[[int], None] | None = None,
+    report: Callable[[int, int], None] | None = None,
 ) -> Local:
     """Find the derivatives at a scene, and what each parameter does over its spread.
 
-    Takes ``1 + 2 len(parameters) (1 + len(STEPS))`` runs; ``tell`` hears of each.
+    Takes ``1 + 2 len(parameters) (1 + len(STEPS))`` runs; ``report`` is called with how many of
+    how many are done.
 
     Raises
     ------
@@ -212,7 +241,7 @@ def local_sensitivity(
         A parameter is not in the scene, or out of its range within its spread.
     """
     base = [value_of(scene, p) for p in parameters]
-    spread = [_spread(p, v) for p, v in zip(parameters, base, strict=True)]
+    spread = [p.reach(v) for p, v in zip(parameters, base, strict=True)]
     shares = (1.0, *STEPS)
     tasks: list[Any] = [(scene, parameters, tuple(base))]
     for number in range(len(parameters)):
@@ -223,23 +252,34 @@ def local_sensitivity(
                 tasks.append((scene, parameters, tuple(values)))
     for _, _, values in tasks:
         changed(scene, parameters, values)  # says what is out of range before anything runs
-    answers = ordered(executor, respond, tasks, tell)
+    answers = _answers(executor, tasks, report)
     at = np.array([values for values, _ in answers[1:]]).reshape(
         len(parameters), len(shares), 2, len(QUANTITIES)
     )
     touches = np.array([count for _, count in answers[1:]]).reshape(at.shape[:3])
     derivatives = [
-        [_settle(at[p, 1:, :, q], touches[p, 1:], float(answers[0][0][q])) for q in range(_SMOOTH)]
+        [
+            _converge(at[p, 1:, :, q], touches[p, 1:], float(answers[0][0][q]))
+            for q in range(len(SMOOTH))
+        ]
         for p in range(len(parameters))
     ]
     return Local(parameters, answers[0][0], derivatives, at[:, 0, 0], at[:, 0, 1])
 
 
-def _spread(parameter: Parameter, value: float) -> float:
-    return parameter.spread * abs(value) if parameter.relative else parameter.spread
+def _answers(
+    executor: Executor, tasks: Sequence[Any], report: Callable[[int, int], None] | None
+) -> list[Any]:
+    done = itertools.count(1)
+
+    def count(_: int) -> None:
+        if report is not None:
+            report(next(done), len(tasks))
+
+    return ordered(executor, respond, tasks, count)
 
 
-def _settle(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
+def _converge(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
     """Choose among difference quotients the one that changes least from step to step.
 
     ``ends`` (steps, 2) are the quantity's values below and above, ``touches`` likewise.
@@ -249,8 +289,9 @@ def _settle(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
     best = int(np.argmin(changes)) + 1
     value, error = float(quotients[best]), float(changes[best - 1])
     same = bool(touches[best, 0] == touches[best, 1])
-    small = error <= 1e-4 * abs(base)  # nothing to move: no need to settle
-    return Derivative(value, error, STEPS[best], same and (error <= SETTLED * abs(value) or small))
+    small = error <= 1e-4 * abs(base)  # nothing changes: no need to converge
+    converged = same and (error <= CONVERGED * abs(value) or small)
+    return Derivative(value, error, STEPS[best], converged)
 
 
 def check_method(method: str, samples: int) -> None:
@@ -278,7 +319,7 @@ def global_sensitivity(
     method: str = "morris",
     samples: int = 32,
     seed: int = 1,
-    tell: Callable[[int, int], None] | None = None,
+    report: Callable[[int, int], None] | None = None,
 ) -> Global:
     """Vary all parameters at once, evenly over their spreads.
 
@@ -289,8 +330,8 @@ def global_sensitivity(
         ``samples`` (a power of 2) times ``len(parameters) + 2`` runs.
     seed
         Of the samples.
-    tell
-        Hears how many of how many runs are done.
+    report
+        Called with how many of how many runs are done.
 
     Raises
     ------
@@ -303,30 +344,19 @@ def global_sensitivity(
     from SALib.sample import sobol as sobol_sample
 
     check_method(method, samples)
-    base = [value_of(scene, p) for p in parameters]
-    bounds = []
-    for parameter, value in zip(parameters, base, strict=True):
-        off = _spread(parameter, value)
-        bounds.append([value - off, value + off])
+    base = np.array([value_of(scene, p) for p in parameters])
+    reach = np.array([p.reach(v) for p, v in zip(parameters, base.tolist(), strict=True)])
     problem = {
         "num_vars": len(parameters),
         "names": [parameter.name for parameter in parameters],
-        "bounds": bounds,
+        "bounds": np.column_stack([base - reach, base + reach]).tolist(),
     }
     if method == "morris":
         points = morris_sample.sample(problem, samples, seed=seed)
     else:
         points = sobol_sample.sample(problem, samples, calc_second_order=False, seed=seed)
     tasks = [(scene, parameters, tuple(point)) for point in points.tolist()]
-    done = 0
-
-    def heard(count: int) -> None:
-        nonlocal done
-        done += count
-        if tell is not None:
-            tell(done, len(tasks))
-
-    answers = np.array([values for values, _ in ordered(executor, respond, tasks, heard)])
+    answers = np.array([values for values, _ in _answers(executor, tasks, report)])
     shape = (len(parameters), len(QUANTITIES))
     first, total, confidence = (np.full(shape, math.nan) for _ in range(3))
     for q in range(len(QUANTITIES)):
@@ -341,5 +371,5 @@ def global_sensitivity(
             names = ("S1", "ST", "ST_conf")
         for table, name in zip((first, total, confidence), names, strict=True):
             table[:, q] = np.asarray(found[name], dtype=float)
-    caught = float(np.mean(answers[:, -1]))
-    return Global(method, parameters, first, total, confidence, len(tasks), caught)
+    captured = float(np.mean(answers[:, -1]))
+    return Global(method, parameters, first, total, confidence, len(tasks), captured)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +10,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from capture_sim.studies.sensitivity import QUANTITIES, Global, Local, Parameter
+from capture_sim.studies.sensitivity import (
+    QUANTITIES,
+    SMOOTH,
+    Global,
+    Local,
+    Parameter,
+    Quantity,
+)
 from capture_sim.viewing import palette
 from capture_sim.viewing.canvas import new_figure, save, set_fonts
-
-_SHOWN = {
-    "peak_force": ("peak force of the first contact", "N", 1.0),
-    "axial_stroke": ("axial stroke of the first contact", "mm", 1e3),
-    "torsion": ("torsion of the first contact", "mrad", 1e3),
-    "duration": ("duration of the first contact", "ms", 1e3),
-    "nearest": ("nearest to the centre of BE", "mm", 1e3),
-    "captured": ("captured", "1", 1.0),
-}
 
 
 def save_tornado(found: Local, path: Path | str) -> Path:
@@ -55,9 +52,8 @@ def draw_tornado(found: Local) -> Figure:
     """
     figure = new_figure(19.0, 12.0)
     panels = figure.subplots(2, 3).ravel()
-    smooth = QUANTITIES[:-1]
-    for q, (panel, (name, _)) in enumerate(zip(panels, smooth, strict=False)):
-        _draw_bars(panel, found, q, name)
+    for q, (panel, quantity) in enumerate(zip(panels, SMOOTH, strict=False)):
+        _draw_bars(panel, found, q, quantity)
     panels[-1].set_axis_off()
     panels[-1].legend(
         handles=[
@@ -84,8 +80,8 @@ def draw_tornado(found: Local) -> Figure:
     return figure
 
 
-def _draw_bars(axes: Axes, found: Local, q: int, name: str) -> None:
-    title, unit, factor = _SHOWN[name]
+def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
+    _, title, unit, factor = quantity
     low = (found.low[:, q] - found.base[q]) * factor
     high = (found.high[:, q] - found.base[q]) * factor
     order = np.argsort(np.maximum(np.abs(low), np.abs(high)))
@@ -94,7 +90,7 @@ def _draw_bars(axes: Axes, found: Local, q: int, name: str) -> None:
         axes.barh(place, high[p], color=palette.VERMILION, alpha=0.75, height=0.75)
         derivative = found.derivatives[p][q]
         promised = derivative.value * factor
-        if derivative.settled:
+        if derivative.converged:
             axes.plot([-promised, promised], [place, place], "|", color="k", ms=12, mew=2)
         else:
             axes.plot(0.0, place, "x", color="k", ms=8, mew=2, zorder=3)
@@ -112,13 +108,7 @@ def _draw_bars(axes: Axes, found: Local, q: int, name: str) -> None:
 
 
 def _label(parameter: Parameter) -> str:
-    if parameter.relative:
-        return f"{parameter.name} ±{100 * parameter.spread:.3g} %"
-    if parameter.unit == "rad":
-        return f"{parameter.name} ±{math.degrees(parameter.spread):.3g} deg"
-    if parameter.unit == "m":
-        return f"{parameter.name} ±{1e3 * parameter.spread:.3g} mm"
-    return f"{parameter.name} ±{parameter.spread:.3g} {parameter.unit}"
+    return f"{parameter.name} ±{parameter.displayed_spread}"
 
 
 def draw_indices(found: Global) -> Figure:
@@ -126,8 +116,8 @@ def draw_indices(found: Global) -> Figure:
     figure = new_figure(19.0, 12.0)
     panels = figure.subplots(2, 3).ravel()
     morris = found.method == "morris"
-    for q, (panel, (name, _)) in enumerate(zip(panels, QUANTITIES, strict=True)):
-        title, unit, factor = _SHOWN[name]
+    for q, (panel, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
+        _, title, unit, factor = quantity
         if not morris:
             factor = 1.0
         total, first = found.total[:, q] * factor, found.first[:, q] * factor

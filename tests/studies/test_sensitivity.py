@@ -23,7 +23,7 @@ from capture_sim.studies.sensitivity import (
     value_of,
 )
 
-NAMES = [name for name, _ in QUANTITIES]
+NAMES = [quantity.name for quantity in QUANTITIES]
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def elasticity(found, parameter, quantity):
     p = [one.name for one in found.parameters].index(parameter)
     q = NAMES.index(quantity)
     derivative = found.derivatives[p][q]
-    assert derivative.settled
+    assert derivative.converged
     return derivative.value / found.base[q] / found.parameters[p].spread
 
 
@@ -70,13 +70,13 @@ def test_the_tornado_agrees_with_the_derivative_over_a_small_spread(near):
 def test_a_corner_is_flagged_and_a_smooth_curve_is_not():
     steps = np.array(STEPS)[:, None] * [-1.0, 1.0]
     touches = np.full(steps.shape, 5)
-    smooth = sensitivity._settle(np.exp(steps), touches, 1.0)
-    assert smooth.settled
+    smooth = sensitivity._converge(np.exp(steps), touches, 1.0)
+    assert smooth.converged
     assert smooth.value == pytest.approx(1.0, abs=1e-4)
-    jump = sensitivity._settle(np.where(steps > 0.0, 2.0, 1.0), touches, 1.0)
-    assert not jump.settled
+    jump = sensitivity._converge(np.where(steps > 0.0, 2.0, 1.0), touches, 1.0)
+    assert not jump.converged
     touches[:, 1] = 6
-    assert not sensitivity._settle(np.exp(steps), touches, 1.0).settled
+    assert not sensitivity._converge(np.exp(steps), touches, 1.0).converged
 
 
 def linear(task):
@@ -103,17 +103,17 @@ def invented(monkeypatch):
 
 def test_sobol_of_a_linear_model(invented):
     """Shares of the variance 9/25 and 16/25, none for what does not count."""
-    told = []
+    reported = []
     found = global_sensitivity(
         load_scene("paper_designed"),
         invented,
         InProcess(),
         "sobol",
         128,
-        tell=lambda done, count: told.append((done, count)),
+        report=lambda done, count: reported.append((done, count)),
     )
     assert found.runs == 128 * 5
-    assert told[-1] == (found.runs, found.runs)
+    assert reported[-1] == (found.runs, found.runs)
     assert found.first[:, 0] == pytest.approx([0.36, 0.64, 0.0], abs=0.05)
     assert found.total[:, 0] == pytest.approx([0.36, 0.64, 0.0], abs=0.05)
     assert np.isnan(found.total[:, 1:]).all()
@@ -186,7 +186,9 @@ def test_the_command_leaves_numbers_and_pictures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sensitivity, "default_parameters", lambda part: few)
     arguments = ["sensitivity", "--samples=4", "--workers=1", "--out", str(tmp_path)]
     assert main(arguments) == 0
-    assert "buffer.k_A" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "buffer.k_A" in text
+    assert "axial_stroke mm" in text
     kept = json.loads((tmp_path / "sensitivity.json").read_text())
     assert len(kept["derivatives"]) == len(kept["parameters"]) == 3
     assert kept["morris"]["runs"] == 4 * 4
