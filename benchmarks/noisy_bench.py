@@ -9,7 +9,7 @@ import numpy as np
 
 from capture_sim.bench import Bench
 from capture_sim.launch.plan import LaunchPlan, plan_launch
-from capture_sim.scene.files import load_scene
+from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.measured_touches import Touches
 from capture_sim.studies.measurements import Measurements, Series, measured_in

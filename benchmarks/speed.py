@@ -21,7 +21,7 @@ from benchmarks.reference import load_reference
 from benchmarks.tables import Results
 from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
-from capture_sim.scene.files import load_scene
+from capture_sim.launch.scenes import load_scene
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 SCENE = "paper_designed"

@@ -26,7 +26,7 @@ _EXPORTS = {
     "Scene": "scene.parts",
     "SceneError": "errors",
     "SimulationError": "errors",
-    "load_scene": "scene.files",
+    "load_scene": "launch.scenes",
     "scene_names": "scene.files",
     "simulate": "simulation",
 }

@@ -18,11 +18,11 @@ from capture_sim.engine import loop, notebook
 from capture_sim.engine.steps import N_WATCHED
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.interrupts import do_apart
-from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.launch.plan import LaunchPlan
+from capture_sim.launch.scenes import check_scene, load_scene
 from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
 from capture_sim.model.parameters import pack
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
-from capture_sim.scene.files import load_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.radau import make_work
@@ -82,7 +82,7 @@ class Bench:
     scene
         What is on the bench.
     plan
-        How it is launched; None lets :func:`capture_sim.launch.plan.plan_launch` decide.
+        How it is launched; None lets :func:`capture_sim.launch.scenes.check_scene` decide.
     trace
         Keep the contact at the integrator's own resolution, see :attr:`trace`; also where
         ``scene.run.trace`` asks for it.
@@ -100,7 +100,8 @@ class Bench:
         self, scene: Scene, plan: LaunchPlan | None = None, *, trace: bool = False
     ) -> None:
         self.scene = scene
-        self.plan = plan_launch(scene) if plan is None else plan
+        own_plan = check_scene(scene)
+        self.plan = own_plan if plan is None else plan
         self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
         self._pair = PAIRS[scene.run.method]()
         q, v = scene.initial_coordinates()

@@ -10,7 +10,7 @@ import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.launch.plan import travel_to_touch
-from capture_sim.scene.files import load_scene
+from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Buffer, Initial, PlanarState, Scene
 
 #: Way of the tip to the first touch, m.

@@ -30,6 +30,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -58,7 +59,6 @@ from capture_sim.recording.definitions import (
 )
 from capture_sim.recording.offline import PUBLISHERS, run_stream
 from capture_sim.samples import SAMPLE
-from capture_sim.scene.files import load_scene_text
 
 NAME = "tilt_m10"
 

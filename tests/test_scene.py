@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from capture_sim import SceneError, load_scene, scene_names
-from capture_sim.scene.files import load_scene_text
+from capture_sim import Bench, SceneError, load_scene, scene_names
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 
 # what is wrong, and what the one line must say: field, value, unit, range
@@ -136,7 +136,7 @@ def test_scene_is_frozen_and_checked_when_made_in_python():
     with pytest.raises(SceneError, match=r"PlanarState.theta"):
         PlanarState(theta=float("inf"))
     with pytest.raises(SceneError, match=r"rail must end before"):
-        dataclasses.replace(scene, rail=dataclasses.replace(scene.rail, length=1.0))
+        Bench(dataclasses.replace(scene, rail=dataclasses.replace(scene.rail, length=1.0)))
 
 
 def test_every_number_has_a_unit_and_a_meaning():

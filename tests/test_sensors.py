@@ -192,7 +192,7 @@ def test_wrong_values_are_refused_in_a_line(change, words):
 
 
 def test_a_scene_with_sensors_is_written_and_read_back():
-    from capture_sim.scene.files import load_scene_text
+    from capture_sim.launch.scenes import load_scene_text
 
     scene = load_scene("tilt_0", BOTH)
     assert load_scene_text(scene.to_yaml()) == scene

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.trial import Outcome, Trial
+from capture_sim.launch.scenes import load_scene
 from capture_sim.resources import config_dir
-from capture_sim.scene.files import load_scene
 from capture_sim.scene.parts import Scene
 
 NAME = "Exudyn"

@@ -93,7 +93,7 @@ def whole(text: str) -> int:
 def load(source: str, overrides: Sequence[str]) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     from capture_sim.commands.recorded import is_recording
-    from capture_sim.scene.files import load_scene, load_scene_text
+    from capture_sim.launch.scenes import load_scene, load_scene_text
 
     if not is_recording(source):
         return load_scene(source, overrides)

@@ -114,7 +114,7 @@ def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
 
 def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
     from capture_sim.commands.recorded import open_run
-    from capture_sim.scene.files import load_scene
+    from capture_sim.launch.scenes import load_scene
     from capture_sim.viewing.bag import run_from_bag
 
     recorded = open_run(path, tell=False)
@@ -137,8 +137,8 @@ def _open_recording(path: str, scene: str | None, release: float | None) -> Open
 
 def _run_now(name: str) -> Opened:
     from capture_sim.commands.showing import compile_first
+    from capture_sim.launch.scenes import load_scene
     from capture_sim.messages.convert import software_versions
-    from capture_sim.scene.files import load_scene
     from capture_sim.simulation import simulate
 
     try:

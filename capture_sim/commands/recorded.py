@@ -63,7 +63,7 @@ def open_run(path: str, *, several: bool = False, tell: bool = True) -> Run:
 def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
     """Return the recorded scene, or for a bag without one the given one, with changes."""
     from capture_sim.errors import RecordingError
-    from capture_sim.scene.files import load_scene, load_scene_text
+    from capture_sim.launch.scenes import load_scene, load_scene_text
 
     if given is not None:
         return load_scene(given, overrides)

@@ -17,7 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(_: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.scene.files import load_scene, scene_names
+    from capture_sim.launch.scenes import load_scene
+    from capture_sim.scene.files import scene_names
 
     for name in scene_names():
         print(f"{name:16} {load_scene(name).title}")

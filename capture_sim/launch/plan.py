@@ -54,21 +54,24 @@ class LaunchPlan:
     travel: float
 
 
+def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
+    """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
+    chaser, target = scene.initial.chaser, scene.initial.target
+    along, across = math.cos(chaser.theta), math.sin(chaser.theta)
+    reach = scene.buffer.a + scene.rest_length
+    dx = chaser.x + reach * along - target.x
+    dy = chaser.y + reach * across - target.y
+    c, s = math.cos(target.theta), math.sin(target.theta)
+    return c * dx + s * dy, c * dy - s * dx, c * along + s * across, c * across - s * along
+
+
 def travel_to_touch(scene: Scene) -> float:
     """Return the chaser's travel to the first touch of a resting target, m.
 
     The chaser moves straight along its heading with the buffer at rest; ``inf`` if the
     tip passes the cone by.
     """
-    q = [float(value) for value in scene.initial_coordinates()[0]]
-    heading = q[2]
-    reach = scene.buffer.a + scene.rest_length
-    dx = q[0] + reach * math.cos(heading) - q[5]
-    dy = q[1] + reach * math.sin(heading) - q[6]
-    c, s = math.cos(q[7]), math.sin(q[7])
-    px, py = c * dx + s * dy, c * dy - s * dx
-    ux = c * math.cos(heading) + s * math.sin(heading)
-    uy = c * math.sin(heading) - s * math.cos(heading)
+    px, py, ux, uy = tip_at_release(scene)
     cone = scene.cone
     return min(
         travel_to_wall(

@@ -10,6 +10,7 @@ from typing import Any
 from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.watching import Watch
+from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
@@ -17,7 +18,6 @@ from capture_sim.nodes.decoding import decoder
 from capture_sim.nodes.detector_parameters import Criteria
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.running import run
-from capture_sim.scene.files import load_scene, load_scene_text
 from capture_sim.scene.parts import Scene
 
 #: A source that has fallen behind the others by this much is warned of, s of their stamps;

@@ -11,8 +11,8 @@ from typing import Any
 from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
 from capture_sim.hardware.loop_messages import LoopMessages, tip_of
+from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.running import BenchNode, message_class, run
-from capture_sim.scene.files import load_scene
 
 
 class ContactRigNode(BenchNode):

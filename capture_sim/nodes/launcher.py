@@ -10,6 +10,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from capture_sim.launch.plan import Launcher, LauncherPhase
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.convert import LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
@@ -23,7 +24,6 @@ from capture_sim.nodes.actuator import KINDS, check_kind, make_actuator
 from capture_sim.nodes.following import FOLLOWED, RunFollower
 from capture_sim.nodes.receiving import StampMatcher, stamp_ns_of
 from capture_sim.nodes.running import run
-from capture_sim.scene.files import load_scene_text
 
 
 class LauncherNode(RunFollower):

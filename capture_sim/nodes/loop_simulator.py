@@ -21,8 +21,8 @@ from capture_sim.hardware.in_the_loop import (
     WrenchHold,
 )
 from capture_sim.hardware.loop_messages import LoopMessages, stamp_of, wrench_of
+from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, run
-from capture_sim.scene.files import load_scene
 
 #: The tip's first place is sent this often until it is answered, s (wall).
 KNOCK = 0.02

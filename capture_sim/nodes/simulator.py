@@ -18,6 +18,7 @@ from capture_sim.control.simulation import RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.kernels import is_compiled
 from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import (
@@ -40,7 +41,6 @@ from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
 from capture_sim.nodes.serialised import SerialisedBlocks
 from capture_sim.nodes.simulation_services import SimulationServices
 from capture_sim.nodes.stepping import Stepping
-from capture_sim.scene.files import load_scene
 from capture_sim.scene.parts import Scene
 
 #: After a run its followers get this long to close their files, s (wall).

@@ -19,6 +19,7 @@ from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message
 
 from capture_sim.detection.exact import CaptureState
+from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, stamp_seconds
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -37,7 +38,6 @@ from capture_sim.nodes.following import RunFollower
 from capture_sim.nodes.receiving import observation_of, stamp_ns_of
 from capture_sim.nodes.running import ParameterError, message_class, run
 from capture_sim.samples import SAMPLE
-from capture_sim.scene.files import load_scene, load_scene_text
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing.measured import AlignedMeasurements, samples_of
 

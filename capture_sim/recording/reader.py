@@ -14,6 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.convert import RunDescription, stamp_seconds
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -39,7 +40,6 @@ from capture_sim.recording.writer import (
     describing,
 )
 from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
-from capture_sim.scene.files import load_scene_text
 from capture_sim.scene.parts import Detector
 
 if TYPE_CHECKING:

@@ -4,19 +4,22 @@ A part that is ``None`` is not on the bench and costs nothing.  Symbols are thos
 the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
 
 Every number is declared as a :func:`~capture_sim.scene.quantities.quantity`, which holds its unit
-and allowed range; :mod:`capture_sim.scene.files` reads the declarations to check a YAML file,
-so a range stands in one place only.
+and allowed range.  What ties several parts together is checked where a bench is built, by
+:func:`capture_sim.launch.scenes.check_scene`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import yaml
 
+from capture_sim.errors import SceneError
 from capture_sim.scene.quantities import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -24,7 +27,7 @@ from capture_sim.scene.quantities import (
     Range,
     choice,
     quantity,
-    refuse,
+    shown,
 )
 
 CONTACT_LAWS = (
@@ -186,11 +189,6 @@ class BallSupport(Checked):
         metadata={"unit": "m", "doc": "x, y of the three balls in the vehicle's frame"}
     )
     c_rr: float = quantity("1", Range(0.0, 1.0), doc="coefficient of rolling resistance")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.balls) != 3:
-            raise refuse("BallSupport.balls", self.balls, "m", "three points [x, y]")
 
 
 @dataclass(frozen=True)
@@ -403,9 +401,11 @@ class Scene(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from capture_sim.scene.rules import check_scene
-
-        check_scene(self)
+        if not _NAME.fullmatch(self.name):
+            raise SceneError(
+                f"name = {shown(self.name)}: allowed are up to 64 letters (a to z), digits and "
+                "_ . -, beginning with neither . nor -: files bear it"
+            )
 
     @property
     def rest_length(self) -> float:
@@ -437,9 +437,18 @@ class Scene(Checked):
 
     def to_yaml(self) -> str:
         """Return the whole scene as YAML text that gives this scene again, exactly."""
-        from capture_sim.scene.files import scene_to_text
+        text: str = yaml.safe_dump(as_mapping(self), sort_keys=False, default_flow_style=None)
+        return text
 
-        return scene_to_text(self)
+
+#: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+
+
+def as_name(text: str) -> str:
+    """Return a name that a scene may have, of any text: what is not allowed becomes ``_``."""
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
+    return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
 
 
 def as_mapping(part: Any) -> Any:

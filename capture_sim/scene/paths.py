@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import ANY, declared
 
 #: Short names, and where the value stands in a scene.
 ALIASES: Mapping[str, tuple[str, ...]] = {
@@ -59,10 +58,10 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
 def get(scene: Scene, path: str) -> Any:
     """Return what stands at a path of a scene; None where nothing does."""
     value: Any = scene
-    for part in path.split("."):
+    for name in path.split("."):
         # what follows from fields, as probe.rod_mass does, cannot be changed
-        known = dataclasses.is_dataclass(value) and part in (f.name for f in fields(value))
-        value = getattr(value, part) if known else None
+        known = dataclasses.is_dataclass(value) and name in declared(type(value))
+        value = getattr(value, name) if known else None
     return value
 
 
@@ -75,11 +74,9 @@ def changed(part: Any, path: str, value: Any) -> Any:
 
 def range_of(scene: Scene, path: str) -> tuple[float, float]:
     """Return the least and the largest value that is allowed at a path."""
-    *parents, name = path.split(".")
-    owner = get(scene, ".".join(parents)) if parents else scene
-    (declared,) = (f for f in fields(owner) if f.name == name)
-    allowed = declared.metadata.get("allowed")
-    return (-math.inf, math.inf) if allowed is None else (allowed.low, allowed.high)
+    owner, _, name = path.rpartition(".")
+    allowed = declared(type(get(scene, owner) if owner else scene))[name].allowed or ANY
+    return allowed.low, allowed.high
 
 
 def usual_size(name: str) -> float:

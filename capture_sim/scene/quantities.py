@@ -1,10 +1,18 @@
-"""Numbers with unit and allowed range, declared where they are fields of a dataclass."""
+"""Numbers with unit and allowed range, declared where they are fields of a dataclass.
+
+What a field may hold stands in its declaration and is checked by :func:`accept` alone, whoever
+makes the part: a YAML file, an override, a node's parameter or a line of Python.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from dataclasses import MISSING, dataclass, field, fields
-from typing import Any
+import numbers
+import reprlib
+import typing
+from dataclasses import MISSING, dataclass, field
+from typing import Any, NamedTuple
 
 from capture_sim.errors import SceneError
 
@@ -26,16 +34,9 @@ class Range:
         return above and below
 
     def __str__(self) -> str:
-        if self.low == -math.inf and self.high == math.inf:
-            return "any finite number"
-        if self.high == math.inf:
-            return f"{'>' if self.low_open else '>='} {self.low:g}"
-        if self.low == -math.inf:
-            return f"{'<' if self.high_open else '<='} {self.high:g}"
-        return (
-            f"{'>' if self.low_open else '>='} {self.low:g} and "
-            f"{'<' if self.high_open else '<='} {self.high:g}"
-        )
+        low = f"{'>' if self.low_open else '>='} {self.low:g}" if self.low > -math.inf else ""
+        high = f"{'<' if self.high_open else '<='} {self.high:g}" if self.high < math.inf else ""
+        return " and ".join(filter(None, [low, high])) or "any finite number"
 
 
 ANY = Range()
@@ -45,10 +46,7 @@ NOT_NEGATIVE = Range(low=0.0)
 
 def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: str = "") -> Any:
     """Declare a number with its unit, allowed range and meaning."""
-    metadata = {"unit": unit, "allowed": allowed, "doc": doc}
-    if default is MISSING:
-        return field(metadata=metadata)
-    return field(default=default, metadata=metadata)
+    return field(default=default, metadata={"unit": unit, "allowed": allowed, "doc": doc})
 
 
 def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
@@ -56,30 +54,127 @@ def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
     return field(default=default, metadata={"options": options, "doc": doc})
 
 
+class Declared(NamedTuple):
+    """What a field of a part may hold."""
+
+    name: str
+    kind: Any  # float, int, str, bool, a part, or tuple for three points
+    optional: bool  # None takes it off the bench, or lets the value follow from others
+    required: bool
+    unit: str
+    allowed: Range | None
+    options: tuple[str, ...]
+    doc: str
+
+
+_declared: dict[type, dict[str, Declared]] = {}
+
+
+def declared(part: type) -> dict[str, Declared]:
+    """Return what each field of a part may hold, by name."""
+    if part not in _declared:
+        hints = typing.get_type_hints(part)
+        _declared[part] = {f.name: _declaration(f, hints[f.name]) for f in dataclasses.fields(part)}
+    return _declared[part]
+
+
+def _declaration(f: dataclasses.Field[Any], hint: Any) -> Declared:
+    kinds = typing.get_args(hint)
+    optional = type(None) in kinds
+    kind = kinds[0] if optional else typing.get_origin(hint) or hint
+    unit, allowed, options, doc = map(f.metadata.get, ("unit", "allowed", "options", "doc"))
+    required = f.default is MISSING
+    return Declared(f.name, kind, optional, required, unit or "", allowed, options or (), doc or "")
+
+
+_shortened = reprlib.Repr()
+_shortened.maxstring = _shortened.maxother = 80
+_shortened.maxlevel = 3
+
+
+def shown(value: object) -> str:
+    """Return a value as a message shows it: one short line, however large the value is."""
+    if isinstance(value, float):
+        return repr(float(value))  # also of NumPy's
+    if isinstance(value, int) and value.bit_length() > 256:
+        return f"a number of {int(value.bit_length() * math.log10(2.0)) + 1} digits"
+    return _shortened.repr(value)
+
+
 def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
     """Make the one-line error for a value that is not allowed."""
     if isinstance(value, float) and not math.isfinite(value) and allowed != ANY:
         allowed = f"finite and {allowed}"
-    shown = f"{value!r} {unit}".rstrip() if unit not in ("", "1") else repr(value)
-    return SceneError(f"{where} = {shown}: allowed is {allowed}")
+    with_unit = f"{shown(value)} {unit}" if unit not in ("", "1") else shown(value)
+    return SceneError(f"{where} = {with_unit}: allowed is {allowed}")
+
+
+_CALLED = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+
+
+def accept(value: Any, what: Declared, where: str) -> Any:
+    """Return a value as a field holds it.
+
+    Parameters
+    ----------
+    value
+        Of any kind.
+    what
+        The field's declaration.
+    where
+        What the message calls it, as ``buffer.c_A``.
+
+    Raises
+    ------
+    SceneError
+        One line that names the field, the value, the unit and the allowed range.
+    """
+    if value is None and what.optional:
+        return None
+    if what.kind in (float, int):
+        return _number(value, what, where)
+    if what.kind is tuple:
+        return _three_points(value, what, where)
+    if not isinstance(value, what.kind):
+        raise refuse(where, value, what.unit, _CALLED.get(what.kind, what.kind.__name__))
+    if what.options and value not in what.options:
+        raise refuse(where, value, "", "one of " + ", ".join(what.options))
+    return value
+
+
+def _number(value: Any, what: Declared, where: str) -> float | int:
+    try:
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            raise TypeError
+        number: float | int = what.kind(value)
+        if number != value and not math.isnan(value):
+            raise ValueError  # no whole number
+    except OverflowError:
+        raise refuse(where, value, what.unit, f"finite and {what.allowed or ANY}") from None
+    except (TypeError, ValueError):
+        kind = _CALLED[what.kind]
+        wanted = kind if what.allowed in (None, ANY) else f"{kind}, {what.allowed}"
+        raise refuse(where, value, what.unit, wanted) from None
+    if what.allowed is not None and number not in what.allowed:
+        raise refuse(where, value, what.unit, what.allowed)
+    return number
+
+
+def _three_points(value: Any, what: Declared, where: str) -> tuple[tuple[float, float], ...]:
+    try:
+        points = tuple((float(x), float(y)) for x, y in value)
+    except (TypeError, ValueError, OverflowError):
+        points = ()
+    if len(points) != 3 or not all(math.isfinite(c) for point in points for c in point):
+        raise refuse(where, value, what.unit, "three points [x, y] of finite numbers")
+    return points
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Checks every declared number and name on construction."""
+    """A part that holds only what its fields declare."""
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            allowed = f.metadata.get("allowed")
-            if allowed is not None and value is not None:
-                number = isinstance(value, (int, float)) and not isinstance(value, bool)
-                if not number or value not in allowed:
-                    raise refuse(
-                        f"{type(self).__name__}.{f.name}", value, f.metadata["unit"], allowed
-                    )
-            options = f.metadata.get("options")
-            if options is not None and value not in options:
-                raise refuse(
-                    f"{type(self).__name__}.{f.name}", value, "", "one of " + ", ".join(options)
-                )
+        for what in declared(type(self)).values():
+            value = accept(getattr(self, what.name), what, f"{type(self).__name__}.{what.name}")
+            object.__setattr__(self, what.name, value)

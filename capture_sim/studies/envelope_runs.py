@@ -20,7 +20,7 @@ import numpy as np
 from capture_sim import __version__
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.kernels import source_hash
-from capture_sim.scene.files import load_scene_text
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.studies.envelope import ROW, Envelope, Key, Plan, Slices, Span, evaluate, explore
 from capture_sim.studies.executors import Executor
 

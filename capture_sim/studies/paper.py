@@ -18,9 +18,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from capture_sim.launch.plan import travel_to_touch
+from capture_sim.launch.scenes import load_scene
 from capture_sim.resources import config_dir
 from capture_sim.results import first_cluster
-from capture_sim.scene.files import load_scene
 from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.scene.paths import changed
 from capture_sim.simulation import Result, simulate

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capture_sim.errors import MissingPackageError, SceneError
+from capture_sim.launch.scenes import check_scene
 from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
@@ -251,7 +252,8 @@ def local_sensitivity(
                 values[number] += sign * share * spread[number]
                 tasks.append((scene, parameters, tuple(values)))
     for _, _, values in tasks:
-        changed(scene, parameters, values)  # says what is out of range before anything runs
+        # says what is out of range before anything runs
+        check_scene(changed(scene, parameters, values))
     answers = _answers(executor, tasks, report)
     at = np.array([values for values, _ in answers[1:]]).reshape(
         len(parameters), len(shares), 2, len(QUANTITIES)

@@ -16,8 +16,7 @@ from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError
 from capture_sim.messages.convert import StringPhase
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
-from capture_sim.scene.parts import PlanarState, Scene
-from capture_sim.scene.rules import as_name
+from capture_sim.scene.parts import PlanarState, Scene, as_name
 from capture_sim.viewing.geometry import tip_in_world, wall
 
 #: Of dtype SAMPLE and not known from measurements.

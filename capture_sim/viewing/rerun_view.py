@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.errors import RecordingError
-from capture_sim.scene.rules import as_name
+from capture_sim.scene.parts import as_name
 from capture_sim.viewing import palette
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint

@@ -11,8 +11,7 @@ import numpy as np
 
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.samples import Event, EventKind
-from capture_sim.scene.parts import Scene
-from capture_sim.scene.rules import as_name
+from capture_sim.scene.parts import Scene, as_name
 
 
 class ViewableRun(Protocol):

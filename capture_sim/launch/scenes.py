@@ -1,49 +1,108 @@
-"""Rules that tie several parts of a scene together; one line per broken rule."""
+"""Scenes ready to be launched: loaded, and checked for what ties their parts together."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from capture_sim.errors import SceneError
-
-if TYPE_CHECKING:
-    from capture_sim.scene.parts import Scene
-
-
-def check_scene(scene: Scene) -> None:
-    """Raise SceneError for the first rule that the scene breaks."""
-    for rule in (
-        *(_name, _contact, _friction, _throat, _rates),
-        *(_start, _supports, _rail, _string, _latch),
-    ):
-        rule(scene)
-
-
-#: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+from capture_sim.launch.plan import LaunchPlan, plan_launch, tip_at_release, travel_to_touch
+from capture_sim.model.contact_laws import NEED_POSITIVE_RESTITUTION
+from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.model.parameters import loads
+from capture_sim.resources import config_dir
+from capture_sim.scene.files import (
+    Overrides,
+    build,
+    find_scene,
+    overridden,
+    parse_scene,
+    read_scene,
+)
+from capture_sim.scene.parts import Scene, as_mapping
 
 
-def as_name(text: str) -> str:
-    """Return a name that a scene may have, of any text: what is not allowed becomes ``_``."""
-    name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
-    return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
+def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
+    """Load a scene by name (config/scenes) or path, with values overridden.
+
+    Parameters
+    ----------
+    name_or_path
+        ``"tilt_p10"``, or the path of a YAML file.
+    overrides
+        ``"part.field=value"`` items, as ``"buffer.c_A=13"``, or values by such names, as
+        ``{"buffer.c_A": 13}``; SI units.
+
+    Raises
+    ------
+    SceneError
+        One line that names the field, the value, the unit and the allowed range.
+    """
+    path = find_scene(name_or_path)
+    data = read_scene(path)
+    data.setdefault("name", path.stem)
+    data.setdefault("title", str(data["name"]))
+    if path.parent != config_dir() / "scenes":
+        # a file of the user's own: say that it is this one, before its values are changed
+        try:
+            check_scene(build(data))
+        except SceneError as error:
+            raise SceneError(f"{path.name}: {error}") from None
+    return _changed(data, overrides)
 
 
-def _name(scene: Scene) -> None:
-    if not _NAME.fullmatch(scene.name):
+def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
+    """Make a scene of resolved YAML text (no ``extends``); see :func:`load_scene`."""
+    return _changed(parse_scene(text, "scene"), overrides)
+
+
+def change_scene(scene: Scene, overrides: Overrides) -> Scene:
+    """Return a scene with values overridden; see :func:`load_scene`."""
+    return _changed(as_mapping(scene), overrides)
+
+
+def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
+    """Make a checked scene with values changed; its title says which."""
+    data, changes = overridden(data, overrides)
+    scene: Scene = build(data)
+    if changes and not any(change.startswith("title=") for change in changes):
+        scene = dataclasses.replace(scene, title=f"{scene.title}; with {', '.join(changes)}")
+    check_scene(scene)
+    return scene
+
+
+def check_scene(scene: Scene) -> LaunchPlan:
+    """Check what ties the parts of a scene together; return how it is launched.
+
+    Raises
+    ------
+    SceneError
+        For the first rule that the scene breaks.
+    """
+    try:
+        for rule in (
+            _contact,
+            _friction,
+            _throat,
+            _rates,
+            _start,
+            _supports,
+            _rail,
+            _string,
+            _latch,
+        ):
+            rule(scene)
+        return plan_launch(scene)
+    except ArithmeticError:
         raise SceneError(
-            f"name = {scene.name!r}: allowed are up to 64 letters (a to z), digits and _ . -, "
-            "beginning with neither . nor -: files bear it"
-        )
+            f"{scene.name}: its values differ too much in size to be computed with"
+        ) from None
 
 
 def _contact(scene: Scene) -> None:
-    from capture_sim.model.contact_laws import NEED_POSITIVE_RESTITUTION
-
     if scene.contact.law in NEED_POSITIVE_RESTITUTION and scene.contact.restitution <= 0.0:
         raise SceneError(
             f"contact.restitution = {scene.contact.restitution!r}: allowed is > 0 and <= 1 "
@@ -93,8 +152,6 @@ def _rates(scene: Scene) -> None:
 def _supports(scene: Scene) -> None:
     if scene.supports is None:
         return
-    from capture_sim.model.parameters import loads
-
     for vehicle in ("chaser", "target"):
         balls = getattr(scene.supports, vehicle).balls
         try:
@@ -114,8 +171,6 @@ def _supports(scene: Scene) -> None:
 
 
 def _rail(scene: Scene) -> None:
-    from capture_sim.launch.plan import travel_to_touch
-
     if scene.rail is None:
         return
     chaser, target = scene.initial.chaser, scene.initial.target
@@ -144,8 +199,6 @@ def _rail(scene: Scene) -> None:
 
 
 def _string(scene: Scene) -> None:
-    from capture_sim.launch.plan import plan_launch
-
     string = scene.string
     if string is None:
         return
@@ -172,7 +225,6 @@ def _string(scene: Scene) -> None:
             f"initial.chaser.vx, vy: speed {start!r} m/s: allowed is 0 with a string: the mass "
             "starts from rest, and the string would be slack"
         )
-    plan_launch(scene)
 
 
 def _latch(scene: Scene) -> None:
@@ -186,14 +238,7 @@ def _latch(scene: Scene) -> None:
 
 
 def _start(scene: Scene) -> None:
-    from capture_sim.model.geometry import nearest_on_wall
-
-    q, _ = scene.initial_coordinates()
-    reach = scene.buffer.a + scene.rest_length
-    dx = q[0] + reach * math.cos(q[3]) - q[5]
-    dy = q[1] + reach * math.sin(q[3]) - q[6]
-    c, s = math.cos(q[7]), math.sin(q[7])
-    px, py = c * dx + s * dy, c * dy - s * dx
+    px, py, _, _ = tip_at_release(scene)
     cone = scene.cone
     for side, name in ((1.0, "+y"), (-1.0, "-y")):
         distance, _, _ = nearest_on_wall.py_func(  # type: ignore[attr-defined]
