@@ -11,8 +11,8 @@ from capture_sim.bench import Bench
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.measured_touches import Touches
 from capture_sim.studies.measurements import Measurements, Series, measured_in
+from capture_sim.studies.touches import Touches, located
 
 #: What is fitted.
 NAMES = ("c_rr", "e", "mu", "c_A")
@@ -71,11 +71,10 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
         torsion=noisy(exact.torsion, TORSION_NOISE),
     )
     met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:TOUCHES]
-    touches = Touches(
-        met["start"] + rng.normal(size=met.size) * START_NOISE,
-        met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
-        START_NOISE,
-        PEAK_NOISE,
+    touches = dataclasses.replace(
+        located(met).with_noise(START_NOISE, PEAK_NOISE),
+        start=met["start"] + rng.normal(size=met.size) * START_NOISE,
+        peak=met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
     )
     return NoisyRun(scene, plan, values, measured, touches)
 

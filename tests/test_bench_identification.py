@@ -15,14 +15,9 @@ from capture_sim.cli import main
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.measured import first_contact, first_touches
+from capture_sim.recording.measured import first_contact, touches_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
-from capture_sim.studies.measured_touches import (
-    quiet_before_contact,
-    stretches_above,
-    touches_in_force,
-    touches_told,
-)
+from capture_sim.studies.touches import above, in_force, in_messages, quiet_before_contact
 
 WALL = 1_790_000_000  # s, of a wall clock
 STOOD = 0.35  # s, that the chaser was held after the first pose
@@ -154,8 +149,9 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
     bench = Bench(scene)
     bench.advance(np.array([4.0]))
     true = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:4]
-    found, source = first_touches(read_run(bag), run.scene, 4, 0.0, 0.0, STOOD)
-    assert source == "contact/wrench"
+    found, source = touches_of(read_run(bag), STOOD, run.scene)
+    found = found.of(slice(4))
+    assert source.startswith("contact/wrench, 2e+04 Hz")
     assert found.start == pytest.approx(true["start"], abs=1.0 / CELL)
     # noise of the cell, and 1 % of shape
     assert found.peak == pytest.approx(true["peak_force"], rel=0.01, abs=4.0 * CELL_NOISE)
@@ -179,7 +175,7 @@ def test_noise_alone_is_no_contact():
         force = rng.normal(size=(4000, 2)) * 3.0 + (20.0, -7.0)
         quiet = quiet_before_contact(force)
         assert quiet.sigma == pytest.approx(3.0, rel=0.1)
-        assert not stretches_above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
+        assert not above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
 
 
 def half_sines(rate, starts, peaks, lasting, wall, mu, cone, attitude):
@@ -203,12 +199,12 @@ def test_pulses_of_known_height_are_found_whatever_the_friction(wall, attitude):
     known = (starts, peaks, 3.5e-4, wall, 0.4, cone, attitude)
     t, force = half_sines(2e4, *known)
     turned = np.full(t.size, attitude)
-    found = touches_in_force(t, force, turned, cone, 4, 0.0, 0.0)
+    found = in_force(t, force, turned, cone)
     assert found.start == pytest.approx(starts, abs=1.0 / 2e4)
     assert found.peak == pytest.approx(peaks, rel=0.01)
     # too slow for the peak
     t, force = half_sines(5e3, *known)
-    assert touches_in_force(t, force, np.full(t.size, attitude), cone, 4, 0.0, 0.0) is None
+    assert in_force(t, force, np.full(t.size, attitude), cone) is None
 
 
 def test_slow_force_that_shows_one_touch_only_is_not_used():
@@ -216,10 +212,10 @@ def test_slow_force_that_shows_one_touch_only_is_not_used():
     t = np.arange(0.0, 4.0, 0.01)
     samples = Bench(run.scene).advance(t)
     force = samples["contact_force"]
-    found = touches_in_force(t, force, np.zeros(t.size), run.scene.cone, 4, 2e-4, 2.0)
+    found = in_force(t, force, np.zeros(t.size), run.scene.cone)
     # the last touch of the first contact lasts 0.1 s, those before a third of a millisecond
     assert found.start[0] > run.touches.start[3]
-    assert found.could_be_missed(np.array([3.5e-4]))
+    assert found.may_miss(3.5e-4)
 
 
 def test_peaks_since_the_last_message_are_touches():
@@ -227,7 +223,7 @@ def test_peaks_since_the_last_message_are_touches():
     begun = np.array([0, 0, 1, 0, 1, 0, 2, 0])
     peak = np.array([0.0, 0.0, 90.0, 0.0, 40.0, 55.0, 20.0, 0.0])
     in_touch = np.array([0, 0, 0, 0, 1, 0, 0, 0], dtype=bool)
-    found = touches_told(t, begun, peak, in_touch, 4, 0.0, 2.0)
+    found = in_messages(t, begun, peak, in_touch)
     assert found.start == pytest.approx([0.015, 0.035])
     assert found.peak.tolist() == [90.0, 55.0]
     assert found.start_noise == pytest.approx(0.01 / np.sqrt(12.0))

@@ -21,9 +21,10 @@ from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat_columns, save_npz
 from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import first_contact, measurements
-from capture_sim.studies.compare import gaps, table_of_force
+from capture_sim.studies.compare import gaps
 from capture_sim.studies.measurements import Measurements, Series, measured_in
 from capture_sim.studies.resimulate import agreement
+from capture_sim.studies.touches import in_force
 from capture_sim.viewing.comparison import draw_touches, impulse_so_far
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -319,6 +320,36 @@ def test_resimulation_is_identical_and_a_difference_is_found(result, path, capsy
     assert not found.identical
 
 
+def test_samples_of_another_run_are_foreign(result):
+    """At other times, or at the run's own once more: neither is passed over."""
+    other = result.samples[1000:1958].copy()
+    other["t"] += 2e-4
+    for mixed in (np.concatenate([result.samples, other]), result.samples[[0, 1, 1, 2]]):
+        found = agreement(mixed, result.samples, result.events, result.events)
+        assert found.foreign == (958 if mixed.size > 4 else 1)
+        assert not found.identical
+    cut = agreement(result.samples[:500], result.samples, [], [])
+    assert (cut.compared, cut.foreign, cut.missing, cut.identical) == (500, 0, 0, True)
+    lossy = agreement(result.samples[::2], result.samples, result.events, result.events)
+    assert lossy.missing == lossy.compared - 1
+    assert not agreement(result.samples[:0], result.samples, [], []).identical
+
+
+def test_a_recording_with_foreign_samples_is_not_identical(path, tmp_path, capsys):
+    def doubled(time, message):
+        yield time, message
+        if getattr(message, "t", 0.0) > 2.0:
+            message.t += 2e-4
+            yield time, message
+
+    topics = [(t.absolute_name, t.type_name) for t in RECORDED if t is not CAPTURE_STATUS]
+    rewritten(path, tmp_path / "bag", doubled, topics)
+    assert main(["resimulate", str(tmp_path / "bag")]) == 1
+    said = capsys.readouterr().out
+    assert "none of this run's" in said
+    assert "identical" not in said
+
+
 def test_another_scene_agrees_until_the_tip_touches(path):
     run = read_run(path)
     scene = capture_sim.load_scene("tilt_0", ["friction.mu=0.331"])
@@ -335,13 +366,13 @@ def test_comparison_with_itself_and_with_another_run(path, other):
     one, two = read_run(path), read_run(other)
     at, at_other = first_contact(one), first_contact(two)
     same = gaps(measurements(one), measurements(one), at, at, 1.0)
-    assert {gap.name for gap in same} == {
+    assert [f"{gap.series}.{gap.part.label}" for gap in same] == [
         *("chaser.x", "chaser.y", "chaser.theta", "target.x", "target.y", "target.theta"),
-        *("stroke", "torsion", "force"),
-    }
+        *("stroke.", "torsion."),
+    ]
     assert all(gap.largest == 0.0 for gap in same)
-    different = {g.name: g for g in gaps(measurements(one), measurements(two), at, at_other, 1.0)}
-    assert different["stroke"].rms > 1e-4
+    different = gaps(measurements(one), measurements(two), at, at_other, 1.0)
+    assert next(gap for gap in different if gap.series == "stroke").rms > 1e-4
 
 
 def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):
@@ -391,7 +422,7 @@ def test_peaks_between_messages_come_before_samples(path, tmp_path):
     topics = [*BENCH_TOPICS, ("/bench/contact", "capture_sim/msg/ContactState")]
     bag = read_run(rewritten(path, tmp_path / "bag", as_it_is, topics))
     side, _ = comparable(bag, read_run(path))
-    assert side.touch_source == "bench/contact, 100 Hz, as long as each message tells of one"
+    assert side.touch_source == "bench/contact, 100 Hz, as long as each message counts one"
     assert side.touches.within(side.contact, 1.0).start[0] == 0.0
     located = read_run(path).touches
     assert side.touches.peak[0] == located["peak_force"][0]
@@ -444,12 +475,12 @@ def test_touches_in_a_fast_force_are_those_that_made_it():
         inside = (t > start) & (t < start + lasts)
         size[inside] = peak * np.sin(np.pi * (t[inside] - start) / lasts)
     force = np.stack([-0.6 * size, 0.8 * size], axis=1)
-    found = table_of_force(t, force + np.array([0.3, -0.2]))  # a bias
+    found = in_force(t, force + np.array([0.3, -0.2]))  # a bias
     assert found.start == pytest.approx([start for start, _, _ in made], abs=3e-5)
     assert found.lasted == pytest.approx([lasts for _, lasts, _ in made], abs=6e-5)
     assert found.peak == pytest.approx([peak for _, _, peak in made], rel=1e-2)
     assert found.impulse == pytest.approx([2 / np.pi * lasts * f for _, lasts, f in made], rel=1e-2)
-    assert table_of_force(t[::50], force[::50]) is None  # 1 kHz shows one sample of a touch
+    assert in_force(t[::50], force[::50]) is None  # 1 kHz shows one sample of a touch
 
 
 def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
@@ -481,7 +512,7 @@ def test_gaps_of_known_series():
     b = Measurements(stroke=Series(t + 0.25, np.sin(t) + 0.1))  # later, and 0.1 larger
     (gap,) = gaps(a, b, 1.0, 1.25, 1.5)
     assert gap.rms == pytest.approx(0.1)
-    assert gap.largest == pytest.approx(-0.1)
+    assert gap.largest == pytest.approx(0.1)  # second less first, as in the table
 
 
 def test_measurements_of_a_bag_are_those_of_the_samples(result, path):
@@ -497,7 +528,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "peak force of first contact, N" in said
     assert "stroke        rms" in said
-    assert "force" not in said.split("A - B over 1 s")[1]  # of samples it says nothing
+    assert "force" not in said.split("B - A over 1 s")[1]  # of samples it says nothing
     # touch by touch: the first row is the first touch of both
     row = next(line.split() for line in said.splitlines() if line.startswith("  1 "))
     first = [read_run(file).touches[0] for file in (path, other)]
@@ -511,6 +542,12 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     (picture,) = tmp_path.glob("*.png")
     assert picture.stat().st_size > 20_000
     assert "is aligned where" not in said
+    assert "identical" not in said
+    assert main(["compare", str(path), str(path), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    table, series = said.split("B - A over 1 s")
+    assert table.count("identical") == table.count("bench/state") + table.count("bench/event") - 1
+    assert series.count("identical") == 8
     assert main(["compare", str(bench_bag), str(path), "--out", str(tmp_path)]) == 0
     assert "A is aligned where contact/wrench first shows a force" in capsys.readouterr().out
     far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
@@ -536,7 +573,7 @@ def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
     file = write_run(short, tmp_path / "short.mcap")
     assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "A - B over 0.05" in said
+    assert "B - A over 0.05" in said
     assert "1 s were asked for" in said
     scene = capture_sim.load_scene("tilt_0", [f"run.t_end={end - 0.048:.3f}"])
     file = write_run(capture_sim.simulate(scene), tmp_path / "touched.mcap")

@@ -11,9 +11,10 @@ import capture_sim
 from benchmarks.noisy_bench import NAMES, POSE_NOISE, noisy_run
 from capture_sim.bench import Bench
 from capture_sim.errors import SceneError
+from capture_sim.samples import TOUCH
 from capture_sim.studies.identify import identify, is_explained, scatter
-from capture_sim.studies.measured_touches import Touches
 from capture_sim.studies.measurements import Measurements, Series, measured_in
+from capture_sim.studies.touches import located
 
 HERE = "tilt_0"
 
@@ -103,8 +104,7 @@ def test_what_cannot_be_fitted_is_refused_in_one_line(names, said):
 def test_touches_behind_the_end_do_not_count():
     scene = capture_sim.load_scene("tilt_0")
     result = capture_sim.simulate(scene)
-    first = result.touches[:4]
-    touches = Touches(first["start"], first["peak_force"], 2e-4, 2.0)
+    touches = located(result.touches[:4]).with_noise(2e-4, 2.0)
     fit = identify(
         scene, measured_in(result.samples), ["buffer.k_A"], touches=touches, until=0.1, starts=1
     )
@@ -114,7 +114,7 @@ def test_touches_behind_the_end_do_not_count():
 
 
 def test_noise_of_nothing_is_refused_in_one_line():
-    touches = Touches(np.ones(1), np.ones(1), 0.0, 2.0)
+    touches = located(np.zeros(1, TOUCH)).with_noise(0.0, 2.0)
     scene = capture_sim.load_scene("tilt_0")
     with pytest.raises(SceneError, match="noise of touches = 0 s, 2 N: allowed is > 0"):
         identify(scene, Measurements(), ["mu"], touches=touches)

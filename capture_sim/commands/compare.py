@@ -13,17 +13,17 @@ from capture_sim.errors import RecordingError
 
 if TYPE_CHECKING:
     from capture_sim.recording.comparing import Comparable
-    from capture_sim.studies.compare import TouchTable
+    from capture_sim.studies.compare import Gap
+    from capture_sim.studies.touches import Touches
     from capture_sim.viewing.comparison import Drawn
 
-HELP = "hold two recordings against each other, as measured and simulated"
+HELP = "compare two recordings, as measured and simulated"
 DESCRIPTION = (
-    "Hold two recordings against each other, as measured and simulated, aligned at their first "
+    "Compare two recordings, as measured and simulated, aligned at their first "
     "contacts: strokes and times, the touches one by one, poses over time, with a diagram. Each "
     "number comes from the finest series that both files hold, which is named."
 )
-_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "theta": ("mrad", 1e3)}
-_SERIES = {"stroke": ("mm", 1e3), "torsion": ("mrad", 1e3)}
+IDENTICAL = "identical"
 #: Touches that are listed.
 SHOWN = 12
 
@@ -67,23 +67,15 @@ def run(options: argparse.Namespace) -> int:
     _say_touches(a, b, options.window)
     over = min(options.window, ended)
     say(
-        f"\nA - B over {over:.4g} s from the first contact on, poses from there"
+        f"\nB - A over {over:.4g} s from the first contact on, poses from there"
         + (
             f" ({options.window:g} s were asked for; one ends there):"
             if over < options.window
             else ":"
         )
     )
-    for found in gaps(*measured, a.contact, b.contact, options.window):
-        quantity, _, part = found.name.partition(".")
-        unit, factor = _UNITS[part] if part else _SERIES[quantity]
-        whole = found.begin < 0.02 * over and found.end > 0.98 * over
-        say(
-            f"  {found.name:13} rms {found.rms * factor:9.4f} {unit:4} "
-            f"largest {found.largest * factor:+9.4f} {unit:4} at {found.at:.3f} s  "
-            f"{_source(a.sources[quantity], b.sources[quantity])}"
-            + ("" if whole else f", {found.begin:.4g} to {found.end:.4g} s")
-        )
+    for gap in gaps(*measured, a.contact, b.contact, options.window):
+        _say_gap(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
     try:
         from capture_sim.viewing.comparison import save_comparison
     except ImportError as error:
@@ -134,6 +126,21 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     return float(ended)
 
 
+def _say_gap(gap: Gap, over: float, source: str) -> None:
+    """Print by how much a measured number differs over time."""
+    unit, factor = gap.part.unit, gap.part.factor
+    name = f"{gap.series}.{gap.part.label}".rstrip(".")
+    if gap.largest == 0.0:
+        text = f"{IDENTICAL:56}"
+    else:
+        text = (
+            f"rms {gap.rms * factor:9.4f} {unit:4} largest {gap.largest * factor:+9.4f} {unit:4} "
+            f"at {gap.at:.3f} s  "
+        )
+    whole = gap.begin < 0.02 * over and gap.end > 0.98 * over
+    say(f"  {name:13} {text}{source}" + ("" if whole else f", {gap.begin:.4g} to {gap.end:.4g} s"))
+
+
 def _say_characteristics(a: Comparable, b: Comparable) -> None:
     from capture_sim.recording.comparing import characteristics
 
@@ -142,11 +149,15 @@ def _say_characteristics(a: Comparable, b: Comparable) -> None:
     say(f"{'':31} {'A':>10} {'B':>10} {'B - A':>10} {'%':>8}  from")
     for name in [*mine, *(name for name in theirs if name not in mine)]:
         here, there = mine.get(name), theirs.get(name)
-        cells = ["-" if x is None else f"{x.value:.4f}" for x in (here, there)]
+        form = ".0f" if name == "touches" else ".4f"
+        cells = ["-" if x is None else f"{x.value:{form}}" for x in (here, there)]
         gap = share = "-"
         if here is not None and there is not None:
-            gap = f"{there.value - here.value:+.4f}"
-            share = f"{(there.value - here.value) / here.value:+.2%}" if here.value else "-"
+            gap, share = f"{there.value - here.value:+.4f}", "-"
+            if there.value == here.value:
+                gap = IDENTICAL
+            elif here.value:
+                share = f"{(there.value - here.value) / here.value:+.2%}"
         source = _source(*("" if x is None else x.source for x in (here, there)))
         say(f"{name:31} {cells[0]:>10} {cells[1]:>10} {gap:>10} {share:>8}  {source}")
 
@@ -156,7 +167,7 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
     tables = []
     for label, of in (("A", a), ("B", b)):
         if of.touches is None:
-            say(f"\n{label} tells of no single touches: {of.touch_source}")
+            say(f"\n{label} has no single touches: {of.touch_source}")
         else:
             tables.append(of.touches.within(of.contact, window))
     if len(tables) < 2:
@@ -204,7 +215,7 @@ class _Row(NamedTuple):
     wall: str = " "
 
     @classmethod
-    def of(cls, table: TouchTable, i: int) -> _Row:
+    def of(cls, table: Touches, i: int) -> _Row:
         if i >= len(table.start):
             return cls()
         return cls(

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     from capture_sim.commands.recorded import open_run, scene_of
     from capture_sim.messages.bench_columns import release_told
-    from capture_sim.recording.measured import first_touches, launch_of, measurements
+    from capture_sim.recording.measured import launch_of, measurements, touches_of
     from capture_sim.scene.paths import ALIASES, value_of
     from capture_sim.studies.identify import RELEASE, identify, is_explained
 
@@ -79,11 +79,10 @@ def run(options: argparse.Namespace) -> int:
         names.append(RELEASE)
     compile_first()
     touches, source = None, ""
-    start_noise, peak_noise = options.touch_noise
     if options.touches > 0:
-        touches, source = first_touches(
-            recorded, scene, options.touches, start_noise, peak_noise, options.release
-        )
+        found, source = touches_of(recorded, options.release, scene)
+        if found is not None:
+            touches = found.of(slice(options.touches)).with_noise(*options.touch_noise)
     fit = identify(
         scene,
         measured,

@@ -11,8 +11,8 @@ from capture_sim.errors import RecordingError
 HELP = "simulate a recorded run again and compare state by state"
 DESCRIPTION = (
     "Simulate a recorded run again from the scene inside it and compare it state by state. "
-    "Exit status 1 when a coordinate differs by more than the tolerance, and without tolerance "
-    "when the events differ."
+    "Exit status 1 when a coordinate differs by more than the tolerance, when the recording holds "
+    "samples of another run, and without tolerance when the events differ."
 )
 
 
@@ -42,7 +42,11 @@ def run(options: argparse.Namespace) -> int:
     again = simulate(scene)
     traces = None if again.trace is None else (recorded.trace, again.trace)
     found = agreement(recorded.samples, again.samples, recorded.events, again.events, traces)
-    say(f"{found.compared} samples compared, {found.only} in one run alone")
+    say(f"{found.compared} of {recorded.samples.size} samples compared")
+    if found.foreign:
+        say(f"  {found.foreign} samples are none of this run's: another publisher, or another run")
+    if found.missing:
+        say(f"  {found.missing} samples of the run were not recorded")
     if found.identical:
         say("identical, bit for bit, events included")
     for difference in found.differences:
@@ -60,4 +64,4 @@ def run(options: argparse.Namespace) -> int:
             say(f"  {'then' if line in before else 'now'}: {line}")
     worst = max((d.largest for d in found.differences if d.name == "q"), default=0.0)
     close = worst <= options.tolerance and (found.same_events or options.tolerance > 0.0)
-    return OK if close and found.compared else FAILED
+    return OK if close and found.compared and not found.foreign else FAILED

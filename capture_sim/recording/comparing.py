@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages.bench_columns import release_of, stamps_of
+from capture_sim.messages.bench_columns import release_of
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -20,14 +20,17 @@ from capture_sim.messages.topics import (
     CONTACT_STATE,
     CONTACT_WRENCH,
     LOAD_CELL,
-    Topic,
 )
-from capture_sim.recording.measured import first_contact_told, measured_sources, wrench
+from capture_sim.recording.measured import (
+    first_contact_told,
+    measured_sources,
+    touches_of,
+    wrench,
+)
 from capture_sim.recording.reader import Run
 from capture_sim.results import first_cluster
-from capture_sim.studies.compare import TouchTable, table_of_force, table_of_touches
-from capture_sim.studies.measured_touches import RESOLVED, touches_told
 from capture_sim.studies.measurements import Measurements, Series, measured_in
+from capture_sim.studies.touches import Touches
 
 #: Name of the tip's distance to BE, beside the fields of Measurements.
 DISTANCE = "distance"
@@ -60,9 +63,7 @@ class Comparable(NamedTuple):
     touches
         One by one; None where nothing tells of them.
     touch_source
-        What tells of them; why nothing does.
-    spacing
-        s between the samples of the force that they were found in; 0 where they were located.
+        What they were found in; why there are none.
     """
 
     run: Run
@@ -70,9 +71,8 @@ class Comparable(NamedTuple):
     contact_source: str
     series: Mapping[str, Series]
     sources: Mapping[str, str]
-    touches: TouchTable | None
+    touches: Touches | None
     touch_source: str
-    spacing: float
 
     @property
     def contact_may_be_late(self) -> bool:
@@ -114,7 +114,7 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
 
 def rate_of(series: Series) -> float:
     """Return how often a series was sampled, Hz, by its median interval; 0 for one sample."""
-    return 1.0 / float(np.median(np.diff(series.t))) if series.t.size > 1 else 0.0
+    return 1.0 / series.interval if series.interval else 0.0
 
 
 def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
@@ -206,7 +206,7 @@ def _comparable(
     if met is None:
         raise RecordingError(f"{run.path}: no contact in it to align with")
     series = {name: sources[name][topic] for name, topic in choice.items()}
-    touches, source, spacing = _touches(run)
+    touches, source = touches_of(run)
     return Comparable(
         run=run,
         # a message tells that it was since the one before
@@ -216,66 +216,16 @@ def _comparable(
         sources={name: f"{choice[name]}, {rate_of(series[name]):.4g} Hz" for name in series},
         touches=touches,
         touch_source=source,
-        spacing=spacing,
     )
 
 
 def _seen_as_well(of: Comparable, other: Comparable) -> Comparable:
     """Return a run without its touches if the force they are from misses such as the other has."""
-    if of.touches is None or other.touches is None or not of.spacing:
+    if of.touches is None or other.touches is None:
         return of
     shortest = float(np.nanmin(other.touches.lasted, initial=np.inf))
-    if RESOLVED * of.spacing <= shortest:
+    if not of.touches.may_miss(shortest):
         return of
     source = of.touch_source.partition(", which")[0]
     reason = f"{source}: too slow for touches of {shortest * 1e3:.3g} ms as the other has"
     return of._replace(touches=None, touch_source=reason)
-
-
-def _touches(run: Run) -> tuple[TouchTable | None, str, float]:
-    """Return the touches, what tells of them, and its spacing; else None, and why nothing does."""
-    if run.touches.size:
-        return table_of_touches(run.touches), BENCH_EVENT.name, 0.0
-    tried = []
-    forces = (CONTACT_WRENCH, LOAD_CELL)
-    # at equal rates bench/contact, whose peaks are those between its messages
-    for topic in sorted((CONTACT_STATE, *forces), key=lambda topic: -len(run.raw(topic))):
-        if not run.columns(topic):
-            continue
-        t, found = _in_force(run, topic) if topic in forces else _told(run)
-        rate = rate_of(Series(t, t))
-        source = f"{topic.name}, {rate:.4g} Hz"
-        if found is not None and topic in forces:
-            lasts = RESOLVED / rate
-            return found, f"{source}, which may miss those below {lasts * 1e3:.3g} ms", 1.0 / rate
-        if found is not None:
-            return found, f"{source}, as long as each message tells of one", 0.0
-        tried.append(source)
-    if not tried:
-        return None, "no force was recorded", 0.0
-    return None, f"{' and '.join(tried)}: too slow to show touches", 0.0
-
-
-def _in_force(run: Run, topic: Topic) -> tuple[np.ndarray, TouchTable | None]:
-    t, force = wrench(run, topic, release_of(run))
-    return t, table_of_force(t, force)
-
-
-def _told(run: Run) -> tuple[np.ndarray, TouchTable | None]:
-    columns = run.columns(CONTACT_STATE)
-    t = (stamps_of(columns) - release_of(run)) / 1e9
-    told = touches_told(
-        t,
-        columns["touches"],
-        columns["peak_force"],
-        columns["in_touch"],
-        count=len(t),
-        start_noise=0.0,
-        peak_noise=0.0,
-    )
-    if told is None:
-        return t, None
-    unknown = np.full(told.start.shape, np.nan)
-    return t, TouchTable(
-        told.start, unknown, told.start, told.peak, unknown, np.zeros(told.start.shape)
-    )

@@ -30,14 +30,15 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.reader import Columns, Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.measured_touches import (
-    Touches,
-    quiet_before_contact,
-    stretches_above,
-    touches_in_force,
-    touches_told,
-)
 from capture_sim.studies.measurements import Measurements, Series
+from capture_sim.studies.touches import (
+    RESOLVED,
+    Touches,
+    first_above,
+    in_force,
+    in_messages,
+    located,
+)
 
 
 def measurements(run: Run, released: float | None = None) -> Measurements:
@@ -118,67 +119,56 @@ def first_contact_told(run: Run) -> tuple[float, Topic] | None:
         at = _since(columns, release_of(run))
         return (float(at[met[0]]), CONTACT_STATE) if met.size else None
     topic = CONTACT_WRENCH if run.columns(CONTACT_WRENCH) else LOAD_CELL
-    t, force = wrench(run, topic, release_of(run))
-    quiet = quiet_before_contact(force)
-    if quiet is None:
-        return None
-    above = stretches_above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
-    return (float(t[above[0].first]), topic) if above else None
+    met_at = first_above(*wrench(run, topic, release_of(run)))
+    return None if met_at is None else (met_at, topic)
 
 
-def first_touches(
-    run: Run,
-    scene: Scene,
-    count: int,
-    start_noise: float,
-    peak_noise: float,
-    released: float | None = None,
+def touches_of(
+    run: Run, released: float | None = None, scene: Scene | None = None
 ) -> tuple[Touches | None, str]:
-    """Return the first touches of a run, and the topic that tells of them; None where none does.
+    """Return the touches of a run, and what they were found in; None, and why there are none.
 
-    Events tell them exactly; else they are found in ``contact/wrench`` or in the peaks of
-    ``bench/contact``, whichever comes more often.
+    As events located them; else as ``bench/contact`` counted them, with the peaks between its
+    messages, or as a sampled force shows them, whichever comes more often.
 
     Parameters
     ----------
-    run, scene
-        The recording, and the cone in it.
-    count
-        Touches at most.
-    start_noise, peak_noise
-        Standard deviations of a touch's start (s) and peak force (N).
+    run
+        The recording.
     released
         See :func:`measurements`.
+    scene
+        With the cone: peaks are then those of the normal force, not of its magnitude.
     """
-    touches = run.touches[np.argsort(run.touches["start"], kind="stable")][:count]
-    if touches.size:
-        release = (release_of(run, released) - release_of(run)) / 1e9
-        found = Touches(touches["start"] - release, touches["peak_force"], start_noise, peak_noise)
-        return found, BENCH_EVENT.name
-    sources = (CONTACT_WRENCH, CONTACT_STATE)
-    for topic in sorted(sources, key=lambda topic: -len(run.raw(topic))):
+    release = release_of(run, released)
+    if run.touches.size:
+        found = located(run.touches)
+        return found.later((release_of(run) - release) / 1e9), BENCH_EVENT.name
+    topics = (CONTACT_STATE, CONTACT_WRENCH, *(() if scene else (LOAD_CELL,)))
+    tried = []
+    for topic in sorted(topics, key=lambda topic: -len(run.raw(topic))):
         columns = run.columns(topic)
         if not columns:
             continue
+        touches: Touches | None
         if topic is CONTACT_STATE:
-            found_or_not = touches_told(
-                _since(columns, release_of(run, released)),
-                columns["touches"],
-                columns["peak_force"],
-                columns["in_touch"],
-                count,
-                start_noise,
-                peak_noise,
-            )
+            t = _since(columns, release)
+            touches = in_messages(t, *(columns[n] for n in ("touches", "peak_force", "in_touch")))
+            limit = "as long as each message counts one"
+        elif scene is None:
+            t, force = wrench(run, topic, release)
+            touches = in_force(t, force)
         else:
-            seen = measurements(run, released)
-            t, force = wrench(run, CONTACT_WRENCH, release_of(run, released))
-            found_or_not = touches_in_force(
-                t, force, _attitude(seen, t), scene.cone, count, start_noise, peak_noise
-            )
-        if found_or_not is not None:
-            return found_or_not, topic.name
-    return None, ""
+            t, force = wrench(run, topic, release)
+            touches = in_force(t, force, _attitude(measurements(run, released), t), scene.cone)
+        interval = Series(t, t).interval
+        if topic is not CONTACT_STATE:
+            limit = f"which may miss those below {RESOLVED * interval * 1e3:.3g} ms"
+        source = f"{topic.name}, {1.0 / interval:.4g} Hz" if interval else topic.name
+        if touches is not None:
+            return touches, f"{source}, {limit}"
+        tried.append(source)
+    return None, f"{' and '.join(tried)}: too slow to show touches" if tried else "no force"
 
 
 def launch_of(run: Run, scene: Scene) -> LaunchPlan:

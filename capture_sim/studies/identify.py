@@ -31,16 +31,9 @@ from capture_sim.errors import SceneError, SimulationError
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
-from capture_sim.studies.measured_touches import Touches
-from capture_sim.studies.measurements import Measurements, Series, measured_in
+from capture_sim.studies.measurements import PARTS, Measurements, Series, measured_in
+from capture_sim.studies.touches import Touches
 
-#: Least noise that is believed: rounding and what no sensor betters; m, rad, m, rad.
-NOISE_FLOOR: Mapping[str, tuple[float, ...]] = {
-    "chaser": (1e-6, 1e-6, 1e-6),
-    "target": (1e-6, 1e-6, 1e-6),
-    "stroke": (1e-7,),
-    "torsion": (1e-7,),
-}
 #: Name of a parameter that stands in no scene: when the chaser was really released, s after the
 #: time that is taken for it.
 RELEASE = "release"
@@ -132,7 +125,7 @@ def identify(
         The first touches; None does without.  Those found in a force that is sampled too
         slowly for touches as the scene has them are not used.
     noise
-        Standard deviations by series, see :data:`NOISE_FLOOR`; what is missing is estimated
+        Standard deviations by series, one for each of its parts; what is missing is estimated
         from the series' own scatter.
     until
         s; what was measured later is not used.
@@ -157,13 +150,12 @@ def identify(
                 f"noise of touches = {touches.start_noise:g} s, {touches.peak_noise:g} N: "
                 "allowed is > 0"
             )
-        used = touches.start <= until
-        touches = dataclasses.replace(touches, start=touches.start[used], peak=touches.peak[used])
+        touches = touches.of(touches.start <= until)
     problem = _Problem(scene, measured, names, plan, noise or {}, until)
     _, expected = problem.simulate(problem.begin)  # raises what is wrong with the scene
     if touches is not None:
         first = expected[np.argsort(expected["start"], kind="stable")][: touches.start.size]
-        if touches.could_be_missed(first["end"] - first["start"]):
+        if touches.may_miss(first["end"] - first["start"]):
             touches = None
     rng = np.random.default_rng(seed)
 
@@ -215,10 +207,12 @@ class _Problem:
         self._series: list[tuple[str, Series, np.ndarray]] = []
         for name, series in measured.items():
             kept = (series.t <= min(until, scene.run.t_end)) & (series.t >= 0.0)
-            if name in NOISE_FLOOR and kept.any():
+            if name in PARTS and kept.any():
                 cut = Series(series.t[kept], series.values[kept])
                 sigma = np.asarray(noise.get(name) or scatter(cut), dtype=float)
-                self._series.append((name, cut, np.maximum(sigma, NOISE_FLOOR[name])))
+                self._series.append(
+                    (name, cut, np.maximum(sigma, [part.noise for part in PARTS[name]]))
+                )
         if not self._series:
             raise SceneError(
                 "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
@@ -297,7 +291,7 @@ class _Problem:
             values = own.values[np.maximum(at, 0)]
             parts.append(((series.values - values) / sigma).ravel())
         if touches is not None:
-            touched = touched[touched["peak_force"] >= touches.least]
+            touched = touched[touched["peak_force"] >= touches.threshold]
             touched = touched[np.argsort(touched["start"], kind="stable")]
             n = min(touches.start.size, touched.size)
             far = np.full(touches.start.size - n, _FAR)

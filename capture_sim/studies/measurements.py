@@ -28,6 +28,32 @@ class Series(NamedTuple):
     t: np.ndarray
     values: np.ndarray
 
+    @property
+    def interval(self) -> float:
+        """Median interval of the samples, s; 0 for fewer than two."""
+        return float(np.median(np.diff(self.t))) if self.t.size > 1 else 0.0
+
+
+class Part(NamedTuple):
+    """One number of a series: its label behind the series' name, and how it is displayed.
+
+    ``noise`` is the least that is believed of a sensor, SI: rounding and what none betters.
+    """
+
+    label: str
+    unit: str
+    factor: float
+    noise: float
+
+
+_POSE = (Part("x", "mm", 1e3, 1e-6), Part("y", "mm", 1e3, 1e-6), Part("theta", "mrad", 1e3, 1e-6))
+#: What is compared and fitted, by series.  The sampled force is not: touches are in its place.
+PARTS = {
+    "chaser": _POSE,
+    "target": _POSE,
+    "stroke": (Part("", "mm", 1e3, 1e-7),),
+    "torsion": (Part("", "mrad", 1e3, 1e-7),),
+}
 
 _NOTHING = Series(np.zeros(0), np.zeros(0))
 

@@ -1,27 +1,21 @@
-"""A run simulated again and held against what was recorded, state by state."""
+"""A recorded run compared, state by state, with its scene simulated again."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from capture_sim.samples import SAMPLE, TRACE, Event
 
 
-@dataclass(frozen=True)
-class Difference:
+class Difference(NamedTuple):
     """How a field of the samples differs between two runs.
 
-    Attributes
-    ----------
-    name
-        Of the field, unit as in msg/BenchState.msg.
-    largest
-        Largest absolute difference.
-    first
-        When it first differs by even one bit, s.
+    ``largest`` is the largest absolute difference, unit as in msg/BenchState.msg; ``first`` the
+    time, s, when the field first differs by even one bit.
     """
 
     name: str
@@ -31,74 +25,87 @@ class Difference:
 
 @dataclass(frozen=True)
 class Agreement:
-    """What came of comparing two runs of one scene.
+    """What came of comparing a recording with its scene simulated again.
 
     Attributes
     ----------
     compared
-        Samples that both have.
-    only
-        Samples that one of them has alone.
+        Samples of the recording that the simulation has as well.
+    foreign
+        Samples of the recording at times that the simulation has none at, or has once more:
+        they are of another run.
+    missing
+        Samples of the simulation that the recording lacks, up to where it ends.
     differences
-        Fields that differ; empty when the runs are bit for bit the same.
-    same_events
-        Both have the same events at the same times, as far as both go.
-    same_trace
-        Both have the same trace of the contact, bit for bit, as far as both go.
+        Fields that differ.
+    same_events, same_trace
+        Both have the same events, and the same trace of the contact, up to where the recording
+        ends.
     """
 
     compared: int
-    only: int
+    foreign: int
+    missing: int
     differences: tuple[Difference, ...]
     same_events: bool
     same_trace: bool
 
     @property
     def identical(self) -> bool:
-        """Bit for bit the same, as far as both go."""
-        return not self.differences and self.same_events and self.same_trace
+        """Everything in the recording is in the simulation, bit for bit."""
+        same = self.same_events and self.same_trace
+        return same and self.compared > 0 and not (self.foreign or self.differences)
 
 
 def agreement(
-    a: np.ndarray,
-    b: np.ndarray,
-    events_a: Sequence[Event],
-    events_b: Sequence[Event],
+    recorded: np.ndarray,
+    again: np.ndarray,
+    recorded_events: Sequence[Event],
+    events: Sequence[Event],
     traces: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Agreement:
-    """Compare samples at the times that both runs have.
+    """Compare what was recorded with what is simulated.
 
     Parameters
     ----------
-    a, b
-        (n,) and (m,) of dtype SAMPLE.
-    events_a, events_b
+    recorded, again
+        (n,) and (m,) of dtype SAMPLE; ``again`` ascending in time.
+    recorded_events, events
         In order.
     traces
-        Both runs' contact at the integrator's own steps, with the fields of TRACE, where they
-        have one.
+        Recorded and simulated contact at the integrator's own steps, with the fields of TRACE.
     """
-    times, in_a, in_b = np.intersect1d(a["t"], b["t"], return_indices=True)
-    a_there, b_there = a[in_a], b[in_b]
+    index = np.searchsorted(again["t"], recorded["t"]).clip(max=max(len(again) - 1, 0))
+    shared = again["t"][index] == recorded["t"] if len(again) else np.zeros(len(recorded), bool)
+    mine, theirs = recorded[shared], again[index[shared]]
     found = []
     for name in SAMPLE.names or ():
-        mine, theirs = a_there[name], b_there[name]
-        differs = (mine != theirs).reshape(len(times), -1).any(axis=1)
+        differs = mine[name] != theirs[name]
+        differs = differs.any(axis=1) if differs.ndim > 1 else differs
         if differs.any():
-            gap = np.abs(mine.astype(float) - theirs.astype(float))
-            found.append(Difference(name, float(gap.max()), float(times[differs.argmax()])))
-    # one that was cut off is compared as far as it goes
-    until = np.inf if len(a) == len(b) else min(a["t"][-1:].sum(), b["t"][-1:].sum())
-    told_a, told_b = (
-        [(event.kind, event.t, event.wall) for event in events if event.t <= until]
-        for events in (events_a, events_b)
+            gap = np.abs(mine[name].astype(float) - theirs[name].astype(float))
+            first = float(mine["t"][differs].min())
+            found.append(Difference(name, float(gap.max()), first))
+    # a recording that was cut is compared as far as it goes
+    end = recorded["t"].max(initial=-np.inf)
+    cut = end < again["t"].max(initial=-np.inf)
+    until = end if cut else np.inf
+    kept = [
+        [(event.kind, event.t, event.wall) for event in of if event.t <= until]
+        for of in (recorded_events, events)
+    ]
+    distinct = np.unique(index[shared]).size
+    return Agreement(
+        compared=distinct,
+        foreign=len(recorded) - distinct,
+        missing=int(np.count_nonzero(again["t"] <= until)) - distinct,
+        differences=tuple(found),
+        same_events=kept[0] == kept[1],
+        same_trace=traces is None or _same_trace(*traces, until),
     )
-    only = len(a) + len(b) - 2 * len(times)
-    same_trace = traces is None or _same_points(*traces, until)
-    return Agreement(len(times), only, tuple(found), told_a == told_b, same_trace)
 
 
-def _same_points(a: np.ndarray, b: np.ndarray, until: float) -> bool:
-    # what was cut off may lack the points behind its last sample
+def _same_trace(a: np.ndarray, b: np.ndarray, until: float) -> bool:
+    # what was cut may lack the points behind its last sample
     a, b = a[a["t"] < until], b[b["t"] < until]
     return len(a) == len(b) and all(np.array_equal(a[n], b[n]) for n in TRACE.names or ())

@@ -17,7 +17,7 @@ from capture_sim.viewing import palette
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from capture_sim.studies.compare import TouchTable
+    from capture_sim.studies.touches import Touches
 
 _COLOURS = (palette.BLUE, palette.VERMILION)
 _STYLES = ("-", "--")
@@ -44,7 +44,7 @@ class Drawn(NamedTuple):
     label: str
     measured: Measurements
     sources: Mapping[str, str]
-    touches: TouchTable | None
+    touches: Touches | None
 
 
 def save_comparison(runs: Sequence[Drawn], window: float, path: Path | str) -> Path:
@@ -119,7 +119,7 @@ def save_comparison(runs: Sequence[Drawn], window: float, path: Path | str) -> P
     return Path(path)
 
 
-def draw_touches(ax: Axes, touches: TouchTable, label: str, colour: str, mark: str) -> None:
+def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str) -> None:
     """Draw each touch as a stem up to its peak, and a bar whose area is its impulse."""
     ax.vlines(touches.peak_time, 0.0, touches.peak, color=colour, linewidth=1.2)
     look: dict[str, Any] = {"color": colour, "fillstyle": "none", "linestyle": "none"}
@@ -144,7 +144,7 @@ def _draw_sampled_force(ax: Axes, run: Drawn, shown: tuple[float, float], colour
     ax.plot(series.t[inside], series.values[inside], ".", color=colour, label=label)
 
 
-def impulse_so_far(touches: TouchTable, window: float) -> tuple[np.ndarray, np.ndarray]:
+def impulse_so_far(touches: Touches, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Return times and the impulse until then, N s; over a touch it grows evenly."""
     start, lasted = touches.start, np.maximum(touches.lasted, 1e-9)
     t = np.sort(np.concatenate([[0.0, window], start, start + lasted]))

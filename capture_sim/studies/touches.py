@@ -1,0 +1,268 @@
+"""The touches of a run: as located by events, or found in what was measured of the force.
+
+A touch of the tip lasts some third of a millisecond, so a sampled force shows it only when it is
+sampled ten times faster than that, or when each message carries the peak since the last one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from capture_sim.scene.parts import Cone
+
+#: Samples that a touch must have above the threshold for its peak to be known to 1 %.
+RESOLVED = 4
+#: Samples before the contact that the noise is known from at least.
+_QUIET = 50
+#: Chance that noise alone passes the threshold anywhere in the recording.
+_FALSE_ALARM = 1e-3
+#: Where a sensor has no noise at all, this part of the largest force is none.
+_NOTHING = 1e-3
+#: Sample times are decimal fractions: a window may end a rounding short of one, s.
+TICK = 1e-9
+_COLUMNS = ("start", "peak", "lasted", "peak_time", "impulse", "wall")
+
+
+@dataclass(frozen=True)
+class Touches:
+    """Touches of a run one by one, in order; what is not known of one is NaN (wall: 0).
+
+    Attributes
+    ----------
+    start, peak : ndarray (n,)
+        s, and N: of the normal force, or of its magnitude where that is what was measured.
+    lasted, peak_time, impulse : ndarray (n,)
+        s, s, N s.
+    wall : ndarray (n,)
+        +1 or -1.
+    start_noise, peak_noise
+        Standard deviations, s and N.
+    threshold
+        N; touches whose peak is below it were not seen.
+    spacing
+        s between the samples of the force they were found in; 0 where none can be missed.
+    """
+
+    start: np.ndarray
+    peak: np.ndarray
+    lasted: np.ndarray
+    peak_time: np.ndarray
+    impulse: np.ndarray
+    wall: np.ndarray
+    start_noise: float = 0.0
+    peak_noise: float = 0.0
+    threshold: float = 0.0
+    spacing: float = 0.0
+
+    def of(self, kept: np.ndarray | slice) -> Touches:
+        """Return some of the touches."""
+        return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
+
+    def later(self, by: float) -> Touches:
+        """Return the same with all times later by so much, s."""
+        return replace(self, start=self.start + by, peak_time=self.peak_time + by)
+
+    def within(self, contact: float, window: float) -> Touches:
+        """Return those that begin in the window after a first contact, which becomes t = 0."""
+        shifted = self.later(-contact)
+        return shifted.of((shifted.start >= -TICK) & (shifted.start <= window))
+
+    def with_noise(self, start: float, peak: float) -> Touches:
+        """Return the touches with a sensor's noise, s and N, added to that of its sampling."""
+        start_noise = math.hypot(self.start_noise, start)
+        return replace(self, start_noise=start_noise, peak_noise=max(self.peak_noise, peak))
+
+    def may_miss(self, lasted: np.ndarray | float) -> bool:
+        """Whether touches that last so long, s, could have too few samples to be found."""
+        shortest = float(np.min(lasted, initial=math.inf))
+        return RESOLVED * self.spacing > shortest
+
+
+def located(touches: np.ndarray) -> Touches:
+    """Return the touches of events, (n,) of dtype TOUCH, in the order of their starts."""
+    t = touches[np.argsort(touches["start"], kind="stable")]
+    lasted = t["end"] - t["start"]
+    return Touches(t["start"], t["peak_force"], lasted, t["peak_time"], t["impulse"], t["wall"])
+
+
+class Quiet(NamedTuple):
+    """What a force sensor reads before anything touches.
+
+    Attributes
+    ----------
+    bias : ndarray (2,)
+        N.
+    sigma
+        Standard deviation of a component, N.
+    threshold
+        Magnitude, N, that noise passes in one of 1000 recordings.
+    """
+
+    bias: np.ndarray
+    sigma: float
+    threshold: float
+
+
+def quiet_before_contact(force: np.ndarray) -> Quiet | None:
+    """Return bias, noise and threshold of a planar force; None when there is too little of it.
+
+    The magnitude of white noise of two components has Rayleigh's distribution: it passes
+    k sigma with the chance exp(-k^2 / 2).
+
+    Parameters
+    ----------
+    force : ndarray (n, 2)
+        N; nothing touches at its beginning.
+    """
+    n = len(force)
+    until = max(_QUIET, n // 20)
+    if n < until:
+        return None
+    k = math.sqrt(2.0 * math.log(n / _FALSE_ALARM))
+    for _ in range(2):  # from the beginning, then from all before the contact found so
+        before = force[:until]
+        bias = np.median(before, axis=0)
+        sigma = float(np.median(np.abs(before - bias)) / 0.6745)
+        size = np.hypot(*(force - bias).T)
+        threshold = max(k * sigma, _NOTHING * float(size.max()))
+        above = np.flatnonzero(size > threshold)
+        until = max(until, int(above[0]) - RESOLVED if above.size else n)
+    return Quiet(bias, sigma, threshold)
+
+
+def above(size: np.ndarray, threshold: float) -> list[slice]:
+    """Return where a magnitude (n,) passes the threshold; each slice ends below half of it."""
+    labels, _ = ndimage.label(size > 0.5 * threshold)
+    return [part for (part,) in ndimage.find_objects(labels) if size[part].max() > threshold]
+
+
+def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
+    """Return when a force (n, 2) first passes its noise, s; None if it never does."""
+    quiet = quiet_before_contact(force)
+    if quiet is None:
+        return None
+    found = above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
+    return float(t[found[0].start]) if found else None
+
+
+def normal_force(force: np.ndarray, attitude: np.ndarray, cone: Cone) -> np.ndarray:
+    """Return the part of a force on the tip that is normal to the wall it comes from, (n,), N.
+
+    Friction acts along the wall and leaves it as it is.
+
+    Parameters
+    ----------
+    force : ndarray (n, 2)
+        N, in the tip's frame.
+    attitude : ndarray (n,)
+        Of the tip in the cone, rad.
+    cone
+        Its walls.
+    """
+    c, s = np.cos(attitude), np.sin(attitude)
+    along = c * force[:, 0] - s * force[:, 1]
+    across = s * force[:, 0] + c * force[:, 1]
+    return np.asarray(-math.sin(cone.beta) * along + math.cos(cone.beta) * np.abs(across))
+
+
+def in_force(
+    t: np.ndarray,
+    force: np.ndarray,
+    attitude: np.ndarray | None = None,
+    cone: Cone | None = None,
+) -> Touches | None:
+    """Find the touches in a sampled force; None where it shows none, or is too slow for it.
+
+    The first touch with fewer than :data:`RESOLVED` samples ends the search: behind it others
+    may have been missed.  A touch starts between two samples, its peak is that of the parabola
+    through the largest sample and its neighbours.
+
+    Parameters
+    ----------
+    t : ndarray (n,)
+        s, ascending.
+    force : ndarray (n, 2)
+        N, in the tip's frame, with bias and noise; nothing touches at its beginning.
+    attitude : ndarray (n,) or None
+        Of the tip in the cone, rad; with it and the cone, peak and impulse are those of the
+        normal force, else those of the magnitude, friction included.
+    cone
+        Its walls.
+    """
+    quiet = quiet_before_contact(force)
+    if quiet is None:
+        return None
+    net = force - quiet.bias
+    size = np.hypot(*net.T)
+    values = size if attitude is None or cone is None else normal_force(net, attitude, cone)
+    rows, spacing = [], [0.0]
+    for part in above(size, quiet.threshold):
+        first, end = part.start, part.stop
+        if end - first < RESOLVED or first == 0:
+            break
+        top = first + int(np.argmax(values[part]))
+        impulse = float(0.5 * (values[part][1:] + values[part][:-1]) @ np.diff(t[part]))
+        start = 0.5 * (t[first - 1] + t[first])
+        spacing.append(t[first] - t[first - 1])
+        lasted = t[end - 1] - t[first]
+        rows.append((start, _vertex(values, top), lasted, t[top], impulse, 0.0))
+    if not rows:
+        return None
+    late = max(spacing) / math.sqrt(12.0)  # the touch began anywhere between two samples
+    return _touches(
+        rows,
+        start_noise=late,
+        peak_noise=quiet.sigma,
+        threshold=quiet.threshold,
+        spacing=max(spacing),
+    )
+
+
+def in_messages(
+    t: np.ndarray, begun: np.ndarray, peak: np.ndarray, in_touch: np.ndarray
+) -> Touches | None:
+    """Find the touches in messages that count them since the last one; None if none.
+
+    The first message that counts two touches ends the search: it has one peak for both.
+
+    Parameters
+    ----------
+    t : ndarray (n,)
+        s, ascending.
+    begun, peak : ndarray (n,)
+        Touches begun and largest force (N) since the message before.
+    in_touch : ndarray (n,)
+        Whether it touches now.
+    """
+    rows, spacing = [], [0.0]
+    for i in np.flatnonzero(begun):
+        if i == 0 or begun[i] > 1 or in_touch[i - 1]:
+            break
+        last = i
+        while in_touch[last] and last + 1 < len(t) and not begun[last + 1]:
+            last += 1
+        start = 0.5 * (t[i - 1] + t[i])
+        spacing.append(t[i] - t[i - 1])
+        rows.append((start, peak[i : last + 1].max(), math.nan, start, math.nan, 0.0))
+    if not rows:
+        return None
+    return _touches(rows, start_noise=max(spacing) / math.sqrt(12.0))
+
+
+def _touches(rows: Sequence[tuple[float, ...]], **noise: Any) -> Touches:
+    return Touches(**dict(zip(_COLUMNS, np.array(rows).T, strict=True)), **noise)
+
+
+def _vertex(values: np.ndarray, i: int) -> float:
+    """Return the top of the parabola through a largest value and its neighbours."""
+    if not 0 < i < len(values) - 1:
+        return float(values[i])
+    before, here, after = values[i - 1 : i + 2]
+    bend = before - 2.0 * here + after
+    return float(here - 0.125 * (after - before) ** 2 / bend if bend < 0.0 else here)
