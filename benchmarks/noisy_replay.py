@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.detection.align import Aligner, Source
-from capture_sim.detection.exact import CaptureDetector, CaptureStatus
+from capture_sim.detection.align import Source
+from capture_sim.detection.exact import CaptureStatus
+from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import Result
 
@@ -83,15 +84,11 @@ def disturbed(
 
 def judge(scene: Scene, measurements: Iterator[Measurement]) -> tuple[CaptureStatus, float]:
     """Return the verdict on measurements in the order of their arrival, and its time, s."""
-    detector = CaptureDetector(scene)
-    aligner = Aligner(scene.detector.gap)
+    detector = NoisyDetector(scene)
     verdict: CaptureStatus | None = None
-    for source, t, values in measurements:
-        for seen in aligner.add(source, t, values):
-            status = detector.update(seen)
+    for measurement in measurements:
+        for status in detector.measure(*measurement):
             if status.final and verdict is None:
                 verdict = status
-    for seen in aligner.flush():
-        detector.update(seen)
-    last = detector.finish()
+    last = detector.finish()[-1]
     return last, (last if verdict is None else verdict).t

@@ -20,7 +20,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _PACKAGE = Path(__file__).resolve().parent
 _SOURCES = sorted(
     path for folder in ("model", "engine", "solver") for path in (_PACKAGE / folder).glob("*.py")
-) + [_PACKAGE / name for name in ("kernels.py", "samples.py")]
+) + [_PACKAGE / name for name in ("kernels.py", "samples.py", "detection/exact.py")]
 
 
 def source_hash() -> str:

@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 
 from capture_sim.bench import Bench, Statistics, check_times, compile_kernels, drive
-from capture_sim.detection.exact import (
-    CaptureDetector,
-    CaptureState,
-    CaptureStatus,
-    Observation,
-)
-from capture_sim.detection.watching import MotionCaptureWatch
+from capture_sim.detection.align import Source
+from capture_sim.detection.exact import CaptureState, CaptureStatus, ExactDetector
+from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.results import summarize
 from capture_sim.samples import ENERGIES, Event, EventKind
 from capture_sim.scene.parts import Scene
+from capture_sim.sensors import Sensors
 
 
 @dataclass(frozen=True)
@@ -119,22 +116,6 @@ class Result:
         return summarize(
             self.scene, self.samples, self.touches, self.events, self.verdict.label, self.wall_time
         )
-
-
-def observation(sample: np.void) -> Observation:
-    """Return what a perfect sensor would measure in a sample."""
-    q, v = sample["q"].tolist(), sample["v"].tolist()
-    return Observation(
-        t=float(sample["t"]),
-        chaser=(q[0], q[1], q[2]),
-        chaser_rate=(v[0], v[1], v[2]),
-        target=(q[5], q[6], q[7]),
-        target_rate=(v[5], v[6], v[7]),
-        stroke=float(sample["axial_stroke"]),
-        stroke_rate=v[4],
-        torsion=float(sample["torsion"]),
-        torsion_rate=v[3] - v[2],
-    )
 
 
 def simulate(
@@ -262,12 +243,19 @@ def _at(samples: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def _judge(scene: Scene, samples: np.ndarray, *, cut: bool) -> list[CaptureStatus]:
     """Return what the detector says of a run's samples at ``run.state_rate``, verdict last."""
-    if scene.sensors is not None and scene.sensors.motion_capture is not None:
-        watch = MotionCaptureWatch(scene)
-        return [*watch.look(samples), *watch.finish(cut=cut)]
-    detector = CaptureDetector(scene)
     every = round(scene.run.state_rate / scene.run.rate)
-    return [
-        *(detector.update(observation(sample)) for sample in samples[::every]),
-        detector.finish(cut=cut),
-    ]
+    if scene.sensors is None or scene.sensors.motion_capture is None:
+        exact = ExactDetector(scene)
+        return [*exact.update(samples[::every]), exact.finish(cut=cut)]
+    detector, sensors = NoisyDetector(scene), Sensors(scene)
+    statuses: list[CaptureStatus] = []
+    for k, sample in enumerate(samples):
+        t, v = float(sample["t"]), sample["v"].tolist()
+        if k % every == 0:
+            buffer = (float(sample["axial_stroke"]), float(sample["torsion"]))
+            statuses += detector.measure(Source.BUFFER, t, (*buffer, v[4], v[3] - v[2]))
+        reading = sensors.read(sample)
+        if reading.chaser is not None and reading.target is not None:
+            statuses += detector.measure(Source.CHASER, t, reading.chaser)
+            statuses += detector.measure(Source.TARGET, t, reading.target)
+    return [*statuses, *detector.finish(cut=cut)]

@@ -7,7 +7,7 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from capture_sim.detection.align import Source
-from capture_sim.detection.watching import measured
+from capture_sim.messages.measurements import measured
 from capture_sim.messages.topics import BUFFER_STATE, CHASER_ODOMETRY, CHASER_POSE, TARGET_ODOMETRY
 from capture_sim.nodes.decoding import decoder
 from capture_sim.nodes.running import message_class

@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 from bench_processes import Client, Simulation, Started, processes, wait_until
+from observations import observation
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim import load_scene, simulate
@@ -23,7 +24,6 @@ from capture_sim.nodes.running import message_class
 from capture_sim.nodes.suite import run_suite
 from capture_sim.recording import read_run, write_run
 from capture_sim.recording.judging import judge_recording
-from capture_sim.simulation import observation
 
 NAMES = ("tilt_0", "tilt_p10")
 # These carry the run's id, or what was computed from odometry instead of the state.

@@ -2,7 +2,7 @@
 
 Simulated poses and buffer states carry the same stamps.  On a real bench each source has
 its own clock, rate and delay, messages get lost and overtake each other.  The chaser's
-stamps are the instants that are judged; what the other sources did then is interpolated.
+stamps are the instants of the statuses; what the other sources did then is interpolated.
 """
 
 from __future__ import annotations
@@ -10,13 +10,31 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from enum import Enum
+from typing import NamedTuple
 
-from capture_sim.detection.exact import Observation
-
+Planar = tuple[float, float, float]
 Values = tuple[float, ...]
 
 #: Measurements of a source that are kept for those still to come of the others.
 ROOM = 1000
+
+
+class Observation(NamedTuple):
+    """One consistent measurement; poses (x m, y m, theta rad) in the world.
+
+    The rates (m/s, rad/s) may be missing: what measures poses seldom measures them.  They
+    are used only where the measurements do not scatter.
+    """
+
+    t: float
+    chaser: Planar
+    target: Planar
+    stroke: float  # m, h - rest length
+    torsion: float  # rad, theta_P - theta_S
+    chaser_rate: Planar | None = None
+    target_rate: Planar | None = None
+    stroke_rate: float = 0.0  # m/s
+    torsion_rate: float = 0.0  # rad/s
 
 
 class Source(Enum):

@@ -1,35 +1,31 @@
-"""Decisions of the capture detector, from poses and buffer state alone.
+"""Decisions of the capture detector, and the detector for exact measurements.
 
-The same object judges an offline run, the live suite, a bag and a real bench: it needs
-only what can be measured there.
+The criteria (:func:`decide`) are asked one place of the tip after the other.  Where poses and
+buffer are known exactly, as in a simulated run, :class:`ExactDetector` asks them in compiled
+code, a block of samples at a time; :mod:`capture_sim.detection.noisy` asks the same criteria
+about places that it has estimated.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass
 from enum import IntEnum
-from statistics import mean
+from typing import Any, NamedTuple
 
-from capture_sim.detection.tip_path import NoiseEstimate, Place, TipPath, third_difference
+import numpy as np
+
+from capture_sim.kernels import entry_kernel, kernel
+from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.model.trig import sine_cosine
 from capture_sim.scene.parts import Scene
 
-# the detector works on measurements, a few hundred a second: no compiled code needed
-_nearest_on_wall = nearest_on_wall.py_func  # type: ignore[attr-defined]
-
+#: A decision must hold for the place moved by so many standard deviations,
+GUARD = 3.0
+#: ... and for the border of the capture zone, where too far out and too far in weigh alike.
+ZONE_GUARD = 1.0
 # time stamps are decimal fractions: 0.2 s may come out a rounding short
 _TICK = 1e-9
-
-#: Measurements of the buffer that are averaged where a single one scatters too much.
-_SMOOTHED = 12
-#: Poses that scatter never agree this closely, m and rad.
-_SAME = 1e-12
-#: A stand is looked for over this many ``still_time`` as well, where speeds scatter.
-_LONGEST_STAND = 4.0
-
-Planar = tuple[float, float, float]
 
 
 class CaptureState(IntEnum):
@@ -48,27 +44,23 @@ class CaptureState(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True)
-class Observation:
-    """One consistent measurement; poses (x m, y m, theta rad) in the world.
+class Cause(IntEnum):
+    """Why the state is what it is."""
 
-    The rates (m/s, rad/s) may be missing: what measures poses seldom measures them.  They
-    are used only where the measurements do not scatter.
-    """
-
-    t: float
-    chaser: Planar
-    target: Planar
-    stroke: float  # m, h - rest length
-    torsion: float  # rad, theta_P - theta_S
-    chaser_rate: Planar | None = None
-    target_rate: Planar | None = None
-    stroke_rate: float = 0.0  # m/s
-    torsion_rate: float = 0.0  # rad/s
+    NO_CONTACT = 0
+    AT_CONE = 1
+    PASSED_BE = 2
+    DWELT = 3
+    RETREATED = 4
+    PASSED_BY = 5
+    STANDS = 6
+    END_WITHOUT_CONTACT = 7
+    END_MOVING_OUT = 8
+    END_SHORT = 9
+    NOT_MEASURED = 10
 
 
-@dataclass(frozen=True)
-class CaptureStatus:
+class CaptureStatus(NamedTuple):
     """The detector's view; fields and units as in msg/CaptureStatus.msg."""
 
     t: float
@@ -84,26 +76,327 @@ class CaptureStatus:
     reason: str
 
 
-@dataclass(frozen=True)
-class _Tip:
-    """The tip in the cone's frame, as measured."""
+class Criteria(NamedTuple):
+    """What the decisions depend on, m, s and rad; see the scene's ``detector`` and ``cone``."""
 
+    radius: float
+    dwell: float
+    leave: float
+    contact_gap: float
+    still_speed: float
+    still_time: float
+    tip_radius: float
+    rest_length: float
+    a: float
+    R_c: float
+    L_c: float
+    cos_b: float
+    sin_b: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> Criteria:
+        """Return those of a scene."""
+        limits, cone = scene.detector, scene.cone
+        return cls(
+            limits.radius,
+            limits.dwell,
+            limits.leave,
+            limits.contact_gap,
+            limits.still_speed,
+            limits.still_time,
+            scene.probe.tip_radius,
+            scene.rest_length,
+            scene.buffer.a,
+            cone.R_c,
+            cone.L_c,
+            math.cos(cone.beta),
+            math.sin(cone.beta),
+        )
+
+
+class Place(NamedTuple):
+    """Where the tip is at one instant, and how well that is known.
+
+    Attributes
+    ----------
+    t
+        s.
+    axial, lateral
+        Ahead of BE and off the axis, m.
+    axial_rate, lateral_rate
+        In the cone's frame, m/s.
+    axial_variance, lateral_variance
+        m^2; 0 where they are exact.
+    size
+        Measurements that it was found from.
+    """
+
+    t: float
     axial: float
     lateral: float
-    rigid: tuple[float, float]  # where it would be with the buffer at rest
-    rate: tuple[float, float] | None
+    axial_rate: float
+    lateral_rate: float
+    axial_variance: float = 0.0
+    lateral_variance: float = 0.0
+    size: int = 1
 
 
-#: A verdict must hold for the measured place moved by so many standard deviations.
-GUARD = 3.0
-#: ... and for the borders of the capture zone, where too far out and too far in weigh alike.
-ZONE_GUARD = 1.0
-#: ... and for the buffer, which is asked at every measurement and answered by a single one.
-BUFFER_GUARD = 6.0
+#: What the criteria remember of a run; NaN: not so.
+MEMORY = np.dtype(
+    [
+        ("state", "i8"),
+        ("cause", "i8"),
+        ("value", "f8"),  # m, named in the reason; 0 where there is none
+        ("since", "f8"),  # s, in the state
+        ("ahead", "i8"),  # the tip has been ahead of BE
+        ("nearest", "f8"),  # m, to BE
+        ("nearest_gap", "f8"),  # m, to a wall, less what the noise may hide
+        ("fastest", "f8"),  # m/s
+        ("zone_since", "f8"),  # s, in the capture zone
+        ("still_since", "f8"),  # s, standing outside of it
+        ("t", "f8"),  # s, of the last place,
+        ("distance", "f8"),  # m, of the tip from BE then,
+        ("speed", "f8"),  # m/s, in the cone's frame,
+        ("outwards", "f8"),  # m^2/s, distance times its rate
+    ]
+)
+
+#: One status in numbers.
+_ROW = np.dtype(
+    [
+        ("state", "i8"),
+        ("cause", "i8"),
+        ("value", "f8"),
+        ("t", "f8"),
+        ("distance", "f8"),
+        ("axial_offset", "f8"),
+        ("lateral_offset", "f8"),
+        ("relative_attitude", "f8"),
+        ("relative_speed", "f8"),
+        ("nearest_distance", "f8"),
+        ("time_in_state", "f8"),
+    ]
+)
 
 
-class CaptureDetector:
-    """Follows one run from the approach to a verdict.
+_MEASURED = (
+    "distance",
+    "axial_offset",
+    "lateral_offset",
+    "relative_attitude",
+    "relative_speed",
+)
+
+
+def new_memory() -> np.ndarray:
+    """Return the memory (1,) at the start of a run."""
+    memory = np.zeros(1, MEMORY)
+    memory["nearest"] = memory["nearest_gap"] = math.inf
+    memory["zone_since"] = memory["still_since"] = math.nan
+    return memory
+
+
+@kernel
+def enter(memory, state, cause, t, value):
+    """Change the state."""
+    memory.state, memory.cause, memory.since, memory.value = state, cause, t, value
+
+
+@kernel
+def wall_gap(criteria, axial, lateral):
+    """Return the tip's gap to the nearer wall, m, and that wall's normal."""
+    c = criteria
+    plus = nearest_on_wall(axial, lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
+    minus = nearest_on_wall(axial, -lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
+    distance, n_u, n_Y = plus if plus[0] <= minus[0] else minus
+    return distance - c.tip_radius, n_u, n_Y
+
+
+@kernel
+def feel_push(criteria, memory, t, axial, lateral):
+    """Note that the buffer is pushed: at the cone that is a contact, far off the launch's jerk."""
+    near = wall_gap(criteria, axial, lateral)[0] < criteria.tip_radius
+    if memory.state == CaptureState.APPROACH and near:
+        enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
+
+
+@kernel
+def hit_unseen(criteria, memory, rounding):
+    """Whether a tip that has turned round was so near a wall that it must have hit it.
+
+    Vehicles that coast do not turn round by themselves.  ``rounding`` (s): what smoothing
+    takes off the corner that a hit makes in the path, per m/s.
+    """
+    return memory.nearest_gap < criteria.contact_gap + memory.fastest * rounding
+
+
+@kernel
+def decide(criteria, memory, place, stood, rounding):
+    """Ask the criteria about one place of the tip, later than the one before.
+
+    ``stood``: whether the tip has stood for long enough, where its speed is no matter of one
+    place (``place.size > 1``).  ``rounding``: see :func:`hit_unseen`.
+    """
+    t, axial, lateral = place.t, place.axial, place.lateral
+    var_a, var_l = place.axial_variance, place.lateral_variance
+    square = axial * axial + lateral * lateral
+    distance, unsure = math.sqrt(square), 0.0
+    if var_a > 0.0 or var_l > 0.0:
+        # without what noise adds to a length on average
+        distance = math.sqrt(max(square - var_a - var_l, 0.0))
+        if square > 0.0:
+            unsure = axial * axial * var_a + lateral * lateral * var_l
+            unsure = math.sqrt(unsure / square)
+        else:
+            unsure = math.sqrt(max(var_a, var_l))
+    speed = math.hypot(place.axial_rate, place.lateral_rate)
+    memory.t, memory.distance, memory.speed = t, distance, speed
+    memory.outwards = axial * place.axial_rate + lateral * place.lateral_rate
+    memory.nearest = min(memory.nearest, distance)
+    memory.fastest = max(memory.fastest, speed)
+    if memory.state > CaptureState.CONTACT:
+        return
+
+    gap, n_u, n_Y = wall_gap(criteria, axial, lateral)
+    gap_unsure = GUARD * math.sqrt(n_u * n_u * var_a + n_Y * n_Y * var_l)
+    memory.nearest_gap = min(memory.nearest_gap, gap - gap_unsure)
+    if memory.state == CaptureState.APPROACH and gap + gap_unsure < criteria.contact_gap:
+        enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
+
+    margin = GUARD * math.sqrt(var_a)
+    passed = memory.ahead != 0 and axial + margin <= 0.0
+    if axial - margin > 0.0:
+        memory.ahead = 1
+    if passed and abs(lateral) < criteria.R_c:
+        enter(memory, CaptureState.CAPTURED, Cause.PASSED_BE, t, 0.0)
+        return
+
+    # who is in is out only when that is sure, and the other way round
+    guard = ZONE_GUARD if math.isnan(memory.zone_since) else -ZONE_GUARD
+    if distance + guard * unsure > criteria.radius:
+        memory.zone_since = math.nan
+    elif math.isnan(memory.zone_since):
+        memory.zone_since = t
+    if t - memory.zone_since >= criteria.dwell - _TICK:
+        enter(memory, CaptureState.CAPTURED, Cause.DWELT, t, 0.0)
+        return
+
+    retreat = distance - memory.nearest - GUARD * unsure
+    if passed or retreat > criteria.leave:
+        met = memory.state == CaptureState.CONTACT or hit_unseen(criteria, memory, rounding)
+        if met and not passed:
+            enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest)
+        else:
+            enter(memory, CaptureState.MISSED, Cause.PASSED_BY, t, 0.0)
+        return
+
+    outside = distance - ZONE_GUARD * unsure > criteria.radius
+    if not (outside and place.size == 1 and speed < criteria.still_speed):
+        memory.still_since = math.nan
+    elif math.isnan(memory.still_since):
+        memory.still_since = t
+    stood = stood and outside
+    if stood or t - memory.still_since >= criteria.still_time - _TICK:
+        enter(memory, CaptureState.STUCK, Cause.STANDS, t, distance)
+
+
+@entry_kernel
+def follow(criteria, memories, samples, y, rows, to_verdict):
+    """Ask the criteria about samples, one after the other.
+
+    Fills ``rows`` of dtype _ROW with the statuses, the last one with those that find no room.
+    ``y`` (16,) is room for a state.  Returns how many samples were used: all, or those up to
+    the one that brings the verdict.
+    """
+    memory, c = memories[0], criteria
+    for k in range(samples.size):
+        sample = samples[k]
+        t, axial, lateral = sample.t, sample.tip_axial, sample.tip_lateral
+        for i in range(8):
+            y[i] = sample.q[i]
+            y[8 + i] = sample.v[i]
+        sS, cS = sine_cosine(y[2])
+        sP, cP = sine_cosine(y[3])
+        sT, cT = sine_cosine(y[7])
+        _, _, wx, wy = tip_motion(y, c.a, sS, cS, sP, cP, sT, cT)
+        if max(abs(sample.axial_stroke), abs(sample.torsion) * c.rest_length) > c.contact_gap:
+            feel_push(c, memory, t, axial, lateral)
+        place = Place(t, axial, lateral, -wx, wy, 0.0, 0.0, 1)
+        decide(c, memory, place, False, 0.0)
+        row = rows[min(k, rows.size - 1)]
+        row.state, row.cause, row.value = memory.state, memory.cause, memory.value
+        row.t = t
+        row.distance = sample.tip_distance
+        row.axial_offset = axial
+        row.lateral_offset = lateral
+        row.relative_attitude = y[2] - y[7]
+        row.relative_speed = memory.speed
+        row.nearest_distance = memory.nearest
+        row.time_in_state = t - memory.since
+        if to_verdict and memory.state > CaptureState.CONTACT:
+            return k + 1
+    return samples.size
+
+
+@entry_kernel
+def decide_place(criteria, memories, place, stood, rounding):
+    """Do as :func:`decide`."""
+    decide(criteria, memories[0], place, stood, rounding)
+
+
+@entry_kernel
+def feel_push_at(criteria, memories, t, axial, lateral):
+    """Do as :func:`feel_push`."""
+    feel_push(criteria, memories[0], t, axial, lateral)
+
+
+def decide_at_end(criteria: Criteria, memory: np.void, rounding: float) -> None:
+    """Give the verdict of a run that ended with its last place, see :func:`decide`."""
+    still = memory["speed"] < criteria.still_speed
+    outwards = memory["outwards"] > 0.0
+    at_wall = memory["nearest_gap"] < criteria.contact_gap
+    unseen = memory["nearest_gap"] < criteria.contact_gap + memory["fastest"] * rounding
+    met = memory["state"] == CaptureState.CONTACT or (still and at_wall) or (outwards and unseen)
+    if not met:
+        state, cause = CaptureState.MISSED, Cause.END_WITHOUT_CONTACT
+    elif outwards and not still:
+        state, cause = CaptureState.REBOUND, Cause.END_MOVING_OUT
+    else:
+        state, cause = CaptureState.STUCK, Cause.END_SHORT
+    memory["state"], memory["cause"] = state, cause
+    memory["since"], memory["value"] = memory["t"], memory["distance"]
+
+
+def reason(criteria: Criteria, cause: int, value: float) -> str:
+    """Return the cause in words; ``value`` is the length that it names, m."""
+    mm = f"{value * 1e3:.2f} mm"
+    match Cause(cause):
+        case Cause.NO_CONTACT:
+            return "no contact yet"
+        case Cause.AT_CONE:
+            return "tip at the cone"
+        case Cause.PASSED_BE:
+            return "tip passed BE"
+        case Cause.DWELT:
+            return f"within {criteria.radius * 1e3:g} mm of BE for {criteria.dwell:g} s"
+        case Cause.RETREATED:
+            return f"retreated {criteria.leave * 1e3:g} mm from {mm}"
+        case Cause.PASSED_BY:
+            return "tip passed the cone by"
+        case Cause.STANDS:
+            return f"stands {mm} short of BE"
+        case Cause.END_WITHOUT_CONTACT:
+            return "no contact before the run ended"
+        case Cause.END_MOVING_OUT:
+            return f"run ended with the tip {mm} from BE and moving out"
+        case Cause.END_SHORT:
+            return f"run ended with the tip {mm} short of BE"
+        case Cause.NOT_MEASURED:
+            return "nothing was measured"
+
+
+class ExactDetector:
+    """Follows one run, known exactly, from the approach to a verdict.
 
     The tip is *captured* when its centre stays within ``detector.radius`` of the centre of
     BE for ``detector.dwell``, or passes BE inside the throat; it has *rebounded* when it
@@ -111,306 +404,99 @@ class CaptureDetector:
     *missed* when it does so without contact or passes BE outside the throat; it is *stuck*
     when it stands still for ``detector.still_time`` outside the radius.
 
-    Measurements may scatter, be missing and come late or in any order.  Where they scatter
-    the path is smoothed (:mod:`capture_sim.detection.tip_path`): then the judgement comes up to
-    ``detector.delay`` after the instant it is about, and allows for what is left of the
-    noise.
-
     Parameters
     ----------
     scene
         Geometry of buffer and cone, and the ``detector`` part.
+
+    Examples
+    --------
+    >>> from capture_sim import Bench, load_scene
+    >>> bench = Bench(load_scene("paper_designed"))
+    >>> detector = ExactDetector(bench.scene)
+    >>> statuses = detector.update(bench.advance(bench.times(0, 100))[::10])
+    >>> statuses[0].state.label
+    'approach'
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._criteria = limits = scene.detector
-        self._path = TipPath(
-            radius=limits.radius,
-            delay=limits.delay,
-            clean=limits.contact_gap / 4.0,
-            gap=limits.gap,
-            keep=_LONGEST_STAND * limits.still_time,
-        )
-        self._state = CaptureState.APPROACH
-        self._final = False
-        self._since = 0.0
-        self._reason = "no contact yet"
-        self._ahead = False  # of BE
-        self._nearest = math.inf
-        self._fastest = 0.0
-        self._nearest_gap = math.inf  # to a wall, less what the noise may hide
-        self._zone_since: float | None = None
-        self._still_since: float | None = None
-        self._judged: Place | None = None  # last
-        self._last: tuple[Observation, _Tip] | None = None
-        self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
-        self._buffer_seen: deque[tuple[float, float, float]] = deque(maxlen=_SMOOTHED)
+        self._criteria = Criteria.of(scene)
+        self._memory = new_memory()
+        self._y = np.zeros(16)
+        self._row = np.zeros(1, _ROW)  # the last status
+        self._row[list(_MEASURED)] = math.nan
+        self._row["nearest_distance"] = math.inf
+        self._text = ((-1, 0.0), "")  # the last reason
 
     @property
-    def delay(self) -> float:
-        """How long after an instant it is judged at present, s; 0 without noise."""
-        return self._path.half_window
+    def state(self) -> CaptureState:
+        """After the samples so far."""
+        return CaptureState(int(self._memory["state"][0]))
 
     @property
-    def scatter(self) -> tuple[float, float]:
-        """Standard deviation of the tip's measured axial and lateral place, m."""
-        return self._path.deviation
+    def final(self) -> bool:
+        """Whether there is a verdict."""
+        return self.state > CaptureState.CONTACT
 
-    def update(self, seen: Observation) -> CaptureStatus:
-        """Take in a measurement and return the status."""
-        tip = self._tip(seen)
-        if self._final and tip.rate is not None and self._path.half_window == 0.0:
-            # nothing is left to decide, and what was measured is what is told
-            self._last = max(self._last or (seen, tip), (seen, tip), key=lambda of: of[0].t)
-            self._nearest = min(self._nearest, math.hypot(tip.axial, tip.lateral))
-            return self._status(seen, tip)
-        if self._frozen(seen):
-            return self._status(seen, tip)
-        if self._last is None or seen.t > self._last[0].t:
-            self._last = (seen, tip)
-            self._buffer_seen.append((seen.t, seen.stroke, seen.torsion))
-            if self._state is CaptureState.APPROACH:
-                self._look_at_buffer(Place(seen.t, tip.axial, tip.lateral))
-        for place in self._path.add(
-            seen.t, (tip.axial, tip.lateral), tip.rigid, tip.rate, self._buffer_scatter()
-        ):
-            self._take(place)
-        return self._status(seen, tip)
+    def update(self, samples: np.ndarray) -> list[CaptureStatus]:
+        """Return the status at each of the next samples, (n,) of dtype SAMPLE."""
+        rows = np.zeros(samples.size, _ROW)
+        self._follow(samples, rows, to_verdict=False)
+        return [self._status(row) for row in rows.tolist()]
+
+    def until_verdict(self, samples: np.ndarray) -> int:
+        """Take the next samples, (n,) of dtype SAMPLE, up to the one that brings the verdict.
+
+        Returns
+        -------
+        int
+            How many were taken: all of them unless :attr:`final`.
+        """
+        return self._follow(samples, self._row, to_verdict=True)
+
+    def _follow(self, samples: np.ndarray, rows: np.ndarray, *, to_verdict: bool) -> int:
+        if not samples.size:
+            return 0
+        samples = np.ascontiguousarray(samples)
+        used: int = follow(self._criteria, self._memory, samples, self._y, rows, to_verdict)
+        self._row = rows[-1:]
+        return used
 
     def finish(self, *, cut: bool = False) -> CaptureStatus:
         """Close the run: a verdict is given even if none was reached.
 
-        The status is that of the last measurement; without any, all of it is NaN.
+        The status is that of the last sample.
 
         Parameters
         ----------
         cut
             The run was ended before its end: what was not decided by then stays so.
         """
-        if self._last is None:
+        memory, row = self._memory[0], self._row[0]
+        if math.isnan(row["distance"]):
             if not cut:
-                self._enter(CaptureState.MISSED, 0.0, "nothing was measured")
-            nowhere = (math.nan,) * 3
-            seen = Observation(0.0, nowhere, nowhere, math.nan, math.nan)
-            return self._status(seen, self._tip(seen))
-        for place in self._path.finish():
-            self._take(place)
-        if not self._final and self._judged is not None and not cut:
-            self._judge_at_end(self._judged)
-        return self._status(*self._last)
+                memory["state"], memory["cause"] = CaptureState.MISSED, Cause.NOT_MEASURED
+        elif not (self.final or cut):
+            decide_at_end(self._criteria, memory, 0.0)
+        for name in ("state", "cause", "value"):
+            row[name] = memory[name]
+        row["time_in_state"] = row["t"] - memory["since"]
+        return self._status(row.tolist())
 
-    def _frozen(self, seen: Observation) -> bool:
-        """Whether a pose that scatters is repeated: its source has lost sight and says the last."""
-        if self._path.half_window == 0.0 or self._last is None:
-            return False
-        last = self._last[0]
-        return any(
-            max(abs(a - b) for a, b in zip(new, old, strict=True)) < _SAME
-            for new, old in ((seen.chaser, last.chaser), (seen.target, last.target))
-        )
-
-    def _enter(self, state: CaptureState, t: float, reason: str) -> None:
-        self._state, self._since, self._reason = state, t, reason
-        self._final = state not in (CaptureState.APPROACH, CaptureState.CONTACT)
-
-    def _take(self, place: Place) -> None:
-        if self._judged is not None and place.t - self._judged.t > self._path.gap:
-            # nobody knows what happened meanwhile
-            self._zone_since = self._still_since = None
-        self._nearest = min(self._nearest, place.distance)
-        self._fastest = max(self._fastest, place.speed)
-        if not self._final:
-            self._judge(place)
-        self._judged = place
-
-    def _judge(self, place: Place) -> None:
-        limits, t = self._criteria, place.t
-        gap, unsure = self._gap(place)
-        self._nearest_gap = min(self._nearest_gap, gap - GUARD * unsure)
-        if self._state is CaptureState.APPROACH and gap + GUARD * unsure < limits.contact_gap:
-            self._enter(CaptureState.CONTACT, t, "tip at the cone")
-        margin = GUARD * math.sqrt(place.variance[0])
-        passed = self._ahead and place.axial + margin <= 0.0
-        self._ahead = self._ahead or place.axial - margin > 0.0
-        if passed and abs(place.lateral) < self._scene.cone.R_c:
-            self._enter(CaptureState.CAPTURED, t, "tip passed BE")
-            return
-        if self._dwelt(place):
-            self._enter(
-                CaptureState.CAPTURED,
-                t,
-                f"within {limits.radius * 1e3:g} mm of BE for {limits.dwell:g} s",
-            )
-            return
-        retreat = place.distance - self._nearest - GUARD * place.uncertainty
-        if passed or retreat > limits.leave:
-            if not passed and (self._state is CaptureState.CONTACT or self._hit_unseen()):
-                reason = f"retreated {limits.leave * 1e3:g} mm from {self._nearest * 1e3:.2f} mm"
-                self._enter(CaptureState.REBOUND, t, reason)
-            else:
-                self._enter(CaptureState.MISSED, t, "tip passed the cone by")
-            return
-        if self._stands(place):
-            self._enter(CaptureState.STUCK, t, f"stands {place.distance * 1e3:.2f} mm short of BE")
-
-    def _hit_unseen(self) -> bool:
-        """Whether a tip that has turned round was so near a wall that it must have hit it.
-
-        Vehicles that coast do not turn round by themselves.  A parabola rounds off the
-        corner that a hit makes in the path, by 3/16 of the change of speed in half a window.
-        """
-        rounded = 3.0 / 16.0 * 2.0 * self._fastest * self._path.half_window
-        return self._nearest_gap < self._criteria.contact_gap + rounded
-
-    def _dwelt(self, place: Place) -> bool:
-        """Whether the tip has stayed in the zone for the dwell."""
-        limits = self._criteria
-        # who is in is out only when that is sure, and the other way round
-        side = ZONE_GUARD if self._zone_since is None else -ZONE_GUARD
-        inside = place.distance + side * place.uncertainty <= limits.radius
-        self._zone_since = _since(self._zone_since, place.t, inside)
-        return self._zone_since is not None and place.t - self._zone_since >= limits.dwell - _TICK
-
-    def _stands(self, place: Place) -> bool:
-        """Whether the tip has stood still outside the zone for long enough."""
-        limits, t = self._criteria, place.t
-        outside = place.distance - ZONE_GUARD * place.uncertainty > limits.radius
-        if place.count == 1:
-            still = outside and place.speed < limits.still_speed
-        else:
-            # a speed is known only after a while: the same question for longer stretches
-            still = outside and any(
-                speed + GUARD * unsure < limits.still_speed
-                for speed, unsure in (
-                    self._path.rate_over(t - stretch * limits.still_time, t)
-                    for stretch in (1.0, _LONGEST_STAND)
-                )
-            )
-            if still:
-                return True
-        self._still_since = _since(self._still_since, t, still)
-        return self._still_since is not None and t - self._still_since >= limits.still_time - _TICK
-
-    def _judge_at_end(self, place: Place) -> None:
-        t = place.t
-        outwards = place.axial * place.axial_rate + place.lateral * place.lateral_rate > 0.0
-        speed = place.speed
-        if place.count > 1:
-            # the end of a fit is its weakest place: one more of the last second
-            last = self._path.fit(t, t - self._criteria.still_time, t, 1)
-            outwards = last.axial * last.axial_rate + last.lateral * last.lateral_rate > 0.0
-            speed = last.speed
-        still = speed < self._criteria.still_speed
-        at_wall = self._nearest_gap < self._criteria.contact_gap
-        if self._state is CaptureState.APPROACH and not (
-            (still and at_wall) or (outwards and self._hit_unseen())
-        ):
-            self._enter(CaptureState.MISSED, t, "no contact before the run ended")
-        elif outwards and not still:
-            self._enter(
-                CaptureState.REBOUND,
-                t,
-                f"run ended with the tip {place.distance * 1e3:.2f} mm from BE and moving out",
-            )
-        else:
-            self._enter(
-                CaptureState.STUCK,
-                t,
-                f"run ended with the tip {place.distance * 1e3:.2f} mm short of BE",
-            )
-
-    def _look_at_buffer(self, place: Place) -> None:
-        """Learn the buffer's noise while it is at rest; see when it has been pushed."""
-        if len(self._buffer_seen) >= 4:
-            four = list(self._buffer_seen)[-4:]
-            weights = third_difference([seen[0] for seen in four])
-            for i, noise in enumerate(self._buffer_noise):
-                noise.add(sum(w * seen[1 + i] for w, seen in zip(weights, four, strict=True)))
-        if not self._buffer_noise[0].known:
-            return
-        limit, arm = self._criteria.contact_gap, self._scene.rest_length
-        t, stroke, torsion = self._buffer_seen[-1]
-        scatter = max(self._buffer_scatter())
-        if BUFFER_GUARD * scatter >= limit:
-            # one measurement says nothing: the mean of some
-            if len(self._buffer_seen) < _SMOOTHED:
-                return
-            stroke = mean(seen[1] for seen in self._buffer_seen)
-            torsion = mean(seen[2] for seen in self._buffer_seen)
-            scatter /= math.sqrt(_SMOOTHED)
-        pushed = max(abs(stroke), abs(torsion) * arm) > limit + BUFFER_GUARD * scatter
-        # a jerk of the launch pushes it as well
-        if pushed and self._gap(place)[0] < self._scene.probe.tip_radius:
-            self._enter(CaptureState.CONTACT, t, "tip at the cone")
-
-    def _buffer_scatter(self) -> tuple[float, float]:
-        """Return what the buffer's measurements add to the tip's scatter, m."""
-        stroke, torsion = (noise.deviation for noise in self._buffer_noise)
-        return stroke, torsion * self._scene.rest_length
-
-    def _gap(self, place: Place) -> tuple[float, float]:
-        """Return the tip's gap to the nearer wall and its standard deviation, m."""
-        cone = self._scene.cone
-        cos_b, sin_b = math.cos(cone.beta), math.sin(cone.beta)
-        gap, n_u, n_Y = min(
-            _nearest_on_wall(place.axial, side * place.lateral, cone.R_c, cone.L_c, cos_b, sin_b)
-            for side in (1.0, -1.0)
-        )
-        variance = n_u**2 * place.variance[0] + n_Y**2 * place.variance[1]
-        return gap - self._scene.probe.tip_radius, math.sqrt(variance)
-
-    def _tip(self, seen: Observation) -> _Tip:
-        """Return the tip in the cone's frame from the measured poses and buffer."""
-        a, h = self._scene.buffer.a, self._scene.rest_length + seen.stroke
-        x, y, theta = seen.chaser
-        phi = theta + seen.torsion
-        xt, yt, theta_t = seen.target
-        c, s = math.cos(theta_t), math.sin(theta_t)
-        rx = x + a * math.cos(theta) + h * math.cos(phi) - xt
-        ry = y + a * math.sin(theta) + h * math.sin(phi) - yt
-        px, py = c * rx + s * ry, c * ry - s * rx
-        rate = None
-        if seen.chaser_rate is not None and seen.target_rate is not None:
-            vx, vy, omega = seen.chaser_rate
-            spin = omega + seen.torsion_rate
-            vxt, vyt, omega_t = seen.target_rate
-            ux = vx - a * omega * math.sin(theta) - h * spin * math.sin(phi)
-            uy = vy + a * omega * math.cos(theta) + h * spin * math.cos(phi)
-            ux += seen.stroke_rate * math.cos(phi) - vxt
-            uy += seen.stroke_rate * math.sin(phi) - vyt
-            rate = (-(c * ux + s * uy + omega_t * py), c * uy - s * ux - omega_t * px)
-        reach = a + self._scene.rest_length
-        bx, by = x + reach * math.cos(theta) - xt, y + reach * math.sin(theta) - yt
-        front = self._scene.cone.L_T
-        return _Tip(
-            axial=-(px + front),
-            lateral=py,
-            rigid=(-(c * bx + s * by + front), c * by - s * bx),
-            rate=rate,
-        )
-
-    def _status(self, seen: Observation, tip: _Tip) -> CaptureStatus:
-        rate = tip.rate
-        if self._judged is not None and (rate is None or self._judged.count > 1):
-            rate = (self._judged.axial_rate, self._judged.lateral_rate)
+    def _status(self, row: Any) -> CaptureStatus:
+        state, cause, value, t, distance, axial, lateral, attitude, speed, nearest, since = row
+        if self._text[0] != (cause, value):
+            self._text = (cause, value), reason(self._criteria, cause, value)
         return CaptureStatus(
-            t=seen.t,
-            state=self._state,
-            final=self._final,
-            distance=math.hypot(tip.axial, tip.lateral),
-            axial_offset=tip.axial,
-            lateral_offset=tip.lateral,
-            relative_attitude=seen.chaser[2] - seen.target[2],
-            relative_speed=math.nan if rate is None else math.hypot(*rate),
-            nearest_distance=self._nearest,
-            time_in_state=seen.t - self._since,
-            reason=self._reason,
+            t,
+            CaptureState(state),
+            state > CaptureState.CONTACT,
+            distance,
+            axial,
+            lateral,
+            attitude,
+            speed,
+            nearest,
+            since,
+            self._text[1],
         )
-
-
-def _since(start: float | None, t: float, holds: bool) -> float | None:
-    """Return since when a condition has held without a break; None if it does not."""
-    if not holds:
-        return None
-    return t if start is None else start

@@ -9,9 +9,10 @@ from typing import Any
 
 from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
-from capture_sim.detection.watching import Watch
+from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.measurements import detector_sources
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
 from capture_sim.nodes.decoding import decoder
@@ -28,11 +29,11 @@ STALE = 2.0
 class CaptureDetectorNode(RunFollower):
     """Sends its judgement of every instant that the poses were measured at.
 
-    What it decides stands in :class:`capture_sim.detection.exact.CaptureDetector`.
+    What it decides stands in :class:`capture_sim.detection.noisy.NoisyDetector`.
     """
 
     # of the run that is on
-    _watch: Watch
+    _detector: NoisyDetector
     _decoders: dict[Topic, tuple[Source, Callable[[bytes], tuple[float, Values]]]]
     _telemetry: DetectorTelemetry
     _sets: int
@@ -64,11 +65,11 @@ class CaptureDetectorNode(RunFollower):
     def begin(self, info: Any) -> None:
         """Start anew for the scene of this run."""
         scene = self._criteria.of(load_scene_text(info.scene))
-        self._watch = Watch(scene)
+        self._detector, sources = NoisyDetector(scene), detector_sources(scene)
         self._decoders = {
             topic: (source, decoder(topic, source))
             for topic in FOLLOWED[CAPTURE_DETECTOR]
-            if (source := self._watch.sources.get(topic.name)) is not None
+            if (source := sources.get(topic)) is not None
         }
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self._sets = 0
@@ -78,14 +79,14 @@ class CaptureDetectorNode(RunFollower):
 
     def end(self, reason: str) -> list[str]:
         """Send the final verdict, and tell how much was sent."""
-        statuses = self._watch.finish(cut=self.cut)
+        statuses = self._detector.finish(cut=self.cut)
         self._send_all(statuses)
         verdict = statuses[-1]
         undecided = "" if verdict.final else "no verdict, "
         self.get_logger().info(
             f"{self.run.name}: {undecided}{verdict.state.label}, {verdict.reason}"
         )
-        if skipped := self._watch.aligner.skipped:
+        if skipped := self._detector.aligner.skipped:
             self.get_logger().warning(
                 f"{self.run.name}: {skipped} instants not judged: a source had a hole there"
             )
@@ -95,8 +96,8 @@ class CaptureDetectorNode(RunFollower):
     def _take(self, topic: Topic, data: bytes) -> None:
         if topic in self._decoders:
             source, decode = self._decoders[topic]
-            self._send_all(self._watch.measure(source, *decode(data)))
-        if silent := self._watch.aligner.silent(STALE):
+            self._send_all(self._detector.measure(source, *decode(data)))
+        if silent := self._detector.aligner.silent(STALE):
             names = " and ".join(source.value for source in silent)
             self.get_logger().warning(
                 f"nothing is judged: no measurement of the {names} for {STALE:g} s",

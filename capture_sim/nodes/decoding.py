@@ -11,8 +11,8 @@ from collections.abc import Callable
 from rclpy.serialization import deserialize_message
 
 from capture_sim.detection.align import Source, Values
-from capture_sim.detection.watching import measured, pose_values, twist_values
 from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.measurements import measured, pose_values, twist_values
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.running import message_class
 

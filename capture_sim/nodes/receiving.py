@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from capture_sim.detection.align import Source, observed
-from capture_sim.detection.exact import Observation
-from capture_sim.detection.watching import measured
+from capture_sim.detection.align import Observation, Source, observed
 from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.measurements import measured
 
 
 def stamp_ns_of(message: Any) -> int:

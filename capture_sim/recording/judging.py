@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Any
 
 from capture_sim.detection.exact import CaptureStatus
-from capture_sim.detection.watching import Watch, watched
+from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.measurements import detector_sources, measured
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.reader import Run
 from capture_sim.scene.parts import Detector, Scene
@@ -54,21 +57,23 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
         read.
     """
     scene = with_limits(run.scene, run.criteria, ()) if scene is None else scene
-    for topic in watched(scene):
+    sources = detector_sources(scene)
+    for topic in sources:
         if not run.raw(topic):
             raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
     store = typestore()
-    watch = Watch(scene)
+    detector = NoisyDetector(scene)
     stored = [
         (int(time), place, topic, data)
-        for topic in watched(scene)
+        for topic in sources
         for place, (time, data) in enumerate(zip(run.log_times(topic), run.raw(topic), strict=True))
     ]
     # in the order of recording; within a topic that is the order of arrival
     stored.sort(key=lambda item: item[:2])
-    statuses = [
-        status
-        for _, _, topic, data in stored
-        for status in watch.take(topic.name, store.deserialize_cdr(data, topic.type_name))
-    ]
-    return [*statuses, *watch.finish(cut=run.cut)]
+    statuses: list[CaptureStatus] = []
+    for _, _, topic, data in stored:
+        message: Any = store.deserialize_cdr(data, topic.type_name)
+        stamp = message.header.stamp
+        t = stamp_seconds(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
+        statuses += detector.measure(sources[topic], t, measured(sources[topic], message))
+    return [*statuses, *detector.finish(cut=run.cut)]

@@ -344,7 +344,7 @@ class Run:
         if not recorded:
             return ()
         by_name: dict[str, list[Any]] = {
-            f.name: recorded[f.name].tolist() for f in fields(CaptureStatus) if f.name != "t"
+            name: recorded[name].tolist() for name in CaptureStatus._fields if name != "t"
         }
         stamps = recorded["header.stamp.sec"].astype(np.int64) * 1_000_000_000
         stamps += recorded["header.stamp.nanosec"]

@@ -7,14 +7,12 @@ measurements; only what comes after the verdict is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_sim.bench import Bench
-from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
-from capture_sim.errors import SimulationError
+from capture_sim.bench import Bench, drive
+from capture_sim.detection.exact import CaptureState, ExactDetector
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 
@@ -89,29 +87,18 @@ def run_to_verdict(scene: Scene, rtol: float | None = None, finer: int = 1) -> O
     """
     if rtol is not None:
         scene = replace(scene, run=replace(scene.run, rtol=rtol))
-    bench, detector = Bench(scene), CaptureDetector(scene)
-    force = stroke = torsion = 0.0
-    nearest = math.inf
-    rate, first, failure, status = scene.run.rate, 0, "", None
-    while status is None or not (status.final or bench.done or failure):
-        grid = np.arange(first * finer, (first + _BLOCK) * finer) / (rate * finer)
-        try:
-            block = bench.advance(grid[grid <= scene.run.t_end])
-        except SimulationError as error:
-            block, failure = error.partial, str(error)
-        seen = block
-        for place, measured in enumerate(_observations(block[::finer])):
-            status = detector.update(measured)
-            if status.final:
-                seen = block[: place * finer + 1]
-                break
-        force = max(force, float(seen["normal_force"].max(initial=0.0)))
-        stroke = max(stroke, float(np.abs(seen["axial_stroke"]).max(initial=0.0)))
-        torsion = max(torsion, float(np.abs(seen["torsion"]).max(initial=0.0)))
-        nearest = min(nearest, float(seen["tip_distance"].min(initial=math.inf)))
-        first += _BLOCK
-    if not status.final:
-        status = detector.finish()
+    bench, detector = Bench(scene), ExactDetector(scene)
+    rate = scene.run.rate * finer
+    times = np.arange(math.floor(scene.run.t_end * rate) + 2) / rate
+    blocks, failure = [], ""
+    for piece in drive(bench, times[times <= scene.run.t_end], block=_BLOCK * finer):
+        used = detector.until_verdict(piece.samples[::finer])
+        if detector.final:
+            blocks.append(piece.samples[: (used - 1) * finer + 1])
+            break
+        blocks.append(piece.samples)
+        failure = str(piece.failure or "")
+    status, seen = detector.finish(), np.concatenate(blocks)
     began = [e.t for e in bench.events if e.kind is EventKind.TOUCH and e.t <= status.t]
     ended = [e.touch for e in bench.events if e.touch is not None]
     peaks = [float(touch["peak_force"]) for touch in ended if touch["start"] <= status.t]
@@ -121,26 +108,9 @@ def run_to_verdict(scene: Scene, rtol: float | None = None, finer: int = 1) -> O
         reason=failure or status.reason,
         first_touch=began[0] if began else math.nan,
         touches=len(began),
-        peak_force=max([force, *peaks]),
-        axial_stroke=stroke,
-        torsion=torsion,
-        nearest=nearest,
+        peak_force=max(float(seen["normal_force"].max(initial=0.0)), *peaks, 0.0),
+        axial_stroke=float(np.abs(seen["axial_stroke"]).max(initial=0.0)),
+        torsion=float(np.abs(seen["torsion"]).max(initial=0.0)),
+        nearest=float(seen["tip_distance"].min(initial=math.inf)),
         failed=bool(failure),
     )
-
-
-def _observations(samples: np.ndarray) -> Iterator[Observation]:
-    """Yield what :func:`capture_sim.simulation.observation` makes of each sample, faster."""
-    columns = (samples[name].tolist() for name in ("t", "q", "v", "axial_stroke", "torsion"))
-    for t, q, v, stroke, torsion in zip(*columns, strict=True):
-        yield Observation(
-            t=t,
-            chaser=(q[0], q[1], q[2]),
-            target=(q[5], q[6], q[7]),
-            stroke=stroke,
-            torsion=torsion,
-            chaser_rate=(v[0], v[1], v[2]),
-            target_rate=(v[5], v[6], v[7]),
-            stroke_rate=v[4],
-            torsion_rate=v[3] - v[2],
-        )

@@ -5,13 +5,14 @@ Nothing of the simulator's own (BenchState, events, the scene) is needed but the
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
-from capture_sim.detection.exact import CaptureDetector, CaptureStatus, Observation
+from capture_sim.detection.align import Observation
+from capture_sim.detection.exact import CaptureStatus
+from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
 from capture_sim.messages.bench_columns import Columns, headings_of, release_of, stamps_of
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
@@ -97,7 +98,7 @@ def run_from_bag(bag: Bag, scene: Scene, released: float | None = None) -> Measu
         # a recording counts them from a stamp of 1 s, the run from the release
         first_status = (stamps_of(bag.columns(CAPTURE_STATUS))[0] - release) * 1e-9
         late = statuses[0].t - float(first_status)
-        statuses = [dataclasses.replace(status, t=status.t - late) for status in statuses]
+        statuses = [status._replace(t=status.t - late) for status in statuses]
     else:
         statuses = judge(scene, measured)
     return measured_run(bag.name, scene, measured, statuses)
@@ -105,7 +106,7 @@ def run_from_bag(bag: Bag, scene: Scene, released: float | None = None) -> Measu
 
 def judge(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
     """Let the capture detector judge measurements."""
-    detector = CaptureDetector(scene)
+    detector = NoisyDetector(scene)
     statuses = []
     for i, t in enumerate(measured.t.tolist()):
         stroke, torsion = measured.buffer[i].tolist()
@@ -122,7 +123,7 @@ def judge(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
             torsion_rate=torsion_rate,
         )
         statuses.append(detector.update(seen))
-    return [*statuses, detector.finish()]
+    return [*statuses, *detector.finish()]
 
 
 def _three(row: np.ndarray) -> tuple[float, float, float]:

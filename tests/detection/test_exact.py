@@ -4,17 +4,20 @@ import math
 
 import numpy as np
 import pytest
+from observations import observation
 
 from capture_sim import load_scene, simulate
-from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
-from capture_sim.simulation import observation
+from capture_sim.detection.exact import CaptureState, ExactDetector
+from capture_sim.detection.noisy import NoisyDetector
+from capture_sim.samples import SAMPLE
 
 
 def tip_motion(scene, places, rate=100.0, turn=0.0):
-    """Observations of a tip led through (axial m, lateral m) places in the cone's frame.
+    """Return samples of a tip led through (axial m, lateral m) places in the cone's frame.
 
     The target is turned by ``turn`` and stands somewhere; the chaser is led rigidly.
     """
+    samples = np.zeros(len(places), SAMPLE)
     places = np.asarray(places, dtype=float)
     speeds = np.gradient(places, 1 / rate, axis=0) if len(places) > 1 else places * 0
     reach = scene.buffer.a + scene.rest_length
@@ -25,17 +28,13 @@ def tip_motion(scene, places, rate=100.0, turn=0.0):
         px, py = -(axial + scene.cone.L_T), lateral
         tip = (3.0 + c * px - s * py, -2.0 + s * px + c * py)
         u = (-axial_rate, lateral_rate)
-        yield Observation(
-            t=k / rate,
-            chaser=(tip[0] - reach, tip[1], 0.0),
-            chaser_rate=(c * u[0] - s * u[1], s * u[0] + c * u[1], 0.0),
-            target=(3.0, -2.0, turn),
-            target_rate=(0.0, 0.0, 0.0),
-            stroke=0.0,
-            stroke_rate=0.0,
-            torsion=0.0,
-            torsion_rate=0.0,
-        )
+        sample = samples[k]
+        sample["t"] = k / rate
+        sample["q"] = (tip[0] - reach, tip[1], 0.0, 0.0, scene.rest_length, 3.0, -2.0, turn)
+        sample["v"][:2] = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        sample["tip_axial"], sample["tip_lateral"] = axial, lateral
+        sample["tip_distance"] = math.hypot(axial, lateral)
+    return samples
 
 
 def lead(*legs):
@@ -49,10 +48,18 @@ def lead(*legs):
     return np.concatenate(parts)
 
 
-def verdict(scene, places, turn=0.0):
-    detector = CaptureDetector(scene)
-    statuses = [detector.update(o) for o in tip_motion(scene, places, turn=turn)]
-    return [*statuses, detector.finish()]
+def verdict(scene, places, turn=0.0, cut=False):
+    """Return the statuses; measurements without noise must give the same."""
+    samples = tip_motion(scene, places, turn=turn)
+    exact, noisy = ExactDetector(scene), NoisyDetector(scene)
+    statuses = [*exact.update(samples), exact.finish(cut=cut)]
+    measured = [*(noisy.update(observation(s)) for s in samples), *noisy.finish(cut=cut)]
+    for one, other in zip(statuses, measured, strict=True):
+        assert (one.t, one.state, one.final, one.reason) == (
+            *(other.t, other.state, other.final, other.reason),
+        )
+        assert one == pytest.approx(other, abs=1e-12)
+    return statuses
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +69,9 @@ def scene():
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, -2.0])
 def test_offsets_are_those_that_were_led(scene, turn):
-    detector = CaptureDetector(scene)
-    for seen in tip_motion(scene, [(0.08, 0.01), (0.07, -0.02)], turn=turn):
-        status = detector.update(seen)
+    detector = NoisyDetector(scene)
+    for sample in tip_motion(scene, [(0.08, 0.01), (0.07, -0.02)], turn=turn):
+        status = detector.update(observation(sample))
     assert status.axial_offset == pytest.approx(0.07, abs=1e-12)
     assert status.lateral_offset == pytest.approx(-0.02, abs=1e-12)
     assert status.distance == pytest.approx(math.hypot(0.07, 0.02), abs=1e-12)
@@ -91,7 +98,7 @@ def test_visiting_the_zone_for_less_than_the_dwell_is_none(scene):
 
 
 def test_passing_be_inside_the_throat_is_a_capture(scene):
-    path = lead((0.1, 0.0, 0), (-0.02, 0.0, 0.3))
+    path = lead((0.101, 0.0, 0), (-0.02, 0.0, 0.3))
     final = verdict(scene, path)[-1]
     assert (final.state, final.reason) == (CaptureState.CAPTURED, "tip passed BE")
 
@@ -131,16 +138,14 @@ def test_a_run_that_ends_early_still_gets_a_verdict(scene):
     assert touching.state is CaptureState.STUCK
     leaving = verdict(scene, lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.045, 0.03, 0.2)))[-1]
     assert leaving.state is CaptureState.REBOUND
-    nothing = CaptureDetector(scene).finish()
-    assert (nothing.state, nothing.reason) == (CaptureState.MISSED, "nothing was measured")
+    for nothing in (ExactDetector(scene).finish(), NoisyDetector(scene).finish()[-1]):
+        assert (nothing.state, nothing.reason) == (CaptureState.MISSED, "nothing was measured")
+        assert math.isnan(nothing.distance)
 
 
 def test_a_run_that_is_cut_gets_no_verdict_that_it_has_not_come_to(scene):
     def cut(*legs):
-        detector = CaptureDetector(scene)
-        for seen in tip_motion(scene, lead(*legs)):
-            detector.update(seen)
-        return detector.finish(cut=True)
+        return verdict(scene, lead(*legs), cut=True)[-1]
 
     before = cut((0.2, 0.0, 0), (0.15, 0.0, 0.5))
     assert (before.state, before.final) == (CaptureState.APPROACH, False)
@@ -148,7 +153,7 @@ def test_a_run_that_is_cut_gets_no_verdict_that_it_has_not_come_to(scene):
     assert (touching.state, touching.final) == (CaptureState.CONTACT, False)
     held = cut((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5))
     assert (held.state, held.final) == (CaptureState.CAPTURED, True)
-    nothing = CaptureDetector(scene).finish(cut=True)
+    nothing = ExactDetector(scene).finish(cut=True)
     assert (nothing.state, nothing.final) == (CaptureState.APPROACH, False)
 
 
@@ -163,7 +168,7 @@ def test_a_verdict_does_not_change_any_more(scene):
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "paper_undamped", "paper_designed"])
 def test_the_detector_sees_the_same_tip_as_the_core(name):
     result = simulate(load_scene(name))
-    detector = CaptureDetector(result.scene)
+    detector = NoisyDetector(result.scene)
     for sample in result.samples[::10]:
         status = detector.update(observation(sample))
         assert status.axial_offset == pytest.approx(sample["tip_axial"], abs=1e-12)
@@ -171,3 +176,20 @@ def test_the_detector_sees_the_same_tip_as_the_core(name):
     # contact is noticed no later than 20 ms after the first touch
     touched = next(s.t for s in result.statuses if s.state is not CaptureState.APPROACH)
     assert touched == pytest.approx(result.touches[0]["start"], abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["tilt_p10", "tilt_m10", "paper_clamped"])
+def test_blocks_of_any_size_give_the_same_statuses(name):
+    result = simulate(load_scene(name))
+    samples = result.samples[:: round(result.scene.run.state_rate / result.scene.run.rate)]
+    for size in (1, 7, 1000):
+        detector, statuses = ExactDetector(result.scene), []
+        for start in range(0, samples.size, size):
+            statuses += detector.update(samples[start : start + size])
+        assert [*statuses, detector.finish()] == result.statuses
+    detector, used = ExactDetector(result.scene), 0
+    while not detector.final:
+        used += detector.until_verdict(samples[used : used + 50])
+    first = next(status for status in result.statuses if status.final)
+    assert samples["t"][used - 1] == first.t
+    assert detector.finish() == first

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from observations import observation
 
 from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
-from capture_sim.detection.align import Aligner, Source
-from capture_sim.detection.exact import CaptureDetector, CaptureState, Observation
-from capture_sim.detection.tip_path import NoiseEstimate, TipPath, third_difference
-from capture_sim.simulation import observation
+from capture_sim.detection.align import Aligner, Observation, Source
+from capture_sim.detection.exact import CaptureState
+from capture_sim.detection.noisy import NoiseEstimate, NoisyDetector, TipPath, third_difference
 
 MISS = ("initial.target.x=0.55", "initial.target.y=-0.085")
 RUNS = {
@@ -71,10 +71,10 @@ def test_the_path_errs_by_what_it_says():
             tip = tuple(seen[k])
             places += smoothed.add(float(t[k]), tip, tip, None)
         # well apart: neighbours share their measurements
-        for place in (p for p in places if p.count > 1 and abs(p.t - round(p.t, 0)) < 1e-9):
+        for place in (p for p in places if p.size > 1 and abs(p.t - round(p.t, 0)) < 1e-9):
             k = round(place.t * 100)
-            errors.append((place.axial - true[k, 0]) / math.sqrt(place.variance[0]))
-            errors.append((place.lateral - true[k, 1]) / math.sqrt(place.variance[1]))
+            errors.append((place.axial - true[k, 0]) / math.sqrt(place.axial_variance))
+            errors.append((place.lateral - true[k, 1]) / math.sqrt(place.lateral_variance))
     assert len(errors) >= 100
     assert np.mean(errors) == pytest.approx(0.0, abs=0.4)
     assert np.std(errors) == pytest.approx(1.0, rel=0.3)
@@ -90,7 +90,7 @@ def test_many_measurements_are_used_without_a_place_for_each():
     late = [p for p in places if p.t > 1.0]
     assert 0.0 < smoothed.half_window < 0.25
     assert np.diff([p.t for p in late]) == pytest.approx(0.003)
-    assert late[-1].count == pytest.approx(2 * smoothed.half_window * 1000, abs=2)
+    assert late[-1].size == pytest.approx(2 * smoothed.half_window * 1000, abs=2)
 
 
 def test_an_outlier_does_not_move_the_path():
@@ -112,7 +112,7 @@ def test_clean_measurements_are_taken_as_they_are():
         tip = (0.1 - 0.0003 * k, 0.01)
         (place,) = smoothed.add(k / 100, tip, tip, (-0.03, 0.0))
         assert (place.t, place.axial, place.lateral) == (k / 100, *tip)
-        assert place.variance == (0.0, 0.0)
+        assert (place.axial_variance, place.lateral_variance) == (0.0, 0.0)
 
 
 def test_order_of_arrival_does_not_matter_to_a_noisy_path():
@@ -254,7 +254,7 @@ def test_a_hole_breaks_off_the_dwell(runs):
     result = runs["tilt_m10"]
     inside = result.samples["tip_distance"] <= result.scene.detector.radius
     entered = float(result.samples["t"][np.argmax(inside)])
-    detector, verdict = CaptureDetector(result.scene), None
+    detector, verdict = NoisyDetector(result.scene), None
     for sample in result.samples[::10]:
         if entered + 0.1 < sample["t"] < entered + 0.5:
             continue
@@ -271,7 +271,7 @@ def test_a_hole_breaks_off_the_dwell(runs):
 def test_a_source_that_repeats_its_last_pose_is_not_believed(frozen):
     """The tip looks into the zone for 60 ms, the cameras lose it there, and find it outside."""
     scene = load_scene("tilt_0")
-    aligner, detector = Aligner(scene.detector.gap), CaptureDetector(scene)
+    aligner, detector = Aligner(scene.detector.gap), NoisyDetector(scene)
     rng = np.random.default_rng(6)
     reach = scene.buffer.a + scene.rest_length + scene.cone.L_T
     last = {}
@@ -294,7 +294,7 @@ def test_a_source_that_repeats_its_last_pose_is_not_believed(frozen):
 
 def test_a_pushed_buffer_far_from_the_cone_is_no_contact():
     scene = load_scene("tilt_0")
-    detector = CaptureDetector(scene)
+    detector = NoisyDetector(scene)
     for k in range(50):
         status = detector.update(
             Observation(
@@ -314,7 +314,7 @@ def test_worse_measurements_are_asked_longer(runs):
     waits = []
     for position in (0.0, 1e-4, 3e-4, 3e-3):
         how = Disturbance(position, 0.0, 0.0, 0.0, 0.0, 0.0)
-        detector, aligner = CaptureDetector(result.scene), Aligner(0.1)
+        detector, aligner = NoisyDetector(result.scene), Aligner(0.1)
         rng = np.random.default_rng(0)
         for measured in itertools.islice(disturbed(result, how, rng), 300):
             for seen in aligner.add(*measured):
@@ -326,7 +326,7 @@ def test_worse_measurements_are_asked_longer(runs):
     hasty = dataclasses.replace(
         result.scene, detector=dataclasses.replace(result.scene.detector, delay=0.0)
     )
-    detector = CaptureDetector(hasty)
+    detector = NoisyDetector(hasty)
     for sample in result.samples[:1000:10]:
         detector.update(observation(sample))
     assert detector.delay == 0.0
