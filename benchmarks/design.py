@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.bench import compile_kernels
@@ -242,11 +241,11 @@ def main() -> None:
     compile_kernels()
     rows, held = [], 0
     tasks = random_tasks(options.scenes, options.seed)
-    for number, (scene, target) in enumerate(tqdm(tasks, total=options.scenes)):
+    for number, (scene, target) in enumerate(tasks):
         holds, text = row(number, scene, target)
         held += holds
         rows.append(text)
-        tqdm.write(text)
+        print(text, flush=True)
     text = "\n".join(
         [
             "# The design flow, checked",

@@ -21,7 +21,7 @@ from pathlib import Path
 from benchmarks.machine import clock_rate, describe
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.commands.opening import open_runs
+from capture_sim.commands.inputs import open_runs
 from capture_sim.viewing import save_figure, save_overview, save_rrd
 from capture_sim.viewing.report import ReportedRun, save_report
 from capture_sim.viewing.report_parts import error_statement

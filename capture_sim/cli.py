@@ -3,59 +3,184 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Any, NoReturn
 
 from capture_sim import __version__
-from capture_sim.commands import COMMANDS
-from capture_sim.commands.arguments import BAD_INPUT, FAILED, INTERRUPTED
-from capture_sim.errors import CaptureSimError, SceneError
-from capture_sim.interrupts import leave_if_busy
+from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
+
+#: Extra of pyproject.toml that brings a package of another name along.
+_EXTRAS = {
+    "record": ("lz4", "mcap", "rosbags", "zstandard"),
+    "ros": ("ament_index_python", "rclpy", "rosidl_runtime_py"),
+    "view": ("jinja2", "matplotlib", "plotly", "rerun"),
+    "study": ("SALib", "pandas", "pyarrow"),
+    "cluster": ("dask", "distributed"),
+}
+#: What a wrong file, value or device raises when nothing has turned it into a line yet.
+_FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError, MemoryError)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return the exit status: 0 fine, 1 failed, 2 bad input, 130 interrupted."""
+    """Run a command; return the exit status.
+
+    0 fine; 1 the command's own no: a run that stopped, a verdict that differs, no buffer found;
+    2 bad input: an argument, a scene, a file that cannot be read or written; 130 interrupted.
+    """
     try:
-        options = _parser().parse_args(arguments)
-        return int(options.command(options))
-    except SceneError as error:
-        print(f"capture-sim: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except CaptureSimError as error:
-        print(f"capture-sim: {error}", file=sys.stderr)
-        return FAILED
+        status = _run(sys.argv[1:] if arguments is None else arguments)
+        sys.stdout.flush()
+        return status
+    except SystemExit as leaving:  # argparse, after --help or a bad argument
+        return _flushed(leaving.code if isinstance(leaving.code, int) else BAD_INPUT)
     except KeyboardInterrupt:
         return _interrupted()
-    except ImportError as error:
+    except BrokenPipeError:
+        _give_up_stdout()  # its reader has gone
+        return FAILED
+    except Exception as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             return _interrupted()  # while a compiled module was loaded
-        raise
-    except BrokenPipeError:
-        # the reader of our output has gone; there is nobody left to tell
-        sys.stderr.close()
-        return FAILED
+        if os.environ.get("CAPTURE_SIM_TRACEBACK"):
+            raise
+        return _failed(error)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    if arguments and arguments[0] in COMMANDS:
+        name = arguments[0]
+        from capture_sim.interrupts import do_apart  # not for --help
+
+        # Ctrl-C is not lost in the import of a compiled module
+        command = do_apart(lambda: import_module(f"capture_sim.commands.{name}"))
+        parser = _Parser(
+            prog=f"capture-sim {name}",
+            description=command.DESCRIPTION,
+            epilog=f"example:\n{command.EXAMPLE}",
+            formatter_class=_Formatter,
+        )
+        command.add_arguments(parser)
+        return int(command.run(parser.parse_args(arguments[1:])))
+    parser = _Parser(
+        prog="capture-sim",
+        usage="capture-sim [-h] [--version] COMMAND ...",
+        description="Emulates a ground test bench for docking and capture.",
+        epilog=_overview(),
+        formatter_class=_Formatter,
+    )
+    parser.add_argument("--version", action="version", version=f"capture_sim {__version__}")
+    parser.add_argument("command", metavar="COMMAND", choices=COMMANDS, help=argparse.SUPPRESS)
+    parser.parse_args(arguments)
+    return OK
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = []
+    for group, commands in GROUPS.items():
+        lines.append(f"{group}:")
+        lines += [f"  {name:{width}}  {line}" for name, line in commands.items()]
+        lines.append("")
+    lines.append("capture-sim COMMAND --help says more, with an example.")
+    return "\n".join(lines)
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Leaves the epilogue's lines as they are, and fills the description's."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" in text:
+            return super()._fill_text(text, width, indent)
+        return argparse.HelpFormatter._fill_text(self, text, width, indent)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, and does not pass over a device that is full."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        (file or sys.stderr).write(message)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {_in_a_line(message)}; see {self.prog} --help\n")
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong in one line; return the exit status."""
+    from capture_sim.errors import CaptureSimError, MissingPackageError, SimulationError
+
+    status, text = BAD_INPUT, str(error)
+    if isinstance(error, ImportError):
+        status, text = FAILED, _lacking(error)
+    elif isinstance(error, (SimulationError, MissingPackageError)):
+        status = FAILED
+    elif isinstance(error, OSError):
+        what = f"{error.filename}: " if error.filename else ""
+        text = f"{what}{error.strerror or error}"
+    elif not isinstance(error, CaptureSimError):
+        text = f"{type(error).__name__}: {error}"
+        if not isinstance(error, _FROM_OUTSIDE):
+            status, text = FAILED, f"{text} (CAPTURE_SIM_TRACEBACK=1 says where)"
+    _complain(text)
+    return _flushed(status)
+
+
+def _lacking(error: ImportError) -> str:
+    package = (error.name or "").partition(".")[0]
+    for extra, packages in _EXTRAS.items():
+        if package in packages:
+            return f"{package} is not installed: pip install 'capture_sim[{extra}]'"
+    return str(error)
+
+
+def _in_a_line(text: str) -> str:
+    """Return a text without line breaks and control characters, shortened where it is endless."""
+    text = "".join(c if c.isprintable() else " " for c in text)
+    text = " ".join(text.split())
+    return text if len(text) <= 1000 else f"{text[:700]} ... {text[-290:]}"
+
+
+def _complain(text: str) -> None:
+    try:
+        print(f"capture-sim: {_in_a_line(text)}", file=sys.stderr, flush=True)
+    except OSError:
+        sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
 
 
 def _interrupted() -> int:
-    print("capture-sim: interrupted", file=sys.stderr)
+    from capture_sim.interrupts import leave_if_busy
+
+    _complain("interrupted")
     leave_if_busy(INTERRUPTED)
     return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="capture-sim",
-        description="Emulates a ground test bench for docking and capture.",
-    )
-    parser.add_argument("--version", action="version", version=f"capture_sim {__version__}")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name in COMMANDS:
-        command = import_module(f"capture_sim.commands.{name}")
-        its = commands.add_parser(name, help=command.HELP, description=command.DESCRIPTION)
-        command.add_arguments(its)
-        its.set_defaults(command=command.run)
-    return parser
+def _flushed(status: int) -> int:
+    """Write out what was printed; return the status, or that of bad input if that fails."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _give_up_stdout()
+    except OSError as error:
+        _give_up_stdout()
+        if status == OK:
+            _complain(f"standard output: {error.strerror}")
+            return BAD_INPUT
+    return status
+
+
+def _give_up_stdout() -> None:
+    """Send what is still to be printed nowhere, so that Python's end does not fail on it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        null = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(null, sys.stdout.fileno())
+        except (OSError, ValueError):
+            sys.stdout = open(null, "w")  # noqa: PTH123, SIM115
 
 
 if __name__ == "__main__":

@@ -163,7 +163,7 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
 def test_release_outside_the_recording_is_refused(tmp_path, capsys):
     result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
     path = str(write_run(result, tmp_path / "short.mcap"))
-    assert main(["identify", path, "c_rr", "--release", "7"]) == 1
+    assert main(["identify", path, "c_rr", "--release", "7"]) == 2
     said = capsys.readouterr().err.strip()
     assert said.count("\n") == 0
     assert "release = 7 s: allowed is 0 to 1 s" in said

@@ -113,20 +113,19 @@ def test_bad_input_in_a_process_of_its_own_has_no_traceback(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", [["bench", "tilt_0", "--rtf"], ["replay", "x.mcap", "--rate"]])
+@pytest.mark.parametrize("command", [["bench", "tilt_0", "--rtf"], ["replay", "x.mcap", "--rtf"]])
 @pytest.mark.parametrize("value", ["2000", "1000.1", "nan", "inf", "fast"])
 def test_factor_that_a_node_would_refuse_is_refused_at_once(command, value, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main([*command, value])
-    assert ended.value.code == 2
+    assert main([*command, value]) == 2
     error = capsys.readouterr().err
-    assert f"{command[-1]}: {value!r}: allowed is a number >= 0 and <= 1000" in error
+    assert f"{value!r}: allowed is a number >= 0 and <= 1000" in error
+    assert error.count("\n") == 1
 
 
 def test_unwritable_folder_is_refused_before_anything_runs(tmp_path, capsys):
     blocked = tmp_path / "file"
     blocked.write_text("in the way", encoding="utf-8")
-    assert main(["run", "tilt_0", "--out", str(blocked)]) == 1
+    assert main(["run", "tilt_0", "--out", str(blocked)]) == 2
     assert "cannot be written" in capsys.readouterr().err
 
 

@@ -181,7 +181,7 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
             connection = writer.add_connection(name, type_name, typestore=typestore())
             for time, data in zip(run.log_times(name)[:9].tolist(), run.raw(name), strict=False):
                 writer.write(connection, time, data)
-    assert main(["detect", str(folder), "--scene", "tilt_0"]) == 1
+    assert main(["detect", str(folder), "--scene", "tilt_0"]) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
     with pytest.raises(RecordingError, match="/bench/state is of type"):
@@ -214,7 +214,7 @@ def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys
 def test_export_of_nothing_says_so(path, tmp_path, capsys):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:100])
-    assert main(["export", str(cut), "--to", "csv", "--out", str(tmp_path / "out")]) == 1
+    assert main(["export", str(cut), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
     assert "holds no messages" in capsys.readouterr().err
 
 
@@ -230,7 +230,7 @@ def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
                     writer.write(connection, time, data)
     for command in (["detect"], ["identify", "mu"]):
         line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
-        assert main(line) == 1
+        assert main(line) == 2
         assert "holds 2 runs" in capsys.readouterr().err
     assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
 
@@ -553,7 +553,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
     untouched = write_run(far, tmp_path / "far.mcap")
     capsys.readouterr()
-    assert main(["compare", str(path), str(untouched), "--out", str(tmp_path)]) == 1
+    assert main(["compare", str(path), str(untouched), "--out", str(tmp_path)]) == 2
     assert "no contact in it" in capsys.readouterr().err
 
 
@@ -561,7 +561,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
 def test_window_without_samples_is_refused(window, path, other, bench_bag, tmp_path, capsys):
     command = ["compare", str(path), "--out", str(tmp_path), "--window", window]
     for theirs, least in ((other, "0.004 s (4 samples"), (bench_bag, "0.04 s (4 samples")):
-        assert main([*command, str(theirs)]) == 1
+        assert main([*command, str(theirs)]) == 2
         said = capsys.readouterr().err
         assert f"--window {float(window):g} s: allowed is {least}" in said
         assert said.count("\n") == 1
@@ -577,7 +577,7 @@ def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
     assert "1 s were asked for" in said
     scene = capture_sim.load_scene("tilt_0", [f"run.t_end={end - 0.048:.3f}"])
     file = write_run(capture_sim.simulate(scene), tmp_path / "touched.mcap")
-    assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 1
+    assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 2
     assert "in common: that is fewer than 4 samples" in capsys.readouterr().err
 
 
@@ -643,7 +643,7 @@ def test_parquet_gives_the_same_bits(path, tmp_path):
 def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     for command in (["export", str(path), "--to", "csv"], ["compare", str(path), str(path)]):
-        assert main([*command, "--out", str(tmp_path / "file" / "x")]) == 1
+        assert main([*command, "--out", str(tmp_path / "file" / "x")]) == 2
         assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -404,7 +404,7 @@ def test_damaged_index_is_refused(back, path, tmp_path, capsys):
     changed[-back] ^= 1
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(changed)
-    assert main(["detect", str(broken)]) == 1
+    assert main(["detect", str(broken)]) == 2
     said = capsys.readouterr().err
     assert f"{broken}: damaged at byte " in said
     assert "`capture-sim recover` saves" in said

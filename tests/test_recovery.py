@@ -271,7 +271,7 @@ def test_command_says_what_it_saved_and_what_is_lost(path, tmp_path, capsys):
     assert "broken_recovered.mcap" in said
     assert "/bench/state: " in said
     assert "lost: the file ends within a record" in said
-    assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 1
+    assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 

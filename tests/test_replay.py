@@ -322,7 +322,7 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
     done = subprocess.run(
         [*command, "--with", "capture_detector"], capture_output=True, text=True, timeout=50
     )
-    assert done.returncode == 1
+    assert done.returncode == 2
     (said,) = [line for line in done.stderr.splitlines() if line.startswith("capture-sim: ")]
     assert "error:" not in done.stderr
     assert "consumers = ['capture_detector']: allowed are none, as no bench/run_info" in said
@@ -487,7 +487,7 @@ def test_command_says_what_is_wrong_as_every_command(options, said, path, tmp_pa
         file.write_bytes(data)
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(file), *(options or ())]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.startswith("capture-sim: ")
     assert said in done.stderr
     assert done.stderr.count("\n") == 1

@@ -11,7 +11,7 @@ from test_viewing_bag import STANDARD, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.commands.arguments import load
+from capture_sim.commands.inputs import load
 from capture_sim.recording import read_run, write_run
 from capture_sim.viewing.plots import draw_overview
 from capture_sim.viewing.source import distinct_names
@@ -86,7 +86,7 @@ def test_figures_of_the_paper_are_written_as_svg_and_png(recorded, tmp_path):
 
 def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, capsys):
     bag = str(of_a_bench(recorded[1], tmp_path / "trial.mcap", STANDARD))
-    assert main(["view", bag, "--out", str(tmp_path)]) == 1
+    assert main(["view", bag, "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "--scene" in error

@@ -1,27 +1,42 @@
 """The commands of ``capture-sim``, one module each.
 
-A command's module has ``HELP`` (one line), ``DESCRIPTION``, ``add_arguments(parser)`` and
-``run(options)``, which returns the exit status.  All are loaded whenever one is called: what is
-slow to import is imported within ``run``.
+A command's module has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
+``run(options)``, which returns the exit status.  It is imported when it is called, and may so
+import at its top whatever it needs.
 """
 
-#: In the order of ``capture-sim --help``; each the name of a module here.
-COMMANDS = (
-    "run",
-    "bench",
-    "view",
-    "report",
-    "replay",
-    "recover",
-    "detect",
-    "resimulate",
-    "compare",
-    "export",
-    "identify",
-    "design",
-    "sensitivity",
-    "envelope",
-    "reproduce",
-    "scenes",
-    "show",
-)
+from __future__ import annotations
+
+#: Exit statuses: fine, the command's own no, bad input, interrupted.
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+#: What ``capture-sim --help`` lists: in groups, each command with one line.
+GROUPS = {
+    "simulate": {
+        "run": "run experiments without ROS",
+        "bench": "run experiments with the ROS 2 nodes",
+        "scenes": "list the scenes that come with the package",
+        "show": "print a scene with all its values, as YAML",
+    },
+    "look": {
+        "view": "draw recorded runs",
+        "report": "one page about runs, to keep or to print",
+        "replay": "play a recording with ROS 2",
+        "export": "write a recording as CSV, NumPy or Parquet",
+    },
+    "examine": {
+        "detect": "judge a recorded run anew, with other limits if wanted",
+        "compare": "hold two recordings against each other, as measured and simulated",
+        "resimulate": "simulate a recorded run again and compare state by state",
+        "recover": "save what is whole in a damaged recording",
+    },
+    "study": {
+        "identify": "fit parameters of the bench to a recorded run",
+        "design": "find springs and damper for the strokes you want",
+        "sensitivity": "find what force, strokes and verdict depend on",
+        "envelope": "map which approaches end in a capture",
+        "reproduce": "set the paper's results beside ours",
+    },
+}
+
+COMMANDS = tuple(name for group in GROUPS.values() for name in group)

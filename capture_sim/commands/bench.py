@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-from capture_sim.commands.arguments import FAILED, add_experiments, factor, load_all, prepare_folder
-from capture_sim.commands.showing import compile_first, draw, report, summary_of
+from capture_sim.commands import FAILED
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import FACTORS, add_experiments, load_all, number, prepare_folder
+from capture_sim.commands.output import draw, report, summary_of, warn
+from capture_sim.nodes.suite import run_suite
+from capture_sim.recording import read_run
 
-HELP = "run experiments with the ROS 2 nodes"
 DESCRIPTION = (
     "Run experiments with the ROS 2 nodes, each in a process of its own; "
     "record, tabulate and draw them."
 )
+EXAMPLE = "  capture-sim bench tilt_0 tilt_p10 --rtf 1 --out runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_experiments(parser)
     parser.add_argument(
         "--rtf",
-        type=factor,
+        type=number(FACTORS),
         default=0.0,
         metavar="FACTOR",
         help="real-time factor, up to 1000; 0 runs as fast as it goes (default: 0)",
@@ -29,9 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.nodes.suite import run_suite
-    from capture_sim.recording import read_run
-
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()
@@ -44,6 +44,6 @@ def run(options: argparse.Namespace) -> int:
     draw(runs, [run.path.stem for run in runs], options.out)
     lacking = {scene.name for scene in scenes} - {run.name for run in runs}
     if lacking:
-        print(f"capture-sim: no result of {', '.join(sorted(lacking))}", file=sys.stderr)
+        warn(f"no result of {', '.join(sorted(lacking))}")
         return int(status) or FAILED
     return int(status)

@@ -7,17 +7,17 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from capture_sim.commands.arguments import OK, not_negative, prepare_folder
-from capture_sim.commands.showing import say
+from capture_sim.commands import OK
+from capture_sim.commands.inputs import not_negative, open_run, prepare_folder
+from capture_sim.commands.output import say
 from capture_sim.errors import RecordingError
+from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
+from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
+from capture_sim.studies.touches import Touches
 
 if TYPE_CHECKING:
-    from capture_sim.recording.comparing import Comparable
-    from capture_sim.studies.compare import Gap
-    from capture_sim.studies.touches import Touches
     from capture_sim.viewing.comparison import Drawn
 
-HELP = "compare two recordings, as measured and simulated"
 DESCRIPTION = (
     "Compare two recordings, as measured and simulated, aligned at their first "
     "contacts: strokes and times, the touches one by one, poses over time, with a diagram. Each "
@@ -26,6 +26,7 @@ DESCRIPTION = (
 IDENTICAL = "identical"
 #: Touches that are listed.
 SHOWN = 12
+EXAMPLE = "  capture-sim compare runs/tilt_0.mcap measured.mcap --out compared"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,10 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.recorded import open_run
-    from capture_sim.recording.comparing import comparable
-    from capture_sim.studies.compare import gaps
-
     prepare_folder(options.out)
     a, b = comparable(open_run(options.a), open_run(options.b))
     measured = (a.measured(), b.measured())
@@ -95,9 +92,6 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     RecordingError
         The window, or what both hold, has too few samples of every quantity.
     """
-    from capture_sim.recording.comparing import rate_of
-    from capture_sim.studies.compare import LEAST, overlap
-
     mine, theirs = dict(a.measured().items()), dict(b.measured().items())
     shared = [name for name in mine if name in theirs]
     if not shared:
@@ -142,7 +136,6 @@ def _say_gap(gap: Gap, over: float, source: str) -> None:
 
 
 def _say_characteristics(a: Comparable, b: Comparable) -> None:
-    from capture_sim.recording.comparing import characteristics
 
     sampled = a.touches is None or b.touches is None
     mine, theirs = (characteristics(of, sampled=sampled) for of in (a, b))

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from capture_sim.commands.arguments import FAILED, OK, add_overrides, load, prepare_folder
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import add_overrides, load, prepare_folder
+from capture_sim.commands.output import say
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.capture_margin import Spread
+from capture_sim.studies.design import (
+    Design,
+    DesignTarget,
+    Trial,
+    design_buffer,
+    trade_off,
+    with_buffer,
+)
+from capture_sim.studies.first_contact import run_first_contact
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from capture_sim.scene.parts import Scene
-    from capture_sim.studies.capture_margin import Spread
-    from capture_sim.studies.design import Design, DesignTarget, Trial
-
-HELP = "find springs and damper for the strokes you want"
 DESCRIPTION = (
     "The paper's design flow: strokes wished for in, k_A, k_T and c_A out, or the reason why no "
     "buffer meets the target (exit status 1). Without strokes those of the scene's own springs are "
     "taken."
 )
+EXAMPLE = "  capture-sim design paper_designed --stroke 7.5 --torsion 2"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,9 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.showing import compile_first, say
-    from capture_sim.studies.design import design_buffer, trade_off
-
     scene = load(options.scene, options.overrides)
     factors = _factors(options.trade_off)
     spread = _spread(options.spread)
@@ -91,9 +99,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> DesignTarget:
-    from capture_sim.errors import SceneError
-    from capture_sim.studies.design import DesignTarget, with_buffer
-    from capture_sim.studies.first_contact import run_first_contact
 
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):
@@ -106,8 +111,6 @@ def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) ->
 
 
 def _spread(text: str | None) -> Spread | None:
-    from capture_sim.errors import SceneError
-    from capture_sim.studies.capture_margin import Spread
 
     if text is None:
         return None
@@ -119,7 +122,6 @@ def _spread(text: str | None) -> Spread | None:
 
 
 def _factors(text: str | None) -> list[float]:
-    from capture_sim.errors import SceneError
 
     if text is None:
         return []
@@ -136,7 +138,6 @@ def _factors(text: str | None) -> list[float]:
 
 
 def _say_trial(trial: Trial) -> None:
-    from capture_sim.commands.showing import say
 
     buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
     if trial.step == 5:
@@ -148,7 +149,6 @@ def _say_trial(trial: Trial) -> None:
 
 
 def _report(design: Design) -> None:
-    from capture_sim.commands.showing import say
 
     say("")
     if not design.met:
@@ -194,11 +194,6 @@ def _line(design: Design) -> str:
 
 def _keep(design: Design, folder: Path) -> None:
     """Write the scene with its buffer, and every run of the flow."""
-    import dataclasses
-    import json
-
-    from capture_sim.commands.showing import say
-    from capture_sim.errors import RecordingError
 
     def plain(trial: Trial) -> dict[str, Any]:
         row = dataclasses.asdict(trial)

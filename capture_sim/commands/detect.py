@@ -5,25 +5,24 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
-from capture_sim.commands.arguments import FAILED, OK
-from capture_sim.commands.showing import say
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.inputs import open_run, scene_of
+from capture_sim.commands.output import say
 from capture_sim.errors import SceneError
-
-if TYPE_CHECKING:
-    from capture_sim.scene.parts import Detector
+from capture_sim.recording.judging import judge_recording, with_limits
+from capture_sim.scene.parts import Detector
 
 # stamps are decimal fractions
 _TICK = 1e-9
 
-HELP = "judge a recorded run anew, with other limits if wanted"
 DESCRIPTION = (
     "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
     "detector's limits as they were when it was recorded (capture/criteria; the scene's, where the "
     "recording does not tell them) or changed by --set detector.radius=0.004. Unchanged it must "
     "come to the recorded verdict, else the exit status is 1. Times are s since the release."
 )
+EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.radius=0.004"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.recording.judging import judge_recording, with_limits
-
     changed = _limits_changed(options.overrides)
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
@@ -97,8 +93,6 @@ def _limits_changed(overrides: Sequence[str]) -> set[str]:
     SceneError
         Something else is to be changed.
     """
-    from capture_sim.scene.parts import Detector
-
     allowed = [f.name for f in fields(Detector)]
     changed = set()
     for override in overrides:

@@ -3,44 +3,52 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from capture_sim.commands.arguments import OK, add_overrides, load, prepare_folder
+from capture_sim.commands import OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
+    add_overrides,
+    add_workers,
+    load,
+    positive,
+    prepare_folder,
+    quantity,
+    whole,
+)
+from capture_sim.commands.output import Progress, say
+from capture_sim.errors import SceneError
+from capture_sim.recording.envelope_file import check_parquet, write_envelope
+from capture_sim.studies.envelope import AXES, Envelope, Plan, Slices, Span, explore
+from capture_sim.studies.envelope_runs import KeptRuns
+from capture_sim.studies.executors import default_workers, open_executor
 
-if TYPE_CHECKING:
-    from capture_sim.studies.envelope import Envelope, Slices, Span
-
-HELP = "map which approaches end in a capture"
 DESCRIPTION = (
     "Map the verdict over relative angle, lateral offset and speed, with the boundary refined. "
     "Killed and started again with the same arguments, it goes on where it was."
 )
+EXAMPLE = '  capture-sim envelope tilt_0 --angle="-20 deg:20 deg:10" --offset=-40:40:10 --speed 0.1'
 _AXIS = "LOW:HIGH:CELLS (a range that is refined) or A,B,C (slices)"
 _EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("scene", nargs="?", default="tilt_0", help="default: tilt_0")
+    parser.add_argument(
+        "scene", nargs="?", default="tilt_0", metavar="SCENE", help="default: tilt_0"
+    )
     add_axis = parser.add_argument
     add_axis("--angle", default="-30:30:12", metavar="DEG", help=f"target's angle, deg; {_AXIS}")
     add_axis("--offset", default="-50:50:10", metavar="MM", help="lateral offset, mm; likewise")
     add_axis("--speed", default="0.05,0.1,0.2", metavar="M/S", help="at the touch, m/s; likewise")
     parser.add_argument(
-        "--levels", type=int, default=4, help="how often a cell is cut in four (default: 4)"
+        "--levels", type=whole(), default=4, help="how often a cell is cut in four (default: 4)"
     )
     parser.add_argument(
-        "--runs", type=int, default=10_000, help="most points of the map (default: 10000)"
+        "--runs", type=whole(), default=10_000, help="most points of the map (default: 10000)"
     )
-    parser.add_argument("--rtol", type=float, default=1e-5, help="of the runs (default: 1e-5)")
-    parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask cluster, as tcp://127.0.0.1:8786"
-    )
+    parser.add_argument("--rtol", type=positive, default=1e-5, help="of the runs (default: 1e-5)")
+    add_workers(parser)
     parser.add_argument(
         "--mark",
         nargs="*",
@@ -60,28 +68,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.progress import Progress
-    from capture_sim.commands.showing import compile_first, say
-    from capture_sim.errors import SceneError
-    from capture_sim.recording.envelope_file import check_parquet, write_envelope
-    from capture_sim.studies.envelope import Plan, explore
-    from capture_sim.studies.envelope_runs import KeptRuns
-    from capture_sim.studies.executors import default_workers, open_executor
-
     if options.out.suffix != ".parquet":
         raise SceneError(f"--out {options.out}: allowed is a name that ends in .parquet")
-    if not 0 <= options.workers <= 1024:
-        raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")
     plan = Plan(
         load(options.scene, options.overrides),
-        angle=read_axis("--angle", options.angle, math.radians(1.0)),
-        offset=read_axis("--offset", options.offset, 1e-3),
-        speed=read_axis("--speed", options.speed, 1.0),
+        angle=read_axis("--angle", options.angle, "deg"),
+        offset=read_axis("--offset", options.offset, "mm"),
+        speed=read_axis("--speed", options.speed, "m/s"),
         levels=options.levels,
         runs=options.runs,
         rtol=options.rtol,
     )
-    marks = [load(name, ()) for name in options.mark]
+    marks = [load(name) for name in options.mark]
     check_parquet()
     prepare_folder(options.out.parent)
     compile_first()
@@ -107,31 +105,25 @@ def run(options: argparse.Namespace) -> int:
     return OK
 
 
-def read_axis(flag: str, text: str, unit: float) -> Span | Slices:
-    """Read ``LOW:HIGH:CELLS`` or ``A,B,C`` off the command line, in units of ``unit`` (SI).
+def read_axis(flag: str, text: str, unit: str) -> Span | Slices:
+    """Read ``LOW:HIGH:CELLS`` or ``A,B,C`` off the command line; numbers may bear units.
 
     Raises
     ------
     SceneError
         It is neither.
     """
-    from capture_sim.errors import SceneError
-    from capture_sim.studies.envelope import Slices, Span
-
     try:
         if ":" in text:
             low, high, cells = text.split(":")
-            return Span(float(low) * unit, float(high) * unit, int(cells))
-        return Slices(tuple(float(value) * unit for value in text.split(",")))
+            return Span(quantity(low, unit), quantity(high, unit), int(cells))
+        return Slices(tuple(quantity(value, unit) for value in text.split(",")))
     except ValueError:
-        raise SceneError(f"{flag} {text}: allowed is {_AXIS}") from None
+        raise SceneError(f"{flag} {text}: allowed is {_AXIS}, in {unit}") from None
 
 
 def report(envelope: Envelope) -> None:
     """Print what share of each slice is captured, and how sure that is."""
-    from capture_sim.commands.showing import say
-    from capture_sim.studies.envelope import AXES
-
     plan, rows = envelope.plan, envelope.rows
     name, unit = AXES[plan.sliced]
     say(f"{len(rows)} points, {int(rows['checked'].sum())} of them twice")

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from capture_sim.commands.arguments import OK, prepare_folder
-from capture_sim.commands.showing import say
+from capture_sim.commands import OK
+from capture_sim.commands.inputs import open_run, prepare_folder
+from capture_sim.commands.output import say, warn
 from capture_sim.errors import RecordingError
+from capture_sim.recording.export import exported, flat_columns, save_csv, save_npz, table_name
 
-HELP = "write a recording as CSV, NumPy or Parquet"
 DESCRIPTION = (
     "Write a recording as tables: a column for every number, SI units as in msg/, a CSV or "
     "Parquet file for every topic in a folder, or all in one .npz."
 )
+EXAMPLE = "  capture-sim export runs/tilt_0.mcap --to npz"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
-    parser.add_argument("--to", required=True, choices=("csv", "npz", "parquet"))
+    parser.add_argument(
+        "--to", choices=("csv", "npz", "parquet"), default="csv", help="default: csv"
+    )
     parser.add_argument(
         "--out", type=Path, help="folder of the files (default: RUN, beside the recording)"
     )
@@ -28,13 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.recorded import open_run
-    from capture_sim.recording.export import exported, flat_columns, save_csv, save_npz, table_name
-
     recorded = open_run(options.recording, several=True)
     topics, problems = exported(recorded)
     for problem in problems:
-        print(f"capture-sim: {problem}", file=sys.stderr)
+        warn(problem)
     if not topics:
         raise RecordingError(f"{options.recording}: holds no messages that make a table")
     folder = options.out or Path(options.recording).with_suffix("")

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import (
-    FAILED,
-    OK,
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
     add_overrides,
     add_release,
     not_negative,
+    open_run,
+    scene_of,
     whole,
 )
-from capture_sim.commands.showing import compile_first, say
+from capture_sim.commands.output import say
+from capture_sim.messages.bench_columns import release_told
+from capture_sim.recording.measured import launch_of, measurements, touches_of
+from capture_sim.scene.paths import ALIASES, value_of
+from capture_sim.studies.identify import RELEASE, identify, is_explained
 
-HELP = "fit parameters of the bench to a recorded run"
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
     "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
@@ -23,6 +28,7 @@ DESCRIPTION = (
     "with standard errors. Exit status 1 when the model does not explain what was measured, or a "
     "parameter does not show in it."
 )
+EXAMPLE = "  capture-sim identify measured.mcap c_rr e mu c_A --scene tilt_0"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--touches",
-        type=whole,
+        type=whole(),
         default=4,
         metavar="N",
         help="touches that are fitted by time and peak force; 0 none (default: 4)",
@@ -57,19 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="standard deviations of a touch's time and peak force (default: 2e-4 2)",
     )
     parser.add_argument(
-        "--starts", type=whole, default=10, metavar="N", help="searches at most (default: 10)"
+        "--starts", type=whole(), default=10, metavar="N", help="searches at most (default: 10)"
     )
     add_overrides(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.messages.bench_columns import release_told
-    from capture_sim.recording.measured import launch_of, measurements, touches_of
-    from capture_sim.scene.paths import ALIASES, value_of
-    from capture_sim.studies.identify import RELEASE, identify, is_explained
-
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_sim.commands.arguments import OK
-from capture_sim.commands.showing import say
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.output import say
+from capture_sim.recording import recover
 
-HELP = "save what is whole in a damaged recording"
 DESCRIPTION = (
     "Save all whole chunks of a recording that was cut or damaged into a new file, "
-    "and say what was lost. The damaged file is left as it is."
+    "and say what was lost. The damaged file is left as it is. Exit status 1 when nothing is saved."
 )
+EXAMPLE = "  capture-sim recover runs/tilt_0.mcap"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,16 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.recording import recover
-
     saved = recover(options.recording, options.out)
-    say(f"saved {sum(saved.messages.values())} messages in {saved.chunks} chunks: {saved.path}")
-    for topic, count in saved.messages.items():
-        say(f"  {topic}: {count}")
+    count = sum(saved.messages.values())
+    say(f"saved {count} messages in {saved.chunks} chunks: {saved.path}")
+    for topic, number in saved.messages.items():
+        say(f"  {topic}: {number}")
     for line in saved.losses:
         say(f"lost: {line}")
     for line in saved.unconfirmed:
         say(f"unconfirmed: {line}")
     if not saved.losses and not saved.unconfirmed:
         say("nothing was lost")
-    return OK
+    return OK if count else FAILED

@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.arguments import factor, not_negative, prepare_folder
+from capture_sim.commands.inputs import FACTORS, not_negative, number, prepare_folder
 from capture_sim.errors import RecordingError
+from capture_sim.nodes.replay import replay
 
-HELP = "play a recording with ROS 2"
 DESCRIPTION = (
     "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
     "on the caller's ROS_DOMAIN_ID. While it plays, the services /player/pause, /player/resume "
-    "and /player/play_next (std_srvs/Trigger) control it, in a terminal the space bar (pause), "
-    "s (step), + and - (twice, half the rate)."
+    "and /player/play_next (std_srvs/Trigger) control it."
 )
+EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
 FOLLOWERS = ("capture_detector", "recorder")
 
@@ -25,10 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
     parser.add_argument(
+        "--rtf",
         "--rate",
-        type=factor,
+        type=number(FACTORS),
         default=1.0,
-        help="recorded seconds per second, up to 1000; 0 as fast as it goes (default: 1)",
+        metavar="FACTOR",
+        help="real-time factor, up to 1000; 0 plays as fast as it goes (default: 1)",
     )
     parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(
@@ -53,11 +55,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     if not Path(options.recording).exists():
         raise RecordingError(f"{options.recording}: no such file or folder")
-    from capture_sim.nodes.replay import replay
-
     parameters: dict[str, Any] = {
         "bag": str(options.recording),
-        "rate": options.rate,
+        "rate": options.rtf,
         "loop": options.loop,
         "start": options.start,
         "paused": options.paused,

@@ -7,14 +7,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture_sim.commands.arguments import OK, prepare_folder
-from capture_sim.commands.showing import compile_first, say
+from capture_sim.commands import OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import prepare_folder
+from capture_sim.commands.output import say
 from capture_sim.errors import MissingPackageError, RecordingError, SceneError
 
 if TYPE_CHECKING:
     from capture_sim.studies.paper import Claim, Evidence, Scan
 
-HELP = "compare the paper's results with ours"
 DESCRIPTION = (
     "Run the paper's numerical section and its experiments, in about a minute; write a page with "
     "a table 'paper says, we get, difference, why' and the figures."
@@ -81,6 +82,7 @@ _FIGURE = """
 
     {command} --only {name} --out runs
 """
+EXAMPLE = "  capture-sim reproduce --out runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

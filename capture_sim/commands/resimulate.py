@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import FAILED, OK, not_negative
-from capture_sim.commands.showing import compile_first, say
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import not_negative, open_run, scene_of
+from capture_sim.commands.output import say
 from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import software_versions
+from capture_sim.simulation import simulate
+from capture_sim.studies.resimulate import agreement
 
-HELP = "simulate a recorded run again and compare state by state"
 DESCRIPTION = (
     "Simulate a recorded run again from the scene inside it and compare it state by state. "
     "Exit status 1 when a coordinate differs by more than the tolerance, when the recording holds "
     "samples of another run, and without tolerance when the events differ."
 )
+EXAMPLE = "  capture-sim resimulate runs/tilt_0.mcap"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,11 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.recorded import open_run, scene_of
-    from capture_sim.messages.convert import software_versions
-    from capture_sim.simulation import simulate
-    from capture_sim.studies.resimulate import agreement
-
     recorded = open_run(options.recording)
     scene = scene_of(recorded, None, ())
     if not recorded.samples.size:

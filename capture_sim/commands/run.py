@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from capture_sim.commands.arguments import FAILED, OK, add_experiments, load_all, prepare_folder
-from capture_sim.commands.showing import compile_first, draw, report, say
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
+from capture_sim.commands.output import OVERVIEW, RRD, draw, remove_earlier, report, say, warn
 from capture_sim.errors import SimulationError
+from capture_sim.simulation import Result, simulate
 
-if TYPE_CHECKING:
-    from capture_sim.simulation import Result
-
-HELP = "run experiments without ROS"
 DESCRIPTION = "Run experiments without ROS; record, tabulate and draw them."
+EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_experiments(parser)
     parser.add_argument(
-        "--no-record", action="store_true", help="write no MCAP files and no pictures"
+        "--no-record",
+        action="store_true",
+        help="write no recordings and no pictures; earlier ones of these experiments are removed, "
+        "as a run that is recorded would replace them",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.simulation import simulate
-
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()
@@ -39,19 +39,33 @@ def run(options: argparse.Namespace) -> int:
         try:
             result = simulate(scene)
         except SimulationError as error:
-            print(f"capture-sim: {error}", file=sys.stderr)
+            warn(str(error))
             status = FAILED
             if error.result is None or error.result.samples.size == 0:
                 continue
             result = error.result
         results.append(result)
         if not options.no_record:
+            # loaded here: writing recordings takes longer to import than a run without takes
             from capture_sim.recording import write_run
 
             path = write_run(result, options.out / f"{scene.name}.mcap")
             recordings.append(path.stem)
             say(f"{scene.name}: recorded in {path}")
     report([result.summary for result in results], options.out)
-    if not options.no_record:
+    if options.no_record:
+        _remove_replaced([result.scene.name for result in results], options.out)
+    else:
         draw(results, recordings, options.out)
     return status
+
+
+def _remove_replaced(names: list[str], folder: Path) -> None:
+    """Remove what a recorded run would have replaced: it is not of the results beside it."""
+    recordings = [path for name in names if (path := folder / f"{name}.mcap").is_file()]
+    if recordings:
+        from capture_sim.recording.offline import is_simulated
+
+        recordings = [path for path in recordings if is_simulated(path)]
+    pictures = [path.with_suffix(".png") for path in recordings]
+    remove_earlier([*recordings, *pictures, *([folder / OVERVIEW, folder / RRD] if names else [])])

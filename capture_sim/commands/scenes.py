@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import OK
+from capture_sim.commands import OK
+from capture_sim.commands.output import say
+from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.files import scene_names
 
-HELP = "list the scenes that come with the package"
 DESCRIPTION = "List the scenes that come with the package."
+EXAMPLE = "  capture-sim scenes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    del parser  # none
+    """Add the command's arguments: none."""
 
 
 def run(_: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.launch.scenes import load_scene
-    from capture_sim.scene.files import scene_names
-
     for name in scene_names():
-        print(f"{name:16} {load_scene(name).title}")
+        say(f"{name:16} {load_scene(name).title}")
     return OK

@@ -3,29 +3,57 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from capture_sim.commands.arguments import OK, add_overrides, load, prepare_folder
+import numpy as np
 
-if TYPE_CHECKING:
-    from capture_sim.studies.sensitivity import Global, Local
+from capture_sim.commands import OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
+    SEEDS,
+    add_overrides,
+    add_workers,
+    load,
+    number,
+    prepare_folder,
+    whole,
+)
+from capture_sim.commands.output import Progress, say, say_table, write_json, write_text
+from capture_sim.scene.quantities import Range
+from capture_sim.studies.executors import default_workers, open_executor
+from capture_sim.studies.sensitivity import (
+    QUANTITIES,
+    SMOOTH,
+    Global,
+    Local,
+    check_method,
+    default_parameters,
+    global_sensitivity,
+    local_sensitivity,
+)
 
-HELP = "find what force, strokes and verdict hang on"
 DESCRIPTION = (
     "How peak force, strokes and verdict move with each parameter: derivatives, a tornado over "
     "the parameters' spreads, and Morris' or Sobol's indices."
 )
+EXAMPLE = "  capture-sim sensitivity paper_designed --method sobol --samples 64"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "scene", nargs="?", default="paper_designed", help="default: paper_designed"
+        "scene",
+        nargs="?",
+        default="paper_designed",
+        metavar="SCENE",
+        help="default: paper_designed",
     )
     parser.add_argument(
         "--spread",
-        type=float,
+        type=number(Range(0.0, 50.0, low_open=True), " %"),
         default=10.0,
         metavar="PERCENT",
         help="of each parameter, to either side; offset 2 mm, angles 1 deg (default: 10)",
@@ -37,13 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for all parameters at once (default: morris)",
     )
     parser.add_argument(
-        "--samples", type=int, default=32, help="trajectories, or base samples (default: 32)"
+        "--samples", type=whole(), default=32, help="trajectories, or base samples (default: 32)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the samples (default: 1)")
-    parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes (default: one per core)"
-    )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster")
+    parser.add_argument("--seed", type=whole(SEEDS), default=1, help="of the samples (default: 1)")
+    add_workers(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("runs/sensitivity"), help="default: runs/sensitivity"
     )
@@ -52,28 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.commands.progress import Progress
-    from capture_sim.commands.showing import compile_first, say
-    from capture_sim.errors import SceneError
-    from capture_sim.studies.executors import default_workers, open_executor
-    from capture_sim.studies.sensitivity import (
-        check_method,
-        default_parameters,
-        global_sensitivity,
-        local_sensitivity,
-    )
-
     scene = load(options.scene, options.overrides)
-    if not 0.0 < options.spread <= 50.0:
-        raise SceneError(f"--spread {options.spread:g} %: allowed is > 0 and <= 50")
     parameters = default_parameters(options.spread / 100.0)
-    if not 0 <= options.workers <= 1024:
-        raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")
     if options.method != "none":
         check_method(options.method, options.samples)
     prepare_folder(options.out)
     compile_first()
-    whole: Global | None = None
+    all_at_once: Global | None = None
     with (
         open_executor(options.workers or default_workers(), options.scheduler) as executor,
         Progress() as progress,
@@ -85,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
             lambda done, count: progress.at("derivatives", done, count),
         )
         if options.method != "none":
-            whole = global_sensitivity(
+            all_at_once = global_sensitivity(
                 scene,
                 parameters,
                 executor,
@@ -94,59 +104,50 @@ def run(options: argparse.Namespace) -> int:
                 options.seed,
                 lambda done, count: progress.at(options.method, done, count),
             )
-    _report(near)
-    if whole is not None:
-        say(f"captured in {whole.captured:.1%} of {whole.runs} runs over the whole spread")
-    _keep(near, whole, options.out)
-    _write(options.out / "sensitivity.md", _page(near, whole, options))
+    say("change of each quantity for a parameter that is off by its spread, by its derivative")
+    say("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)\n")
+    head = ["parameter", "spread", *[f"{q.name} {q.unit}" for q in SMOOTH]]
+    say_table(head, _rows(near, "*", "!", 5))
+    if all_at_once is not None:
+        say(
+            f"captured in {all_at_once.captured:.1%} of {all_at_once.runs} runs over the whole "
+            "spread"
+        )
+    kept = write_json(options.out / "sensitivity.json", _numbers(near, all_at_once))
+    page = write_text(options.out / "sensitivity.md", _page(head, near, all_at_once, options))
+    say(f"numbers in {kept}, page in {page}")
     try:
+        # loaded here: without matplotlib there are numbers still
         from capture_sim.viewing.tornado import save_indices, save_tornado
 
         say(f"tornado in {save_tornado(near, options.out / 'tornado.png')}")
-        if whole is not None:
-            say(f"indices in {save_indices(whole, options.out / f'{whole.method}.png')}")
+        if all_at_once is not None:
+            path = options.out / f"{all_at_once.method}.png"
+            say(f"indices in {save_indices(all_at_once, path)}")
     except ImportError as error:
         say(f"no picture: {error}")
     return OK
 
 
-def _report(near: Local) -> None:
-    """Print what a parameter off by its spread would do, were it linear; ! where that is not so."""
-    from capture_sim.commands.showing import say
-    from capture_sim.studies.sensitivity import SMOOTH
-
-    say("change of each quantity for a parameter that is off by its spread, by its derivative")
-    say("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)")
-    say("")
-    head = [f"{q.name} {q.unit}" for q in SMOOTH]
-    say(f"{'':22}" + "".join(f"{text:>16}" for text in head))
-    base = near.base.tolist()
-    say(
-        f"{'at the scene':22}"
-        + "".join(f"{q.factor * v:16.5g}" for q, v in zip(SMOOTH, base[:-1], strict=True))
-    )
+def _rows(near: Local, flips: str, unsettled: str, digits: int) -> Iterator[list[str]]:
+    """Yield the rows of the table: name, spread, and a cell for each quantity in its unit."""
+    base = zip(SMOOTH, near.base.tolist(), strict=False)  # the last is the verdict
+    yield ["at the scene", "", *[f"{q.factor * v:.{digits}g}" for q, v in base]]
     for parameter, row, low, high in zip(
         near.parameters, near.derivatives, near.low, near.high, strict=True
     ):
-        flips = "*" if low[-1] != base[-1] or high[-1] != base[-1] else " "
-        cells = "".join(
-            f"{q.factor * d.value:15.3g}{' ' if d.converged else '!'}"
-            for q, d in zip(SMOOTH, row, strict=True)
-        )
-        say(f"{parameter.name + flips:22}{cells}")
-    say("")
+        yield [
+            parameter.name + (flips if {low[-1], high[-1]} != {near.base[-1]} else ""),
+            parameter.displayed_spread,
+            *[
+                f"{q.factor * d.value:.3g}" + ("" if d.converged else unsettled)
+                for q, d in zip(SMOOTH, row, strict=True)
+            ],
+        ]
 
 
-def _keep(near: Local, whole: Global | None, folder: Path) -> None:
-    """Write the numbers."""
-    import dataclasses
-    import json
-
-    import numpy as np
-
-    from capture_sim.studies.sensitivity import QUANTITIES
-
-    def plain(table: Any) -> Any:
+def _numbers(near: Local, all_at_once: Global | None) -> dict[str, Any]:
+    def plain(table: np.ndarray) -> list[list[float | None]]:
         return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
 
     kept: dict[str, Any] = {
@@ -157,37 +158,25 @@ def _keep(near: Local, whole: Global | None, folder: Path) -> None:
         "high": near.high.tolist(),
         "derivatives": [[dataclasses.asdict(d) for d in row] for row in near.derivatives],
     }
-    if whole is not None:
-        kept[whole.method] = {
-            "runs": whole.runs,
-            "captured": whole.captured,
-            "first": plain(whole.first),
-            "total": plain(whole.total),
-            "confidence": plain(whole.confidence),
+    if all_at_once is not None:
+        kept[all_at_once.method] = {
+            "runs": all_at_once.runs,
+            "captured": all_at_once.captured,
+            "first": plain(all_at_once.first),
+            "total": plain(all_at_once.total),
+            "confidence": plain(all_at_once.confidence),
         }
-    text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
-    _write(folder / "sensitivity.json", text)
+    return kept
 
 
-def _write(path: Path, text: str) -> None:
-    from capture_sim.commands.showing import say
-    from capture_sim.errors import RecordingError
-
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
-    say(f"written: {path}")
-
-
-def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str:
+def _page(
+    head: list[str], near: Local, all_at_once: Global | None, options: argparse.Namespace
+) -> str:
     """Return derivatives and pictures as a page in Markdown."""
-    from capture_sim.studies.sensitivity import SMOOTH
-
     command = f"capture-sim sensitivity {options.scene} --method {options.method}"
     command += f" --samples {options.samples} --seed {options.seed} --spread {options.spread:g}"
     lines = [
-        f"# What {options.scene} hangs on",
+        f"# What {options.scene} depends on",
         "",
         f"Made by `.venv/bin/{command}`, as are both figures. Force, strokes and duration are of "
         "the first contact; nearest is until the verdict.",
@@ -196,27 +185,18 @@ def _page(near: Local, whole: Global | None, options: argparse.Namespace) -> str
         "**!**: ill-conditioned, the difference quotient does not converge as its step shrinks. "
         "**\\***: another verdict at an end of the spread.",
         "",
-        "| parameter | spread | " + " | ".join(f"{q.name} {q.unit}" for q in SMOOTH) + " |",
-        "|---" * (2 + len(SMOOTH)) + "|",
-        "| at the scene | | "
-        + " | ".join(f"{q.factor * v:.4g}" for q, v in zip(SMOOTH, near.base[:-1], strict=True))
-        + " |",
+        f"| {' | '.join(head)} |",
+        "|---" * len(head) + "|",
+        *[f"| {' | '.join(row)} |" for row in _rows(near, " **\\***", " **!**", 4)],
+        "",
+        "![Tornado](tornado.png)",
+        "",
     ]
-    for parameter, row, low, high in zip(
-        near.parameters, near.derivatives, near.low, near.high, strict=True
-    ):
-        flips = " **\\***" if {low[-1], high[-1]} != {near.base[-1]} else ""
-        cells = " | ".join(
-            f"{q.factor * d.value:.3g}{'' if d.converged else ' **!**'}"
-            for q, d in zip(SMOOTH, row, strict=True)
-        )
-        lines.append(f"| {parameter.name}{flips} | {parameter.displayed_spread} | {cells} |")
-    lines += ["", "![Tornado](tornado.png)", ""]
-    if whole is not None:
+    if all_at_once is not None:
         lines += [
-            f"All at once: captured in {whole.captured:.1%} of {whole.runs} runs.",
+            f"All at once: captured in {all_at_once.captured:.1%} of {all_at_once.runs} runs.",
             "",
-            f"![{whole.method.capitalize()}]({whole.method}.png)",
+            f"![{all_at_once.method.capitalize()}]({all_at_once.method}.png)",
             "",
         ]
     return "\n".join(lines)

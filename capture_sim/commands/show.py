@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands.arguments import OK, add_overrides, load
+from capture_sim.commands import OK
+from capture_sim.commands.inputs import add_overrides, load
 
-HELP = "print a scene with all its values, as YAML"
 DESCRIPTION = "Print a scene with all its values, as YAML."
+EXAMPLE = "  capture-sim show tilt_0 --set buffer.c_A=20 > mine.yaml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("scene")
+    parser.add_argument("scene", metavar="SCENE", help="name, YAML file or recording")
     add_overrides(parser)
 
 

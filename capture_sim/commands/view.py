@@ -6,23 +6,25 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from capture_sim.commands.arguments import OK, add_release, prepare_folder
-from capture_sim.commands.opening import Opened, open_runs
-from capture_sim.commands.showing import draw, say
+from capture_sim.commands import OK
+from capture_sim.commands.inputs import Opened, add_runs, number, open_runs, prepare_folder
+from capture_sim.commands.output import draw, say
 from capture_sim.errors import RecordingError
+from capture_sim.viewing.canvas import save_both
+from capture_sim.viewing.figures import FIGURES, OVER_TIME
+from capture_sim.viewing.resolving import cut, resolved, resolved_or_not
+from capture_sim.viewing.snapshots import snapshots
 
-HELP = "draw recorded runs"
 DESCRIPTION = (
     "Draw recorded runs: a picture of each, all side by side, and a recording for rerun. "
     "Experiments given by name are run first."
 )
+EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
-    )
+    add_runs(parser)
     parser.add_argument(
         "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
     )
@@ -37,16 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--window",
         nargs=2,
-        type=float,
+        type=number(),
         metavar=("FROM", "TO"),
         help="only this time, s since the release, as fine as the integrator went",
     )
-    parser.add_argument(
-        "--scene",
-        metavar="EXPERIMENT",
-        help="whose geometry a bench has whose recording does not say it",
-    )
-    add_release(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,9 +51,11 @@ def run(options: argparse.Namespace) -> int:
     if window is not None and not window[0] < window[1]:
         raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: allowed is FROM < TO")
     prepare_folder(options.out)
+    if options.save is not None:
+        prepare_folder(options.save.parent)
     opened = open_runs(options.runs, options.scene, options.release)
     if window is not None:
-        opened = [_seen_closely(one, window) for one in opened]
+        opened = [_within(one, window) for one in opened]
     runs = [one.run for one in opened]
     labels = [one.label for one in opened]
     draw(runs, labels, options.out, options.save, pictures=window is None)
@@ -66,9 +64,7 @@ def run(options: argparse.Namespace) -> int:
     return OK
 
 
-def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
-    from capture_sim.viewing.resolving import cut, resolved
-
+def _within(one: Opened, window: tuple[float, float]) -> Opened:
     cut_or_resolved = cut if one.measured else resolved
     return dataclasses.replace(one, run=cut_or_resolved(one.run, window))
 
@@ -76,11 +72,6 @@ def _seen_closely(one: Opened, window: tuple[float, float]) -> Opened:
 def _draw_figures(
     runs: list, labels: list[str], folder: Path, window: tuple[float, float] | None
 ) -> None:
-    from capture_sim.viewing.canvas import save_both
-    from capture_sim.viewing.figures import FIGURES, OVER_TIME
-    from capture_sim.viewing.resolving import resolved_or_not
-    from capture_sim.viewing.snapshots import snapshots
-
     if window is None:
         # else they are already
         runs = [resolved_or_not(run) for run in runs]

@@ -160,9 +160,9 @@ def test_a_changed_cone_is_still_met_just_so():
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["--spread=0"], "--spread 0 %: allowed is > 0 and <= 50"),
-        (["--spread=90"], "--spread 90 %: allowed is > 0 and <= 50"),
-        (["--workers=-1"], "--workers -1"),
+        (["--spread=0"], "--spread: '0': allowed is a number > 0 and <= 50 %"),
+        (["--spread=90"], "--spread: '90': allowed is a number > 0 and <= 50 %"),
+        (["--workers=-1"], "--workers: '-1': allowed"),
         (["--samples=3"], "samples = 3: allowed is >= 4"),
         (["--method=sobol", "--samples=20"], "with sobol a power of 2"),
         (["--set", "friction.mu=-1"], "friction.mu = -1"),

@@ -1,0 +1,401 @@
+"""What commands take: arguments, scenes, recordings; checked before anything runs.
+
+Recordings and pictures load libraries that most commands do without: they are imported where
+they are used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.commands.output import warn
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.launch.scenes import load_scene, load_scene_text
+from capture_sim.scene.files import scene_names
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
+
+if TYPE_CHECKING:
+    from capture_sim.recording import Run
+    from capture_sim.viewing.source import ViewableRun
+
+#: Simulated (or recorded) seconds per second; 0 does not wait at all.
+FACTORS = Range(0.0, 1000.0)
+#: Of processes that a study starts.
+WORKERS = Range(1, 1024)
+#: Of seeds: what every generator takes.
+SEEDS = Range(0, 2**32 - 1)
+
+_UNITS = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "N": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
+    "1": {"1": 1.0, "%": 1e-2},
+}
+
+
+def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]:  # noqa: B008
+    """Return a reader of a finite number within a range, for ``type=`` of an argument."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if value not in allowed:
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {allowed}{unit}")
+        return value
+
+    return read
+
+
+def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
+    """Return a reader of a whole number within a range, for ``type=`` of an argument."""
+
+    def read(text: str) -> int:
+        # the length: Python refuses to convert thousands of digits
+        if not text.isascii() or not text.isdecimal() or len(text) > 18 or int(text) not in allowed:
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a whole number {allowed}")
+        return int(text)
+
+    return read
+
+
+not_negative = number(NOT_NEGATIVE)
+positive = number(POSITIVE)
+
+
+def quantity(text: str, unit: str) -> float:
+    """Return a number with or without a unit, as ``5 deg``, in SI.
+
+    Parameters
+    ----------
+    text
+        As the user wrote it.
+    unit
+        That a number has without one, as "mm".
+
+    Raises
+    ------
+    ValueError
+        It is no finite number, or its unit is of another kind.
+    """
+    kind = next(kind for kind in _UNITS.values() if unit in kind)
+    text = text.strip()
+    for name in sorted(kind, key=len, reverse=True):
+        if text.endswith(name) and name != "1":
+            text, unit = text[: -len(name)], name
+            break
+    value = float(text) * kind[unit]
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
+def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
+    """Return a reader of a quantity (``5``, ``5 mm``), in SI, for ``type=`` of an argument."""
+
+    def read(text: str) -> float:
+        try:
+            value = quantity(text, unit)
+        except ValueError:
+            value = math.nan
+        if value not in allowed:
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {allowed}, in {unit}")
+        return value
+
+    return read
+
+
+def add_experiments(parser: argparse.ArgumentParser) -> None:
+    """Add experiments, the folder of the results, and changes to the scenes."""
+    parser.add_argument(
+        "experiments",
+        nargs="+",
+        metavar="EXPERIMENT",
+        help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs"),
+        help="folder of the results (default: runs). A recording of the nodes or of a bench is "
+        "never overwritten: the new one and its picture get a number behind their name. "
+        "results.txt, results.json, overview.png and runs.rrd are of the last command that made "
+        "a run",
+    )
+    add_overrides(parser)
+
+
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set PART.FIELD=VALUE``."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="overrides",
+        metavar="PART.FIELD=VALUE",
+        help="change a value of the scene, in SI units; may be repeated",
+    )
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """Add recordings or experiments to be looked at, and what a bench's recording leaves open."""
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
+    )
+    parser.add_argument(
+        "--scene",
+        metavar="EXPERIMENT",
+        help="whose geometry a bench has whose recording holds no scene",
+    )
+    add_release(parser)
+
+
+def add_release(parser: argparse.ArgumentParser) -> None:
+    """Add ``--release S``: when the chaser of a real bench was released."""
+    parser.add_argument(
+        "--release",
+        type=not_negative,
+        metavar="S",
+        help="when a bench released the chaser, s after the recording's first pose (default: by "
+        "launcher/command, else the first pose)",
+    )
+
+
+def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
+    """Add where a study's runs are done."""
+    parser.add_argument(
+        "--workers", type=whole(WORKERS), metavar="N", help="processes (default: one per core)"
+    )
+    if scheduler:
+        parser.add_argument(
+            "--scheduler", metavar="ADDRESS", help="of a Dask cluster, as tcp://127.0.0.1:8786"
+        )
+
+
+def is_recording(source: str) -> bool:
+    """Whether an argument names a recording, a file or a bag's folder, and not a scene.
+
+    A folder that has the name of a known scene is meant when it is written as a path (./tilt_0).
+    """
+    if source.endswith(".mcap"):
+        return True
+    folder = Path(source)
+    if source in scene_names() or not folder.is_dir():
+        return False
+    return (folder / "metadata.yaml").is_file() or any(folder.glob("*.mcap"))
+
+
+def load(source: str, overrides: Sequence[str] = ()) -> Scene:
+    """Load a scene by name, from a YAML file, or out of a recording."""
+    if not is_recording(source):
+        return load_scene(source, overrides)
+    from capture_sim.recording import read_run
+
+    return load_scene_text(read_run(source).scene_text, overrides)
+
+
+def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
+    """Load several scenes; their names must differ."""
+    scenes = [load(source, overrides) for source in sources]
+    names = [scene.name for scene in scenes]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise SceneError(
+            f"experiments: {', '.join(sorted(twice))} given twice: each needs a name of its own, "
+            "for its files"
+        )
+    return scenes
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder, and make sure before anything runs that results can be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except (FileExistsError, NotADirectoryError):
+        reason = "it is a file"
+    except OSError as error:
+        reason = error.strerror or str(error)
+    raise RecordingError(f"--out {folder}: cannot be written: {reason}; allowed is a folder")
+
+
+def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:
+    """Read a recording, and say what is wrong with it.
+
+    Parameters
+    ----------
+    path
+        A file, or a bag's folder.
+    several
+        Whether it may hold several runs.
+    quiet
+        Whether its problems are left to the caller.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or holds several runs where that is not allowed.
+    """
+    from capture_sim.recording import read_run
+
+    run = read_run(path)
+    if len(run.run_ids) > 1 and not several:
+        raise RecordingError(
+            f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
+            "is one"
+        )
+    for problem in () if quiet else (*run.left_out, *run.problems):
+        warn(f"{path}: {problem}")
+    return run
+
+
+def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
+    """Return the recorded scene, or for a bag without one the given one, with changes."""
+    if given is not None:
+        return load_scene(given, overrides)
+    try:
+        text = run.scene_text
+    except RecordingError as error:
+        raise SceneError(f"{error}: name one by --scene") from None
+    return load_scene_text(text, overrides)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run to be looked at.
+
+    Attributes
+    ----------
+    run
+        To be drawn.
+    label
+        Its name, no other's of those opened with it: the recording's, or the experiment's.
+    source
+        Where it comes from, in words.
+    software
+        ``"name version"`` each, of what made it.
+    wall_time
+        s, that it took; None where that is not known.
+    problems
+        What is wrong with its recording.
+    measured
+        Known from measurements alone: it cannot be run again.
+    """
+
+    run: ViewableRun
+    label: str
+    source: str
+    software: Sequence[str]
+    wall_time: float | None = None
+    problems: Sequence[str] = ()
+    measured: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in a few numbers, as results.json has them."""
+        from capture_sim.results import summarize
+        from capture_sim.viewing.source import verdict
+
+        run = self.run
+        return summarize(
+            run.scene, run.samples, run.touches, run.events, verdict(run), self.wall_time
+        )
+
+
+def open_runs(
+    sources: Sequence[str], scene: str | None, release: float | None = None
+) -> list[Opened]:
+    """Open recordings, or run experiments given by name; say what is wrong with a recording.
+
+    Parameters
+    ----------
+    sources
+        MCAP files, bags' folders, or experiments.
+    scene
+        Whose geometry the bench of a recording has that holds no scene; None for none.
+    release
+        When a bench released the chaser, s after the first pose; None to take it from the bag.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read or holds nothing to draw.
+    SceneError
+        There is no such experiment.
+    """
+    opened = [
+        _open_recording(source, scene, release) if is_recording(source) else _run_now(source)
+        for source in sources
+    ]
+    opened = [
+        dataclasses.replace(one, label=label)
+        for one, label in zip(opened, _labels(opened, sources), strict=True)
+    ]
+    for one in opened:
+        for problem in one.problems:
+            warn(f"{one.label}: {problem}")
+    return opened
+
+
+def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
+    """Name runs, with the folder in front where recordings in several are called the same."""
+    from capture_sim.viewing.source import distinct_names
+
+    folders: dict[str, set[Path]] = {}
+    for one, source in zip(opened, sources, strict=True):
+        if is_recording(source):
+            folders.setdefault(one.label, set()).add(Path(source).resolve().parent)
+    return distinct_names(
+        [
+            f"{Path(source).resolve().parent.name}-{one.label}"
+            if is_recording(source) and len(folders[one.label]) > 1
+            else one.label
+            for one, source in zip(opened, sources, strict=True)
+        ]
+    )
+
+
+def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
+    from capture_sim.viewing.bag import run_from_bag
+
+    recorded = open_run(path, quiet=True)
+    place = Path(path).resolve()  # the path may be . or end in ..
+    label = place.stem if path.endswith(".mcap") else place.name
+    software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
+    problems = (*recorded.left_out, *recorded.problems)
+    if recorded.samples.size:
+        return Opened(
+            recorded, label, f"recorded in {path}", software, recorded.wall_time, problems
+        )
+    if scene is None:
+        raise RecordingError(
+            f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
+            "experiment of the same geometry by --scene"
+        )
+    run = run_from_bag(recorded, load_scene(scene), release)
+    return Opened(run, label, f"measured, in {path}", software, problems=problems, measured=True)
+
+
+def _run_now(name: str) -> Opened:
+    from capture_sim.commands.compiling import compile_first
+    from capture_sim.messages.convert import software_versions
+    from capture_sim.simulation import simulate
+
+    try:
+        scene = load_scene(name)
+    except SceneError as error:
+        raise SceneError(f"{error}; a recording ends in .mcap, or is a bag's folder") from None
+    compile_first()
+    result = simulate(scene)
+    return Opened(result, scene.name, "run now", software_versions(), result.wall_time)

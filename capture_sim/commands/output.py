@@ -1,0 +1,199 @@
+"""What commands print and leave: lines, tables, progress, results, pictures.
+
+What draws is imported where it is used: a run without pictures does not wait for matplotlib and
+rerun.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from capture_sim.errors import RecordingError
+from capture_sim.files import whole_file
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+    from capture_sim.recording import Run
+    from capture_sim.viewing.source import ViewableRun
+
+#: Drawn of several runs side by side.
+OVERVIEW = "overview.png"
+#: All runs for rerun.
+RRD = "runs.rrd"
+#: Between two lines of progress where there is no terminal, s.
+_PAUSE = 10.0
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a pipe."""
+    print(text, flush=True)
+
+
+def warn(text: str) -> None:
+    """Print a line about something that is not as it should be."""
+    print(f"capture-sim: {text}", file=sys.stderr, flush=True)
+
+
+def say_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
+    """Print a table; the first ``left`` columns are aligned to the left.
+
+    It is as wide as its contents where no terminal bounds it, and bold only on one.
+    """
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for number, name in enumerate(head):
+        table.add_column(name, justify="left" if number < left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = 1000
+    console.print(table)
+
+
+class Progress:
+    """How far a long command is: a bar with a total on a terminal, else a line now and then."""
+
+    def __init__(self, unit: str = "runs") -> None:
+        self._unit = unit
+        self._bar: Bar | None = None
+        self._tasks: dict[str, Any] = {}
+        self._said = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.progress import MofNCompleteColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            columns = (*Bar.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def at(self, name: str, done: int, count: int) -> None:
+        """Show that ``done`` of ``count`` in the round ``name`` are done."""
+        if self._bar is not None:
+            if name not in self._tasks:
+                self._tasks[name] = self._bar.add_task(name, total=count)
+            self._bar.update(self._tasks[name], completed=done, total=count)
+        elif time.monotonic() - self._said > _PAUSE:
+            self._said = time.monotonic()
+            print(f"{name}: {done} of {count} {self._unit}", file=sys.stderr, flush=True)
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file that is whole once it has its name; return its path."""
+    try:
+        with whole_file(path) as beside:
+            beside.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def write_json(path: Path, data: Any) -> Path:
+    """Write data as JSON; return the path."""
+    return write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+
+
+def summary_of(run: Run) -> dict[str, Any]:
+    """Summarise a recorded run as a simulated one's ``Result.summary`` does."""
+    from capture_sim.results import summarize
+
+    verdict = run.verdict.label if run.verdict is not None else "none"
+    return summarize(run.scene, run.samples, run.touches, run.events, verdict, run.wall_time)
+
+
+def report(summaries: list[dict[str, Any]], folder: Path) -> None:
+    """Print the table of results, and keep it and its numbers in ``folder``.
+
+    Without a result nothing is written: what an earlier command left there is kept.
+    """
+    from capture_sim.results import table
+
+    if not summaries:
+        return
+    text = table(summaries)
+    say(f"\n{text}\n")
+    kept = write_text(folder / "results.txt", text + "\n")
+    say(f"table in {kept}, numbers in {write_json(folder / 'results.json', summaries)}")
+
+
+def draw(
+    runs: Sequence[ViewableRun],
+    labels: Sequence[str],
+    folder: Path,
+    rrd: Path | None = None,
+    *,
+    pictures: bool = True,
+) -> None:
+    """Draw each run, all side by side, and all for rerun, where what that takes is installed.
+
+    Parameters
+    ----------
+    runs
+        To be drawn.
+    labels
+        Their names, one each, none twice: of the recordings, as a scene may have several.
+    folder
+        Where the pictures go.
+    rrd
+        The file for rerun; None for ``runs.rrd`` in the folder.
+    pictures
+        Whether pictures are wanted, not only the file for rerun.
+    """
+    if not runs:
+        return
+    try:
+        if pictures:
+            _draw_pictures(runs, labels, folder)
+    except ImportError as error:
+        say(f"no pictures: {error}")
+    try:
+        from capture_sim.viewing import save_rrd
+
+        path = folder / RRD if rrd is None else rrd
+        say(f"for rerun in {save_rrd(runs, path, labels)}")
+    except ImportError as error:
+        # an ordinary workstation's ROS bears no rerun: the recording is what counts there
+        say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
+
+
+def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
+    from capture_sim.viewing import save_figure, save_overview
+
+    for run, label in zip(runs, labels, strict=True):
+        # that name is taken
+        name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
+        say(f"picture in {save_figure(run, folder / name, label)}")
+    if len(runs) > 1:
+        say(f"side by side in {save_overview(runs, folder / OVERVIEW, labels)}")
+    else:
+        remove_earlier([folder / OVERVIEW])
+
+
+def remove_earlier(paths: Iterable[Path]) -> None:
+    """Remove files that show other runs than those that lie beside them now, and say so."""
+    for path in paths:
+        if path.is_file():
+            path.unlink()
+            say(f"removed {path}: it showed earlier runs")
