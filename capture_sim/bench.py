@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -176,6 +177,11 @@ class Bench:
         return self._events
 
     @property
+    def event_count(self) -> int:
+        """How many events there are so far."""
+        return len(self._events) + sum(map(len, self._unread))
+
+    @property
     def statistics(self) -> Statistics:
         """Steps taken and rejected, and evaluations of the equations of motion."""
         run = self._run[0]
@@ -333,13 +339,20 @@ def check_times(
     return t
 
 
-class Block(NamedTuple):
+@dataclass(frozen=True)
+class Block:
     """A piece of a run: what is new since the piece before."""
 
     samples: np.ndarray  # (n,) of dtype SAMPLE
-    events: list[Event]
     trace: np.ndarray  # (k,) of dtype SAMPLE, empty unless asked for
     failure: SimulationError | None  # why the run had to stop; then this is its last piece
+    _bench: Bench
+    _events: slice
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened in it, in order; made where it is asked for."""
+        return self._bench.events[self._events]
 
 
 def drive(
@@ -381,9 +394,9 @@ def drive(
         except SimulationError as error:
             samples, failure = error.partial, error
         served += size
-        events, seen = bench.events[seen:], len(bench.events)
+        first, seen = seen, bench.event_count
         trace, traced = bench.trace[traced:], len(bench.trace)
-        yield Block(samples, events, trace, failure)
+        yield Block(samples, trace, failure, bench, slice(first, seen))
         if failure is not None:
             return
 

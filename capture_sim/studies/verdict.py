@@ -90,15 +90,19 @@ def run_to_verdict(scene: Scene, rtol: float | None = None, finer: int = 1) -> O
     bench, detector = Bench(scene), ExactDetector(scene)
     rate = scene.run.rate * finer
     times = np.arange(math.floor(scene.run.t_end * rate) + 2) / rate
-    blocks, failure = [], ""
+    force = stroke = torsion = 0.0
+    nearest, failure = math.inf, ""
     for piece in drive(bench, times[times <= scene.run.t_end], block=_BLOCK * finer):
         used = detector.until_verdict(piece.samples[::finer])
-        if detector.final:
-            blocks.append(piece.samples[: (used - 1) * finer + 1])
-            break
-        blocks.append(piece.samples)
+        seen = piece.samples[: (used - 1) * finer + 1] if detector.final else piece.samples
+        force = max(force, float(seen["normal_force"].max(initial=0.0)))
+        stroke = max(stroke, float(np.abs(seen["axial_stroke"]).max(initial=0.0)))
+        torsion = max(torsion, float(np.abs(seen["torsion"]).max(initial=0.0)))
+        nearest = min(nearest, float(seen["tip_distance"].min(initial=math.inf)))
         failure = str(piece.failure or "")
-    status, seen = detector.finish(), np.concatenate(blocks)
+        if detector.final:
+            break
+    status = detector.finish()
     began = [e.t for e in bench.events if e.kind is EventKind.TOUCH and e.t <= status.t]
     ended = [e.touch for e in bench.events if e.touch is not None]
     peaks = [float(touch["peak_force"]) for touch in ended if touch["start"] <= status.t]
@@ -108,9 +112,9 @@ def run_to_verdict(scene: Scene, rtol: float | None = None, finer: int = 1) -> O
         reason=failure or status.reason,
         first_touch=began[0] if began else math.nan,
         touches=len(began),
-        peak_force=max(float(seen["normal_force"].max(initial=0.0)), *peaks, 0.0),
-        axial_stroke=float(np.abs(seen["axial_stroke"]).max(initial=0.0)),
-        torsion=float(np.abs(seen["torsion"]).max(initial=0.0)),
-        nearest=float(seen["tip_distance"].min(initial=math.inf)),
+        peak_force=max([force, *peaks]),
+        axial_stroke=stroke,
+        torsion=torsion,
+        nearest=nearest,
         failed=bool(failure),
     )
