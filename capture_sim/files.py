@@ -43,6 +43,11 @@ def free_path(path: Path) -> Path:
     return candidate
 
 
+def is_device(path: Path) -> bool:
+    """Whether a path is neither a file nor a folder, as ``/dev/stdout``."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
 @contextmanager
 def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Let a file be written beside its place, and move it there when it is whole.
@@ -71,7 +76,7 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     OSError
         It cannot be written.
     """
-    if path.exists() and not path.is_file() and not path.is_dir():
+    if is_device(path):
         yield path
         return
     path.parent.mkdir(parents=True, exist_ok=True)

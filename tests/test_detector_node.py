@@ -278,7 +278,8 @@ class Bench(BenchNode):
         for source, t, values in measurements:
             if source is Source.BUFFER:
                 topic = BUFFER_STATE
-                message = self.messages._buffer_state(
+                message = self.messages.new(
+                    BUFFER_STATE.type_name,
                     header=self.messages.header(t, ""),
                     seq=counts.get(topic.name, 0),
                     axial_stroke=values[0],

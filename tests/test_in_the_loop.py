@@ -17,10 +17,10 @@ from capture_sim import SceneError, load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.contact_rig import BounceWatch, ContactRig, bounce_with_delay, gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, TipState, WrenchHold
-from capture_sim.hardware.loop_messages import LoopMessages, tip_of, wrench_of
+from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.messages.convert import CONE_FRAME
 from capture_sim.model.tip_wrench import N_LOOP
-from capture_sim.recording.definitions import typestore
+from capture_sim.recording.definitions import offline_messages
 
 PLATE = 2000.0  # N/m
 
@@ -209,11 +209,11 @@ def test_a_force_beyond_the_limit_stops_for_good():
 
 
 def test_messages_say_what_was_put_in():
-    make = LoopMessages(typestore().types.__getitem__)
+    make = offline_messages()
     tip_state = TipState(0.125, -0.02, 0.004, 0.3, 0.1, -0.05, 0.7)
-    got = tip_of(make.tip(tip_state))
+    got = tip_of(tip_message(make, tip_state))
     assert got == pytest.approx(tip_state, rel=1e-14)
-    message = make.wrench(0.125, (1.0, -2.0, 0.3))
+    message = wrench_message(make, 0.125, (1.0, -2.0, 0.3))
     assert wrench_of(message) == (1.0, -2.0, 0.3)
     message.header.frame_id = "world"
     with pytest.raises(CaptureSimError, match=f"'world': allowed is {CONE_FRAME}"):

@@ -138,9 +138,9 @@ def stream(scene, sizes):
     for k in range(10_000):
         size = sizes[k % len(sizes)]
         samples = bench.advance(bench.times(first, size))
-        for topic, message in telemetry.block(samples):
+        for topic, _, data in telemetry.block(samples):
             if topic in (CHASER_POSE, TARGET_POSE, LOAD_CELL):
-                sent.append((topic.name, repr(message)))
+                sent.append((topic.name, data))
         first += size
         if bench.done:
             return sent

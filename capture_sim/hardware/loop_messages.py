@@ -16,48 +16,18 @@ def stamp_of(message: Any) -> float:
     return stamp_seconds(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
 
 
-class LoopMessages(Messages):
-    """Makes the loop's messages."""
+def tip_message(make: Messages, tip: TipState) -> Message:
+    """Return Odometry of the tip against the cone: pose in its frame, twist in the tip's."""
+    pose, rates = (tip.x, tip.y, tip.theta), (tip.vx, tip.vy, tip.omega)
+    return make.odometry(tip.t, CONE_FRAME, TIP_FRAME, pose, rates)
 
-    def tip(self, tip: TipState) -> Message:
-        """Return Odometry of the tip against the cone: pose in its frame, twist in the tip's."""
-        cos, sin = math.cos(tip.theta), math.sin(tip.theta)
-        return self._odometry(
-            header=self.header(tip.t, CONE_FRAME),
-            child_frame_id=TIP_FRAME,
-            pose=self._pose_with_covariance(
-                pose=self._pose(
-                    position=self._point(x=tip.x, y=tip.y, z=0.0),
-                    orientation=self._quaternion(
-                        x=0.0, y=0.0, z=math.sin(tip.theta / 2.0), w=math.cos(tip.theta / 2.0)
-                    ),
-                ),
-                covariance=self._no_covariance,
-            ),
-            twist=self._twist_with_covariance(
-                twist=self._twist(
-                    linear=self._vector3(
-                        x=cos * tip.vx + sin * tip.vy, y=cos * tip.vy - sin * tip.vx, z=0.0
-                    ),
-                    angular=self._vector3(x=0.0, y=0.0, z=tip.omega),
-                ),
-                covariance=self._no_covariance,
-            ),
-        )
 
-    def wrench(self, t: float, wrench: Wrench) -> Message:
-        """Return WrenchStamped on the tip, about its centre, in the axes of target/cone.
+def wrench_message(make: Messages, t: float, wrench: Wrench) -> Message:
+    """Return WrenchStamped on the tip, about its centre, in the axes of target/cone.
 
-        ``t`` is the time of the tip's place that it answers, s.
-        """
-        fx, fy, torque = wrench
-        return self._wrench_stamped(
-            header=self.header(t, CONE_FRAME),
-            wrench=self._wrench(
-                force=self._vector3(x=fx, y=fy, z=0.0),
-                torque=self._vector3(x=0.0, y=0.0, z=torque),
-            ),
-        )
+    ``t`` is the time of the tip's place that it answers, s.
+    """
+    return make.wrench(t, CONE_FRAME, wrench)
 
 
 def tip_of(message: Any) -> TipState:

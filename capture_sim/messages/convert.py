@@ -1,12 +1,12 @@
 """Samples, events and statuses as ROS messages, whichever library makes the classes.
 
-The generated classes of rclpy and the dataclasses of rosbags both take their fields as
-keyword arguments, so the same code fills both, and a message published live and one
-written offline are the same bytes.  Neither library is imported here: the caller hands
-in a look-up from type name to class.
+The generated classes of rclpy and the dataclasses of rosbags have the same fields, so the
+same code fills both, and a message published live and one written offline carry the same
+values.  Neither library is imported here: the caller hands in a look-up from type name to
+class, and what serialises a message.
 
-    offline:  Messages(typestore.types.__getitem__)
-    in ROS:   Messages(rosidl_runtime_py.utilities.get_message, sequence=array.array)
+    offline:  Messages(typestore.types.__getitem__, serialise)
+    in ROS:   Messages(get_message, serialize_message, sequence=array.array)
 
 Simulated time starts at 1 s, since a stamp of zero means 'not set' to ROS tools.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
+from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import IntEnum
@@ -28,7 +29,7 @@ from capture_sim.samples import SAMPLE, TRACE, Event, Phase
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
-    from capture_sim.launch.plan import LauncherStatus
+    from capture_sim.launch.plan import LauncherStatus, LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
 #: Stamp of the release, t = 0, in ns.
@@ -45,19 +46,16 @@ SLIDE_JOINT = "buffer_slide"
 #: Packages whose version decides about a run's numbers or its file.
 _SOFTWARE = ("capture_sim", "numpy", "numba", "mcap", "rosbags")
 
-_INTEGERS = ("phase", "walls", "at_rest", "touches")
-_SCALARS = tuple(
-    name for name in SAMPLE.names or () if SAMPLE[name].shape == () and name not in _INTEGERS
-)
-_VECTORS = tuple(name for name in SAMPLE.names or () if SAMPLE[name].shape != ())
-
 # indices into q and v, see samples.COORDINATES
-_CHASER = (0, 1, 2)
-_TARGET = (5, 6, 7)
+_CHASER = slice(0, 3)
+_TARGET = slice(5, 8)
 _THETA_S, _THETA_P, _H = 2, 3, 4
 
 Message = Any
 SequenceMaker = Callable[[str, Sequence[float]], Any]
+#: A sample as plain Python numbers, by the names of SAMPLE, see :func:`row_of`.
+Row = Any
+_Row = namedtuple("_Row", SAMPLE.names or ())  # type: ignore[misc]  # the names are data
 
 
 class StringPhase(IntEnum):
@@ -95,6 +93,11 @@ def software_versions() -> tuple[str, ...]:
         except PackageNotFoundError:
             continue
     return tuple(found)
+
+
+def row_of(sample: np.void) -> Row:
+    """Return a sample as plain Python numbers; its arrays stay NumPy's."""
+    return _Row._make(sample.item())
 
 
 @dataclass(frozen=True)
@@ -195,16 +198,15 @@ class ContactInterval:
         if len(samples):
             self._peak = max(self._peak, float(samples["normal_force"].max()))
 
-    def take(self, sample: np.void) -> SinceLastMessage:
+    def take(self, row: Row) -> SinceLastMessage:
         """Return the sums up to and with this sample, and start anew."""
-        impulse = float(sample["impulse"][0]) + float(sample["impulse"][1])
-        touches = int(sample["touches"])
-        since = SinceLastMessage(self._peak, impulse - self._impulse, touches - self._touches)
+        impulse = float(row.impulse[0]) + float(row.impulse[1])
+        since = SinceLastMessage(self._peak, impulse - self._impulse, row.touches - self._touches)
         self._peak = 0.0
         self._impulse = impulse
-        self._touches = touches
+        self._touches = row.touches
         self._message_before = self._last_message
-        self._last_message = float(sample["t"])
+        self._last_message = row.t
         return since
 
 
@@ -213,12 +215,17 @@ def _numpy_sequence(typecode: str, values: Sequence[float]) -> np.ndarray:
 
 
 class Messages:
-    """Makes message objects from the bench's own data.
+    """Makes messages from the bench's own data.
+
+    What is sent with every sample is filled into the same object again, as making one costs
+    more than filling it: serialise a message before the next of its kind is made.
 
     Parameters
     ----------
     classes
         Returns the message class of a type name, ``package/msg/Name``.
+    serialise
+        Returns the bytes of a message.
     sequence
         Makes an unbounded number field from a typecode (``"d"``, ``"Q"``) and
         values: ``array.array`` for rclpy, a NumPy array (the default) for rosbags.
@@ -227,157 +234,125 @@ class Messages:
     def __init__(
         self,
         classes: Callable[[str], Callable[..., Message]],
+        serialise: Callable[[Message], bytes],
         sequence: SequenceMaker = _numpy_sequence,
     ) -> None:
+        self.serialise = serialise
         self._sequence = sequence
+        self._classes = classes
+        self._made: dict[str, Message] = {}  # what is filled again, by type and frame
 
-        def ours(name: str) -> Callable[..., Message]:
-            return classes(f"capture_sim/msg/{name}")
-
-        self._bench_state = ours("BenchState")
-        self._buffer_state = ours("BufferState")
-        self._contact_state = ours("ContactState")
-        self._contact_trace = ours("ContactTrace")
-        self._string_state = ours("StringState")
-        self._bench_event = ours("BenchEvent")
-        self._capture_status = ours("CaptureStatus")
-        self._capture_criteria = ours("CaptureCriteria")
-        self._launcher_state = ours("LauncherState")
-        self._launch_command = ours("LaunchCommand")
-        self._run_info = ours("RunInfo")
-        self._stream_counts = ours("StreamCounts")
-        self._stream_ack = ours("StreamAck")
-        self._time = classes("builtin_interfaces/msg/Time")
-        self._header = classes("std_msgs/msg/Header")
-        self._clock = classes("rosgraph_msgs/msg/Clock")
-        self._odometry = classes("nav_msgs/msg/Odometry")
-        self._wrench_stamped = classes("geometry_msgs/msg/WrenchStamped")
-        self._wrench = classes("geometry_msgs/msg/Wrench")
-        self._vector3 = classes("geometry_msgs/msg/Vector3")
-        self._pose_stamped = classes("geometry_msgs/msg/PoseStamped")
-        self._point = classes("geometry_msgs/msg/Point")
-        self._quaternion = classes("geometry_msgs/msg/Quaternion")
-        self._pose = classes("geometry_msgs/msg/Pose")
-        self._pose_with_covariance = classes("geometry_msgs/msg/PoseWithCovariance")
-        self._twist = classes("geometry_msgs/msg/Twist")
-        self._twist_with_covariance = classes("geometry_msgs/msg/TwistWithCovariance")
-        self._joint_state = classes("sensor_msgs/msg/JointState")
-        self._no_covariance = np.zeros(36)
+    def new(self, type_name: str, **fields: Any) -> Message:
+        """Return a new message of a type, ``package/msg/Name``."""
+        return self._classes(type_name)(**fields)
 
     def stamp(self, t: float) -> Message:
         """Return builtin_interfaces/Time of a time since the release, s."""
         sec, nanosec = divmod(stamp_ns(t), 1_000_000_000)
-        return self._time(sec=sec, nanosec=nanosec)
+        return self.new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
 
     def header(self, t: float, frame_id: str) -> Message:
         """Return std_msgs/Header of a time since the release, s."""
-        return self._header(stamp=self.stamp(t), frame_id=frame_id)
+        return self.new("std_msgs/msg/Header", stamp=self.stamp(t), frame_id=frame_id)
 
     def clock(self, t: float) -> Message:
         """Return rosgraph_msgs/Clock of a time since the release, s."""
-        return self._clock(clock=self.stamp(t))
+        return self.new("rosgraph_msgs/msg/Clock", clock=self.stamp(t))
 
     def bench_states(self, first_seq: int, samples: np.ndarray) -> Iterator[Message]:
         """Yield BenchState of each sample, (n,) of dtype SAMPLE; the first has ``first_seq``."""
-        names = (*_INTEGERS, *_SCALARS)
-        # plain Python numbers by whole columns: item access on NumPy records is slow
-        columns = [samples[name].tolist() for name in names]
-        vectors = [samples[name] for name in _VECTORS]
-        times = samples["t"].tolist()
-        for i, numbers in enumerate(zip(*columns, strict=True)):
-            fields = dict(zip(names, numbers, strict=True))
-            for name, vector in zip(_VECTORS, vectors, strict=True):
-                fields[name] = vector[i]
-            yield self._bench_state(
-                header=self.header(times[i], WORLD), seq=first_seq + i, **fields
-            )
+        names = SAMPLE.names or ()
+        # by whole columns: item access on NumPy records is slow
+        columns = [
+            samples[name].tolist() if SAMPLE[name].shape == () else list(samples[name])
+            for name in names
+        ]
+        message: Message = None
+        for seq, row in enumerate(zip(*columns, strict=True), first_seq):
+            if message is None:
+                fields = dict(zip(names, row, strict=True))
+                message = self.new(
+                    "capture_sim/msg/BenchState",
+                    header=self.header(row[0], WORLD),
+                    seq=seq,
+                    **fields,
+                )
+                stamp = message.header.stamp
+                # the properties of rclpy's classes cost more than what they set
+                slots = {f"_{name}" for name in names} & set(getattr(message, "__slots__", ()))
+                names = tuple(f"_{name}" if f"_{name}" in slots else name for name in names)
+            else:
+                _set_stamp(stamp, row[0])
+                message.seq = seq
+                for name, value in zip(names, row, strict=True):
+                    setattr(message, name, value)
+            yield message
 
-    def bench_state(self, seq: int, sample: np.void) -> Message:
-        """Return BenchState of one sample."""
-        return next(self.bench_states(seq, np.asarray(sample).reshape(1)))
-
-    def buffer_state(self, seq: int, sample: np.void) -> Message:
+    def buffer_state(self, seq: int, row: Row) -> Message:
         """Return BufferState of one sample."""
-        v = sample["v"]
-        return self._buffer_state(
-            header=self.header(float(sample["t"]), CHASER_FRAME),
+        return self._stamped(
+            "capture_sim/msg/BufferState",
+            row.t,
+            CHASER_FRAME,
             seq=seq,
-            axial_stroke=float(sample["axial_stroke"]),
-            axial_rate=float(v[_H]),
-            axial_force=float(sample["axial_force"]),
-            torsion=float(sample["torsion"]),
-            torsion_rate=_torsion_rate(v),
-            torsion_torque=float(sample["torsion_torque"]),
+            axial_stroke=row.axial_stroke,
+            axial_rate=float(row.v[_H]),
+            axial_force=row.axial_force,
+            torsion=row.torsion,
+            torsion_rate=_torsion_rate(row),
+            torsion_torque=row.torsion_torque,
         )
 
-    def contact_state(self, seq: int, sample: np.void, since: SinceLastMessage) -> Message:
+    def contact_state(self, seq: int, row: Row, since: SinceLastMessage) -> Message:
         """Return ContactState of one sample and of what happened since the last message."""
-        walls = int(sample["walls"])
-        return self._contact_state(
-            header=self.header(float(sample["t"]), CONE_FRAME),
+        return self._stamped(
+            "capture_sim/msg/ContactState",
+            row.t,
+            CONE_FRAME,
             seq=seq,
-            in_touch=walls != 0,
-            walls=walls,
-            penetration=sample["penetration"],
-            penetration_rate=sample["penetration_rate"],
-            normal_force=sample["normal_force"],
-            friction_force=sample["friction_force"],
+            in_touch=row.walls != 0,
+            walls=row.walls,
+            penetration=row.penetration,
+            penetration_rate=row.penetration_rate,
+            normal_force=row.normal_force,
+            friction_force=row.friction_force,
             peak_force=since.peak_force,
             impulse=since.impulse,
             touches=since.touches,
         )
 
     def contact_trace(self, seq: int, t: float, points: np.ndarray) -> Message:
-        """Return ContactTrace of points, (n,) with the fields of TRACE, told at a time, s."""
-        fields = {name: points[name].ravel().tolist() for name in TRACE.names or ()}
-        return self._contact_trace(
+        """Return ContactTrace of points, (n,) with the fields of TRACE, stamped t, s."""
+        return self.new(
+            "capture_sim/msg/ContactTrace",
             header=self.header(t, CONE_FRAME),
             seq=seq,
             **{
-                name: self._sequence("B" if name == "walls" else "d", values)
-                for name, values in fields.items()
+                name: self._sequence("B" if name == "walls" else "d", points[name].ravel().tolist())
+                for name in TRACE.names or ()
             },
         )
 
-    def string_state(
-        self, seq: int, sample: np.void, *, has_string: bool, rail_heading: float
-    ) -> Message:
-        """Return StringState of one sample.
-
-        Parameters
-        ----------
-        seq
-            Number of the message.
-        sample
-            Of dtype SAMPLE.
-        has_string
-            Whether the scene has one; without, it counts as slack.
-        rail_heading
-            Direction of the rail in the world, rad.
-        """
-        phase = string_phase(sample, has_string=has_string)
-        return self._string_state(
-            header=self.header(float(sample["t"]), WORLD),
+    def string_state(self, seq: int, row: Row, scene: Scene) -> Message:
+        """Return StringState of one sample of a scene; without a string it counts as slack."""
+        return self._stamped(
+            "capture_sim/msg/StringState",
+            row.t,
+            WORLD,
             seq=seq,
-            phase=int(phase),
-            tension=float(sample["string_tension"]),
-            mass_height=float(sample["mass_height"]),
-            mass_speed=float(sample["mass_speed"]),
-            chaser_speed=speed_along(rail_heading, sample["v"]),
+            phase=int(string_phase(row, scene)),
+            tension=row.string_tension,
+            mass_height=row.mass_height,
+            mass_speed=row.mass_speed,
+            chaser_speed=speed_along_rail(row, scene),
         )
 
     def bench_event(self, seq: int, event: Event) -> Message:
         """Return BenchEvent; the touch's numbers are zero when the event ends none."""
+        names = ("approach_speed", "peak_force", "peak_time", "impulse", "dissipated")
         touch = event.touch
-        ended = {
-            "touch_start": 0.0 if touch is None else float(touch["start"]),
-            "approach_speed": 0.0 if touch is None else float(touch["approach_speed"]),
-            "peak_force": 0.0 if touch is None else float(touch["peak_force"]),
-            "peak_time": 0.0 if touch is None else float(touch["peak_time"]),
-            "impulse": 0.0 if touch is None else float(touch["impulse"]),
-            "dissipated": 0.0 if touch is None else float(touch["dissipated"]),
-        }
-        return self._bench_event(
+        return self.new(
+            "capture_sim/msg/BenchEvent",
             header=self.header(event.t, WORLD),
             seq=seq,
             t=float(event.t),
@@ -386,73 +361,121 @@ class Messages:
             wall=int(event.wall if touch is None else touch["wall"]),
             q=np.ascontiguousarray(event.q, dtype=float),
             v=np.ascontiguousarray(event.v, dtype=float),
-            **ended,
+            touch_start=0.0 if touch is None else float(touch["start"]),
+            **{name: 0.0 if touch is None else float(touch[name]) for name in names},
         )
 
-    def chaser_odometry(self, sample: np.void) -> Message:
+    def chaser_odometry(self, row: Row) -> Message:
         """Return Odometry of the chaser's centre of mass; twist in its own frame."""
-        return self._odometry_of(sample, _CHASER, CHASER_FRAME)
+        return self._planar_odometry(row, _CHASER, CHASER_FRAME)
 
-    def target_odometry(self, sample: np.void) -> Message:
+    def target_odometry(self, row: Row) -> Message:
         """Return Odometry of the target's centre of mass; twist in its own frame."""
-        return self._odometry_of(sample, _TARGET, TARGET_FRAME)
+        return self._planar_odometry(row, _TARGET, TARGET_FRAME)
 
-    def contact_wrench(self, sample: np.void) -> Message:
+    def odometry(
+        self,
+        t: float,
+        frame: str,
+        child: str,
+        pose: tuple[float, float, float],
+        rates: tuple[float, float, float],
+    ) -> Message:
+        """Return Odometry of a body in a frame.
+
+        Parameters
+        ----------
+        t
+            s since the release.
+        frame, child
+            That the pose is given in, and the body's own, which the twist is given in.
+        pose
+            x, y (m), heading (rad).
+        rates
+            Of the pose, in the frame, m/s and rad/s.
+        """
+        message = self._made.get(child)
+        if message is None:
+            message = self._made[child] = self.new(
+                "nav_msgs/msg/Odometry",
+                header=self.header(t, frame),
+                child_frame_id=child,
+                pose=self.new(
+                    "geometry_msgs/msg/PoseWithCovariance",
+                    pose=self._pose(),
+                    covariance=np.zeros(36),
+                ),
+                twist=self.new(
+                    "geometry_msgs/msg/TwistWithCovariance",
+                    twist=self.new(
+                        "geometry_msgs/msg/Twist", linear=self._vector(), angular=self._vector()
+                    ),
+                    covariance=np.zeros(36),
+                ),
+            )
+        _set_stamp(message.header.stamp, t)
+        _set_pose(message.pose.pose, pose)
+        vx, vy, omega = rates
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        linear = message.twist.twist.linear
+        linear.x, linear.y = cos * vx + sin * vy, cos * vy - sin * vx
+        message.twist.twist.angular.z = omega
+        return message
+
+    def contact_wrench(self, row: Row) -> Message:
         """Return WrenchStamped on the tip, latches included, in the tip's own frame."""
-        contact, latch = sample["contact_force"], sample["latch_force"]
-        fx = float(contact[0]) + float(latch[0])
-        fy = float(contact[1]) + float(latch[1])
-        theta = float(sample["q"][_THETA_P])
+        fx, fy = (row.contact_force + row.latch_force).tolist()
+        theta = float(row.q[_THETA_P])
         cos, sin = math.cos(theta), math.sin(theta)
-        return self._wrench_stamped(
-            header=self.header(float(sample["t"]), TIP_FRAME),
-            wrench=self._wrench(
-                force=self._vector3(x=cos * fx + sin * fy, y=cos * fy - sin * fx, z=0.0),
-                torque=self._vector3(x=0.0, y=0.0, z=float(sample["contact_torque"])),
-            ),
-        )
+        force = (cos * fx + sin * fy, cos * fy - sin * fx, row.contact_torque)
+        return self.wrench(row.t, TIP_FRAME, force)
+
+    def wrench(self, t: float, frame: str, wrench: tuple[float, float, float]) -> Message:
+        """Return WrenchStamped in a frame: force along x and y (N), torque about z (N m)."""
+        made = f"wrench in {frame}"
+        message = self._made.get(made)
+        if message is None:
+            message = self._made[made] = self.new(
+                "geometry_msgs/msg/WrenchStamped",
+                header=self.header(t, frame),
+                wrench=self.new(
+                    "geometry_msgs/msg/Wrench", force=self._vector(), torque=self._vector()
+                ),
+            )
+        _set_stamp(message.header.stamp, t)
+        force = message.wrench.force
+        force.x, force.y, message.wrench.torque.z = wrench
+        return message
 
     def sensed_pose(self, t: float, pose: tuple[float, float, float]) -> Message:
         """Return PoseStamped of what motion capture sees: x, y (m), heading (rad), world."""
-        x, y, theta = pose
-        return self._pose_stamped(
-            header=self.header(t, WORLD),
-            pose=self._pose(
-                position=self._point(x=x, y=y, z=0.0),
-                orientation=self._quaternion(
-                    x=0.0, y=0.0, z=math.sin(theta / 2.0), w=math.cos(theta / 2.0)
-                ),
-            ),
-        )
+        message = self._made.get("pose")
+        if message is None:
+            message = self._made["pose"] = self.new(
+                "geometry_msgs/msg/PoseStamped", header=self.header(t, WORLD), pose=self._pose()
+            )
+        _set_stamp(message.header.stamp, t)
+        _set_pose(message.pose, pose)
+        return message
 
-    def sensed_wrench(self, t: float, wrench: tuple[float, float, float]) -> Message:
-        """Return WrenchStamped of the load cell: force (N) and torque (N m), target's frame."""
-        fx, fy, torque = wrench
-        return self._wrench_stamped(
-            header=self.header(t, TARGET_FRAME),
-            wrench=self._wrench(
-                force=self._vector3(x=fx, y=fy, z=0.0),
-                torque=self._vector3(x=0.0, y=0.0, z=torque),
-            ),
-        )
-
-    def joint_states(self, sample: np.void) -> Message:
+    def joint_states(self, row: Row) -> Message:
         """Return JointState of the buffer's hinge (rad) and slide (m)."""
-        v = sample["v"]
-        return self._joint_state(
-            header=self.header(float(sample["t"]), ""),
+        return self._stamped(
+            "sensor_msgs/msg/JointState",
+            row.t,
+            "",
             name=[HINGE_JOINT, SLIDE_JOINT],
-            position=self._sequence("d", [float(sample["torsion"]), float(sample["axial_stroke"])]),
-            velocity=self._sequence("d", [_torsion_rate(v), float(v[_H])]),
-            effort=self._sequence(
-                "d", [float(sample["torsion_torque"]), float(sample["axial_force"])]
-            ),
+            position=self._sequence("d", [row.torsion, row.axial_stroke]),
+            velocity=self._sequence("d", [_torsion_rate(row), float(row.v[_H])]),
+            effort=self._sequence("d", [row.torsion_torque, row.axial_force]),
         )
 
     def capture_status(self, seq: int, t: float, status: CaptureStatus) -> Message:
         """Return CaptureStatus of the sample at a time since the release, s."""
-        return self._capture_status(
-            header=self.header(t, CONE_FRAME),
+        return self._stamped(
+            "capture_sim/msg/CaptureStatus",
+            t,
+            CONE_FRAME,
             seq=seq,
             state=int(status.state),
             final=bool(status.final),
@@ -468,14 +491,19 @@ class Messages:
 
     def capture_criteria(self, run_id: str, limits: Detector) -> Message:
         """Return CaptureCriteria, stamped with the release: what a run is judged by."""
-        return self._capture_criteria(
-            header=self.header(0.0, CONE_FRAME), run_id=run_id, **asdict(limits)
+        return self.new(
+            "capture_sim/msg/CaptureCriteria",
+            header=self.header(0.0, CONE_FRAME),
+            run_id=run_id,
+            **asdict(limits),
         )
 
     def launcher_state(self, seq: int, t: float, status: LauncherStatus) -> Message:
         """Return LauncherState at a time since the release, s."""
-        return self._launcher_state(
-            header=self.header(t, WORLD),
+        return self._stamped(
+            "capture_sim/msg/LauncherState",
+            t,
+            WORLD,
             seq=seq,
             state=int(status.state),
             hanging_mass=float(status.hanging_mass),
@@ -487,28 +515,23 @@ class Messages:
         )
 
     def launch_command(
-        self,
-        t: float,
-        run_id: str,
-        action: LaunchAction,
-        *,
-        hanging_mass: float,
-        drop_height: float,
-        impact_speed: float,
+        self, t: float, run_id: str, action: LaunchAction, plan: LaunchPlan
     ) -> Message:
-        """Return LaunchCommand; kg, m and m/s."""
-        return self._launch_command(
+        """Return LaunchCommand that follows a plan."""
+        return self.new(
+            "capture_sim/msg/LaunchCommand",
             header=self.header(t, WORLD),
             run_id=run_id,
             action=int(action),
-            hanging_mass=float(hanging_mass),
-            drop_height=float(drop_height),
-            impact_speed=float(impact_speed),
+            hanging_mass=float(plan.hanging_mass),
+            drop_height=float(plan.drop_height),
+            impact_speed=float(plan.impact_speed),
         )
 
     def run_info(self, run: RunDescription) -> Message:
         """Return RunInfo, stamped with the release."""
-        return self._run_info(
+        return self.new(
+            "capture_sim/msg/RunInfo",
             header=self.header(0.0, WORLD),
             run_id=run.run_id,
             name=run.name,
@@ -531,7 +554,8 @@ class Messages:
         reason: str = "",
     ) -> Message:
         """Return StreamCounts of one publisher: messages sent by topic name."""
-        return self._stream_counts(
+        return self.new(
+            "capture_sim/msg/StreamCounts",
             publisher=publisher,
             run_id=run_id,
             complete=complete,
@@ -542,60 +566,58 @@ class Messages:
 
     def stream_ack(self, consumer: str, run_id: str, received: int) -> Message:
         """Return StreamAck: the consumer has taken in so many samples of the run."""
-        return self._stream_ack(consumer=consumer, run_id=run_id, received=received)
-
-    def _odometry_of(self, sample: np.void, body: tuple[int, int, int], frame: str) -> Message:
-        x, y, theta = (float(sample["q"][i]) for i in body)
-        vx, vy, omega = (float(sample["v"][i]) for i in body)
-        # math, not NumPy: its result does not depend on how a run is cut into blocks
-        cos, sin = math.cos(theta), math.sin(theta)
-        return self._odometry(
-            header=self.header(float(sample["t"]), WORLD),
-            child_frame_id=frame,
-            pose=self._pose_with_covariance(
-                pose=self._pose(
-                    position=self._point(x=x, y=y, z=0.0),
-                    orientation=self._quaternion(
-                        x=0.0, y=0.0, z=math.sin(theta / 2.0), w=math.cos(theta / 2.0)
-                    ),
-                ),
-                covariance=self._no_covariance,
-            ),
-            twist=self._twist_with_covariance(
-                twist=self._twist(
-                    linear=self._vector3(x=cos * vx + sin * vy, y=cos * vy - sin * vx, z=0.0),
-                    angular=self._vector3(x=0.0, y=0.0, z=omega),
-                ),
-                covariance=self._no_covariance,
-            ),
+        return self.new(
+            "capture_sim/msg/StreamAck", consumer=consumer, run_id=run_id, received=received
         )
 
+    def _stamped(self, type_name: str, t: float, frame: str, **fields: Any) -> Message:
+        """Return the message of a type with a header, its fields filled."""
+        message = self._made.get(type_name)
+        if message is None:
+            message = self.new(type_name, header=self.header(t, frame), **fields)
+            self._made[type_name] = message
+            return message
+        _set_stamp(message.header.stamp, t)
+        for name, value in fields.items():
+            setattr(message, name, value)
+        return message
 
-def string_phase(sample: np.void, *, has_string: bool) -> StringPhase:
+    def _planar_odometry(self, row: Row, body: slice, frame: str) -> Message:
+        return self.odometry(row.t, WORLD, frame, row.q[body].tolist(), row.v[body].tolist())
+
+    def _pose(self) -> Message:
+        return self.new(
+            "geometry_msgs/msg/Pose",
+            position=self.new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+            orientation=self.new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+
+    def _vector(self) -> Message:
+        return self.new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+
+
+def string_phase(row: Row, scene: Scene) -> StringPhase:
     """Return the phase of the string in a sample; without a string it counts as slack."""
-    if not has_string:
+    if scene.string is None:
         return StringPhase.SLACK
     known = {Phase.HELD: StringPhase.HELD, Phase.TAUT: StringPhase.TAUT}
-    return known.get(Phase(int(sample["phase"])), StringPhase.SLACK)
+    return known.get(Phase(row.phase), StringPhase.SLACK)
 
 
-def speed_along(heading: float, v: np.ndarray) -> float:
-    """Return the chaser's speed along a direction of the world.
-
-    Parameters
-    ----------
-    heading
-        rad.
-    v
-        Rates as in BenchState, (8,), m/s and rad/s.
-
-    Returns
-    -------
-    float
-        m/s.
-    """
-    return float(v[0]) * math.cos(heading) + float(v[1]) * math.sin(heading)
+def speed_along_rail(row: Row, scene: Scene) -> float:
+    """Return the chaser's speed along the scene's rail, m/s."""
+    heading = scene.initial.chaser.theta
+    return float(row.v[0]) * math.cos(heading) + float(row.v[1]) * math.sin(heading)
 
 
-def _torsion_rate(v: np.ndarray) -> float:
-    return float(v[_THETA_P]) - float(v[_THETA_S])
+def _torsion_rate(row: Row) -> float:
+    return float(row.v[_THETA_P]) - float(row.v[_THETA_S])
+
+
+def _set_stamp(stamp: Message, t: float) -> None:
+    stamp.sec, stamp.nanosec = divmod(stamp_ns(t), 1_000_000_000)
+
+
+def _set_pose(message: Message, pose: tuple[float, float, float]) -> None:
+    message.position.x, message.position.y, theta = pose
+    message.orientation.z, message.orientation.w = math.sin(theta / 2.0), math.cos(theta / 2.0)

@@ -7,20 +7,21 @@ messages in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import (
+    TARGET_FRAME,
     ContactInterval,
     LaunchAction,
     Message,
     Messages,
+    Row,
     RunDescription,
-    SinceLastMessage,
+    row_of,
 )
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -57,7 +58,13 @@ if TYPE_CHECKING:
     from capture_sim.launch.plan import LauncherStatus, LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
-Sent = tuple[Topic, Message]
+
+class Sent(NamedTuple):
+    """A message that is sent."""
+
+    topic: Topic
+    t: float  # s since the release
+    data: bytes  # serialised
 
 
 def samples_per_message(state_rate: float, rate: float) -> int:
@@ -85,102 +92,32 @@ class _Stream:
     def __init__(self, messages: Messages, run_id: str) -> None:
         self._messages = messages
         self._run_id = run_id
-        self._counts = {
+        self._t = 0.0  # of the last message, s
+        #: Messages made so far, by topic.
+        self.by_topic = {
             topic: 0 for topic in topics_of(self.publisher) if topic is not STREAM_COUNTS
         }
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages sent so far, by topic name."""
-        return {topic.name: count for topic, count in self._counts.items()}
+        """Messages made so far, by topic name."""
+        return {topic.name: count for topic, count in self.by_topic.items()}
 
-    @property
-    def by_topic(self) -> dict[Topic, int]:
-        """Messages made so far, by topic."""
-        return dict(self._counts)
+    def _sent(self, topic: Topic, t: float, message: Message) -> Sent:
+        self.by_topic[topic] += 1
+        self._t = t
+        return Sent(topic, t, self._messages.serialise(message))
 
-    def _sent(self, topic: Topic, message: Message) -> Sent:
-        self._counts[topic] += 1
-        return topic, message
-
-    def _end(self, *, complete: bool, reason: str) -> Sent:
-        return STREAM_COUNTS, self._messages.stream_counts(
+    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
+        """Return the counts of all streams, which end the run."""
+        counts = self._messages.stream_counts(
             self.publisher, self._run_id, self.counts, complete=complete, reason=reason
         )
-
-
-#: The periodic messages of a sample, in the order in which they are sent.
-PERIODIC = (
-    CLOCK,
-    BUFFER_STATE,
-    CONTACT_STATE,
-    STRING_STATE,
-    CHASER_ODOMETRY,
-    TARGET_ODOMETRY,
-    CONTACT_WRENCH,
-    JOINT_STATES,
-)
-
-
-class BlockMaker(Protocol):
-    """Makes the messages of a block of samples, in whatever form the transport takes."""
-
-    def states(self, first_seq: int, samples: np.ndarray) -> Iterator[Message]:
-        """Yield BenchState of each sample, (n,) of dtype SAMPLE; the first has ``first_seq``."""
-
-    def sets(
-        self, first_seq: int, samples: np.ndarray
-    ) -> Iterator[Callable[[SinceLastMessage], list[Message]]]:
-        """Yield for each sample what makes the messages of PERIODIC, once it is known what
-        the contact did since the set before; the first ones have ``first_seq``.
-        """
-
-
-class OneByOne:
-    """Makes message objects.
-
-    Parameters
-    ----------
-    messages
-        Makes the objects.
-    scene
-        What is on the bench.
-    """
-
-    def __init__(self, messages: Messages, scene: Scene) -> None:
-        self._messages = messages
-        self._has_string = scene.string is not None
-        self._rail_heading = scene.initial.chaser.theta
-
-    def states(self, first_seq: int, samples: np.ndarray) -> Iterator[Message]:
-        """Yield BenchState of each sample, see :class:`BlockMaker`."""
-        return self._messages.bench_states(first_seq, samples)
-
-    def sets(
-        self, first_seq: int, samples: np.ndarray
-    ) -> Iterator[Callable[[SinceLastMessage], list[Message]]]:
-        """Yield what makes the periodic messages of each sample, see :class:`BlockMaker`."""
-        for seq, sample in enumerate(samples, first_seq):
-            yield partial(self._set, seq, sample)
-
-    def _set(self, seq: int, sample: np.void, since: SinceLastMessage) -> list[Message]:
-        make = self._messages
-        return [
-            make.clock(float(sample["t"])),
-            make.buffer_state(seq, sample),
-            make.contact_state(seq, sample, since),
-            make.string_state(
-                seq, sample, has_string=self._has_string, rail_heading=self._rail_heading
-            ),
-            make.chaser_odometry(sample),
-            make.target_odometry(sample),
-            make.contact_wrench(sample),
-            make.joint_states(sample),
-        ]
+        return Sent(STREAM_COUNTS, self._t, self._messages.serialise(counts))
 
 
 class BenchTelemetry(_Stream):
-    """What the simulator sends: begin, any number of blocks, end.
+    """What the simulator sends: begin, any number of blocks, rest, end.
 
     For every sample k come, in this order, the events before its time, BenchState, the trace
     of the contact before its time, and when k is a multiple of ``state_rate / rate`` the clock
@@ -189,38 +126,30 @@ class BenchTelemetry(_Stream):
     Parameters
     ----------
     messages
-        Makes the message objects.
+        Makes the messages.
     scene
         What is on the bench.
     run
         The run's description; its rates are used.
-    blocks
-        Makes the messages of samples; as objects unless given.
     """
 
     publisher = SIMULATOR
     #: The topic that ends the set of periodic messages of a sample.
-    LAST_PERIODIC = PERIODIC[-1]
+    LAST_PERIODIC = JOINT_STATES
 
-    def __init__(
-        self,
-        messages: Messages,
-        scene: Scene,
-        run: RunDescription,
-        blocks: BlockMaker | None = None,
-    ) -> None:
+    def __init__(self, messages: Messages, scene: Scene, run: RunDescription) -> None:
         super().__init__(messages, run.run_id)
-        self._blocks = OneByOne(messages, scene) if blocks is None else blocks
         self._run = run
+        self._scene = scene
         self._every = samples_per_message(run.state_rate, run.rate)
         self._interval = ContactInterval()
         self._sensors = None if scene.sensors is None else Sensors(scene)
         self._pending: list[Event] = []
         self._trace = np.zeros(0, SAMPLE)  # points that wait for a later sample
 
-    def begin(self) -> Iterator[Sent]:
-        """Yield what comes before the first sample."""
-        yield self._sent(RUN_INFO, self._messages.run_info(self._run))
+    def begin(self) -> Sent:
+        """Return what comes before the first sample."""
+        return self._sent(RUN_INFO, 0.0, self._messages.run_info(self._run))
 
     def block(
         self,
@@ -243,26 +172,30 @@ class BenchTelemetry(_Stream):
         self._pending.extend(events)
         if trace is not None and len(trace):
             self._trace = np.concatenate([self._trace, trace])
-        first = self._counts[BENCH_STATE]
+        first = self.by_topic[BENCH_STATE]
         times = samples["t"].tolist()
-        states = self._blocks.states(first, samples)
-        told = samples[-first % self._every :: self._every]
-        sets = self._blocks.sets(-(-first // self._every), told)
         unseen = 0  # first sample the contact's interval has not taken in
-        for i, state in enumerate(states):
-            while self._pending and _precedes(self._pending[0], times[i]):
+        states = self._messages.bench_states(first, samples)
+        for i, (t, state) in enumerate(zip(times, states, strict=True)):
+            while self._pending and _precedes(self._pending[0], t):
                 yield self._event(self._pending.pop(0))
-            yield self._sent(BENCH_STATE, state)
+            yield self._sent(BENCH_STATE, t, state)
             if len(self._trace):
                 # a step that ends with the sample itself may be known only later
-                yield from self._traced(times[i], self._trace["t"].searchsorted(times[i]))
+                yield from self._traced(t, self._trace["t"].searchsorted(t))
             if (first + i) % self._every == 0:
                 self._interval.add_samples(samples[unseen : i + 1])
                 unseen = i + 1
-                yield from self._periodic(samples[i], next(sets))
+                yield from self._periodic(row_of(samples[i]))
             if self._sensors is not None:
                 yield from self._sensed(samples[i], self._sensors)
         self._interval.add_samples(samples[unseen:])
+
+    def rest(self) -> Iterator[Sent]:
+        """Yield the events and trace after the last sample."""
+        while self._pending:
+            yield self._event(self._pending.pop(0))
+        yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
 
     def cut(self, made: Mapping[Topic, int], sent: Mapping[Topic, int]) -> None:
         """Forget what was made ahead when a run is cut: nobody is to wait for it.
@@ -276,40 +209,39 @@ class BenchTelemetry(_Stream):
         """
         self._pending.clear()
         self._trace = self._trace[:0]
-        self._counts = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
-
-    def end(self, *, complete: bool = True, reason: str = "") -> Iterator[Sent]:
-        """Yield the events and trace after the last sample, and the counts of all streams."""
-        while self._pending:
-            yield self._event(self._pending.pop(0))
-        yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
-        yield self._end(complete=complete, reason=reason)
+        self.by_topic = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
 
     def _event(self, event: Event) -> Sent:
         self._interval.add_event(event)
-        seq = self._counts[BENCH_EVENT]
-        return self._sent(BENCH_EVENT, self._messages.bench_event(seq, event))
+        seq = self.by_topic[BENCH_EVENT]
+        return self._sent(BENCH_EVENT, event.t, self._messages.bench_event(seq, event))
 
     def _traced(self, t: float, count: int) -> Iterator[Sent]:
-        """Yield the first ``count`` points that wait, told at time ``t``."""
+        """Yield the first ``count`` points that wait, stamped ``t``."""
         if count:
             points, self._trace = self._trace[:count], self._trace[count:]
-            seq = self._counts[CONTACT_TRACE]
-            yield self._sent(CONTACT_TRACE, self._messages.contact_trace(seq, t, points))
+            seq = self.by_topic[CONTACT_TRACE]
+            yield self._sent(CONTACT_TRACE, t, self._messages.contact_trace(seq, t, points))
 
-    def _periodic(
-        self, sample: np.void, make: Callable[[SinceLastMessage], list[Message]]
-    ) -> Iterator[Sent]:
-        for topic, message in zip(PERIODIC, make(self._interval.take(sample)), strict=True):
-            yield self._sent(topic, message)
+    def _periodic(self, row: Row) -> Iterator[Sent]:
+        make, t, seq = self._messages, row.t, self.by_topic[BUFFER_STATE]
+        yield self._sent(CLOCK, t, make.clock(t))
+        yield self._sent(BUFFER_STATE, t, make.buffer_state(seq, row))
+        since = self._interval.take(row)
+        yield self._sent(CONTACT_STATE, t, make.contact_state(seq, row, since))
+        yield self._sent(STRING_STATE, t, make.string_state(seq, row, self._scene))
+        yield self._sent(CHASER_ODOMETRY, t, make.chaser_odometry(row))
+        yield self._sent(TARGET_ODOMETRY, t, make.target_odometry(row))
+        yield self._sent(CONTACT_WRENCH, t, make.contact_wrench(row))
+        yield self._sent(JOINT_STATES, t, make.joint_states(row))
 
     def _sensed(self, sample: np.void, sensors: Sensors) -> Iterator[Sent]:
-        t, read = float(sample["t"]), sensors.read(sample)
+        t, make, read = float(sample["t"]), self._messages, sensors.read(sample)
         if read.chaser is not None and read.target is not None:
-            yield self._sent(CHASER_POSE, self._messages.sensed_pose(t, read.chaser))
-            yield self._sent(TARGET_POSE, self._messages.sensed_pose(t, read.target))
+            yield self._sent(CHASER_POSE, t, make.sensed_pose(t, read.chaser))
+            yield self._sent(TARGET_POSE, t, make.sensed_pose(t, read.target))
         if read.wrench is not None:
-            yield self._sent(LOAD_CELL, self._messages.sensed_wrench(t, read.wrench))
+            yield self._sent(LOAD_CELL, t, make.wrench(t, TARGET_FRAME, read.wrench))
 
 
 def _precedes(event: Event, t: float) -> bool:
@@ -328,24 +260,13 @@ class LauncherTelemetry(_Stream):
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
         """Return a command that follows the plan, at a time since the release, s."""
-        message = self._messages.launch_command(
-            t,
-            self._run_id,
-            action,
-            hanging_mass=plan.hanging_mass,
-            drop_height=plan.drop_height,
-            impact_speed=plan.impact_speed,
-        )
-        return self._sent(LAUNCH_COMMAND, message)
+        message = self._messages.launch_command(t, self._run_id, action, plan)
+        return self._sent(LAUNCH_COMMAND, t, message)
 
     def state(self, t: float, status: LauncherStatus) -> Sent:
         """Return the launcher's state at a time since the release, s."""
-        seq = self._counts[LAUNCHER_STATE]
-        return self._sent(LAUNCHER_STATE, self._messages.launcher_state(seq, t, status))
-
-    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
-        """Return the counts of the launcher's streams."""
-        return self._end(complete=complete, reason=reason)
+        seq = self.by_topic[LAUNCHER_STATE]
+        return self._sent(LAUNCHER_STATE, t, self._messages.launcher_state(seq, t, status))
 
 
 class DetectorTelemetry(_Stream):
@@ -356,13 +277,9 @@ class DetectorTelemetry(_Stream):
     def begin(self, limits: Detector) -> Sent:
         """Return what the run is judged by."""
         message = self._messages.capture_criteria(self._run_id, limits)
-        return self._sent(CAPTURE_CRITERIA, message)
+        return self._sent(CAPTURE_CRITERIA, 0.0, message)
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
         """Return the judgement of the sample at a time since the release, s."""
-        seq = self._counts[CAPTURE_STATUS]
-        return self._sent(CAPTURE_STATUS, self._messages.capture_status(seq, t, status))
-
-    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
-        """Return the counts of the detector's streams."""
-        return self._end(complete=complete, reason=reason)
+        seq = self.by_topic[CAPTURE_STATUS]
+        return self._sent(CAPTURE_STATUS, t, self._messages.capture_status(seq, t, status))

@@ -73,7 +73,7 @@ class CaptureDetectorNode(RunFollower):
         }
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self._sets = 0
-        self.send(*self._telemetry.begin(scene.detector))
+        self.publish(self._telemetry.begin(scene.detector))
         if given := self._criteria.given():
             self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
 
@@ -90,7 +90,7 @@ class CaptureDetectorNode(RunFollower):
             self.get_logger().warning(
                 f"{self.run.name}: {skipped} instants not judged: a source had a hole there"
             )
-        self.send(*self._telemetry.end(complete=not reason, reason=reason))
+        self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
     def _take(self, topic: Topic, data: bytes) -> None:
@@ -110,7 +110,7 @@ class CaptureDetectorNode(RunFollower):
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         for status in statuses:
-            self.send(*self._telemetry.status(status.t, status))
+            self.publish(self._telemetry.status(status.t, status))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -10,9 +9,9 @@ from typing import Any
 
 from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
-from capture_sim.hardware.loop_messages import LoopMessages, tip_of
+from capture_sim.hardware.loop_messages import tip_of, wrench_message
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.running import BenchNode, message_class, run
+from capture_sim.nodes.running import BenchNode, run
 
 
 class ContactRigNode(BenchNode):
@@ -29,7 +28,6 @@ class ContactRigNode(BenchNode):
         lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
         self._rig = ContactRig(load_scene(name, overrides), stiffness, exponent)
         self._places: deque[TipState] = deque(maxlen=lag + 1)
-        self._made = LoopMessages(message_class, sequence=array.array)
         self.open((TIP_WRENCH,))
         self.listen(TIP, self._answer)
 
@@ -42,7 +40,7 @@ class ContactRigNode(BenchNode):
     def _answer(self, message: Any) -> None:
         self._places.append(tip_of(message))
         place = self._places[0]
-        self.send(TIP_WRENCH, self._made.wrench(place.t, self._rig.wrench(place)))
+        self.send(TIP_WRENCH, wrench_message(self.messages, place.t, self._rig.wrench(place)))
 
 
 def main(args: Sequence[str] | None = None) -> int:

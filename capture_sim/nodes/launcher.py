@@ -81,8 +81,8 @@ class LauncherNode(RunFollower):
         self._touched = False
         plan = launcher.plan
         self._actuator.hold()
-        self.send(*self._telemetry.command(0.0, LaunchAction.ARM, plan))
-        self.send(*self._telemetry.state(0.0, launcher.status))
+        self.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
+        self.publish(self._telemetry.state(0.0, launcher.status))
         how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
         if plan.hanging_mass > 0.0:
             how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
@@ -92,19 +92,19 @@ class LauncherNode(RunFollower):
 
     def end(self, reason: str) -> list[str]:
         """Tell how much was sent."""
-        self.send(*self._telemetry.end(complete=not reason, reason=reason))
+        self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
     def _release(self, launcher: Launcher) -> None:
-        self.send(*self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
+        self.publish(self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
         self._actuator.release()
-        self.send(*self._telemetry.state(0.0, launcher.release()))
+        self.publish(self._telemetry.state(0.0, launcher.release()))
 
     def _abort(self, launcher: Launcher, t: float) -> None:
         """Tell everybody that the launch is given up."""
         self._actuator.hold()
-        self.send(*self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
-        self.send(*self._telemetry.state(t, launcher.status))
+        self.publish(self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
+        self.publish(self._telemetry.state(t, launcher.status))
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
     def _take(self, name: str, message: Any) -> None:
@@ -126,7 +126,7 @@ class LauncherNode(RunFollower):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(self._launcher, t)
         else:
-            self.send(*self._telemetry.state(t, status))
+            self.publish(self._telemetry.state(t, status))
         self.advance_past(self._observed)
         self._observed += 1
 

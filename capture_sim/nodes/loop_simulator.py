@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import json
 import threading
 import time
@@ -20,9 +19,9 @@ from capture_sim.hardware.in_the_loop import (
     SafeStopError,
     WrenchHold,
 )
-from capture_sim.hardware.loop_messages import LoopMessages, stamp_of, wrench_of
+from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.running import FAILED, OK, BenchNode, message_class, run
+from capture_sim.nodes.running import FAILED, OK, BenchNode, run
 
 #: The tip's first place is sent this often until it is answered, s (wall).
 KNOCK = 0.02
@@ -59,7 +58,6 @@ class LoopSimulatorNode(BenchNode):
         self._stage = LoopStage(load_scene(name, overrides), 1.0 / rate, substeps)
         self._watch = BounceWatch(self._stage, mass or None)
         self._hold = WrenchHold(timeout, force_limit)
-        self._made = LoopMessages(message_class, sequence=array.array)
         self._lock = threading.Lock()
         self._now = 0.0  # of the loop, s
         self._sent: dict[float, float] = {}  # wall time by the tip's time
@@ -97,7 +95,7 @@ class LoopSimulatorNode(BenchNode):
                 with self._lock:
                     self._now = tip.t
                     self._sent[round(tip.t, 9)] = time.monotonic()
-                self.send(TIP, self._made.tip(tip))
+                self.send(TIP, tip_message(self.messages, tip))
         except SafeStopError as stop:
             stopped = str(stop)
             self.get_logger().error(stopped)
@@ -113,7 +111,7 @@ class LoopSimulatorNode(BenchNode):
                     return
             if time.monotonic() > deadline:
                 raise CaptureSimError(f"no wrench came for {self._patience:g} s")
-            self.send(TIP, self._made.tip(self._stage.tip))
+            self.send(TIP, tip_message(self.messages, self._stage.tip))
             time.sleep(KNOCK)
 
     def _tell(self, stopped: str, late: int) -> None:

@@ -17,8 +17,7 @@ from capture_sim.nodes.early import EarlyMessages
 from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
 from capture_sim.nodes.running import ParameterError, run
 from capture_sim.recording.cdr import sequence_of
-from capture_sim.recording.files import Split
-from capture_sim.recording.live import LiveRecorder
+from capture_sim.recording.live import LiveRecorder, Split
 
 
 class RecorderNode(RunFollower):

@@ -33,12 +33,14 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.interrupts import leave_if_busy
 from capture_sim.messages.convert import Messages
+from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.ending import ended_within
 from capture_sim.nodes.usage import usage_of
@@ -112,7 +114,7 @@ class BenchNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.messages = Messages(message_class, sequence=array.array)
+        self.messages = Messages(message_class, serialize_message, sequence=array.array)
         self.failure: Exception | None = None  # that ended the callbacks
         self._senders: dict[Topic, Any] = {}
         self._checks: dict[str, Callable[[Any], None]] = {}
@@ -251,6 +253,10 @@ class BenchNode(Node):
     def send(self, topic: Topic, message: Any) -> None:
         """Publish a message on one of the open topics."""
         self._senders[topic].publish(message)
+
+    def publish(self, sent: Sent) -> None:
+        """Publish a serialised message on one of the open topics."""
+        self._senders[sent.topic].publish(sent.data)
 
     def matched(self, topic: Topic) -> int:
         """Return how many subscribers an open topic has found."""

@@ -38,7 +38,6 @@ from capture_sim.nodes.gathering import Gathering
 from capture_sim.nodes.memory import set_memory_aside, sweep_memory
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
-from capture_sim.nodes.serialised import SerialisedBlocks
 from capture_sim.nodes.simulation_services import SimulationServices
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.scene.parts import Scene
@@ -304,11 +303,9 @@ class SimulatorNode(BenchNode):
             scene, self._run.id, self._reporting, consumers=self._followers.names
         )
         with self._followers.changed:
-            blocks = SerialisedBlocks(self.messages, scene)
-            self._telemetry = BenchTelemetry(self.messages, scene, description, blocks)
+            self._telemetry = BenchTelemetry(self.messages, scene, description)
         self._model.begin(scene)
-        for sent in self._telemetry.begin():
-            self.send(*sent)
+        self.publish(self._telemetry.begin())
 
     def _simulate(self, bench: Bench) -> str:
         """Send the whole run; return why it failed, or nothing."""
@@ -340,8 +337,9 @@ class SimulatorNode(BenchNode):
     def _end_run(self, reason: str) -> None:
         """Say how much was sent."""
         assert self._telemetry is not None
-        for sent in self._telemetry.end(complete=not reason, reason=reason):
-            self.send(*sent)
+        for sent in self._telemetry.rest():
+            self.publish(sent)
+        self.publish(self._telemetry.end(complete=not reason, reason=reason))
         self._telemetry = None
 
     def _see_off(self) -> str:

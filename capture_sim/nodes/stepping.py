@@ -71,7 +71,7 @@ class Stepping:
         RunCut, KeyboardInterrupt
             The run is to end before its time; what was made ahead does not count as sent.
         """
-        made, sent = self._telemetry.by_topic, Counter[Topic]()
+        made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
 
         def send_counted(topic: Topic, message: Any) -> None:
             try:
@@ -118,11 +118,11 @@ class Stepping:
 
     def _send(self, due: list[Sent], t: float, send: Callable[[Topic, Any], None]) -> None:
         self._control.tick(t)
-        for topic, message in due:
+        for topic, _, data in due:
             if topic is BENCH_STATE:
                 self.t = t
                 self.count += 1
-            send(topic, message)
+            send(topic, data)
 
     @property
     def figures(self) -> str:

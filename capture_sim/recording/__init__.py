@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from capture_sim.recording.files import Split
-from capture_sim.recording.live import LiveRecorder
+from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.reader import Run, read_run
+from capture_sim.recording.read import Run, read_run
 from capture_sim.recording.recover import Recovery, recover
 from capture_sim.recording.tally import Tally
-from capture_sim.recording.writer import RunWriter
+from capture_sim.recording.write import RunWriter
 
 __all__ = [
     "LiveRecorder",

@@ -1,4 +1,4 @@
-"""Reading serialised messages without a decoder for each type.
+"""Reading many serialised messages at once, as columns.
 
 A message of numbers and of texts of a fixed length has every field at a fixed place, so a
 whole topic can be read as one NumPy array of records.  Messages are the little-endian
@@ -8,6 +8,7 @@ size, counted from behind that header.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,9 @@ _NUMBERS = {
     "float32": "<f4",
     "float64": "<f8",
 }
+
+#: Fields of a message at most, those in it counted.
+_MOST_FIELDS = 100_000
 
 _TIME = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
@@ -104,18 +108,19 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
         messages.
     """
     found: dict[str, np.ndarray] = {}
-    waiting = np.arange(len(messages))
     sizes = np.fromiter((len(data) for data in messages), dtype=np.int64, count=len(messages))
-    while len(waiting):
-        example = messages[waiting[0]]
-        layout = _Walk(store, type_name, example).layout()
-        same = waiting[sizes[waiting] == len(example)]
-        raw = np.frombuffer(b"".join([messages[i] for i in same]), dtype=np.uint8)
-        raw = raw.reshape(len(same), len(example))
-        alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
-        rows = same[alike]
-        _store_records(found, layout, raw[alike], rows, len(messages))
-        waiting = waiting[~np.isin(waiting, rows)]
+    by_size = np.argsort(sizes, kind="stable")
+    for waiting in np.split(by_size, np.flatnonzero(np.diff(sizes[by_size])) + 1):
+        while len(waiting):
+            try:
+                layout = _Walk(store, type_name, messages[waiting[0]]).layout()
+            except KeyError as error:
+                raise RecordingError(f"{type_name}: {error} is no known type") from None
+            raw = np.frombuffer(b"".join([messages[i] for i in waiting]), dtype=np.uint8)
+            raw = raw.reshape(len(waiting), -1)
+            alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
+            _store_records(found, layout, raw[alike], waiting[alike], len(messages))
+            waiting = waiting[~alike]
     return {name: _tidied(column) for name, column in found.items()}
 
 
@@ -127,58 +132,6 @@ class Layout:
     texts: dict[str, tuple[int, int]]  # path: offset, length
     text_lists: dict[str, list[tuple[int, int]]]
     fixed: np.ndarray  # offsets of bytes that another message must share to fit
-    gaps: list[tuple[int, int]]  # from, to: padding between fields
-    size: int  # bytes, without padding at the end
-
-
-def message_layout(store: Typestore, type_name: str, data: bytes) -> Layout:
-    """Return where the fields of a serialised message are.
-
-    Raises
-    ------
-    RecordingError
-        The bytes are no such message.
-    """
-    return _Walk(store, type_name, data).layout()
-
-
-class PaddingCleaner:
-    """Zeroes the padding of serialised messages of one type.
-
-    Fast CDR leaves in the padding what its memory held before, so that equal messages
-    differ; zeroed, a recorded message is the same bytes whoever serialised it.
-    """
-
-    def __init__(self, store: Typestore, type_name: str) -> None:
-        self._store = store
-        self._type_name = type_name
-        # by length of the message: lengths of its parts, gaps, size
-        self._known: dict[
-            int, list[tuple[list[tuple[int, bytes]], list[tuple[int, int]], int]]
-        ] = {}
-
-    def __call__(self, data: bytes) -> bytes:
-        """Return the message with zeros for padding, and none at its end.
-
-        Raises
-        ------
-        RecordingError
-            The bytes are no such message.
-        """
-        candidates = self._known.setdefault(len(data), [])
-        for lengths, gaps, size in candidates:  # noqa: B007  # used behind the loop
-            if all(data[at : at + 4] == length for at, length in lengths):
-                break
-        else:
-            layout = _Walk(self._store, self._type_name, data).layout()
-            starts = layout.fixed[2::4].tolist()
-            lengths = [(at, bytes(data[at : at + 4])) for at in starts]
-            gaps, size = layout.gaps, layout.size
-            candidates[:] = [(lengths, gaps, size), *candidates[:7]]
-        clean = bytearray(data[:size])
-        for start, end in gaps:
-            clean[start:end] = bytes(end - start)
-        return bytes(clean)
 
 
 class _Walk:
@@ -197,7 +150,7 @@ class _Walk:
         self._texts: dict[str, tuple[int, int]] = {}
         self._text_lists: dict[str, list[tuple[int, int]]] = {}
         self._fixed: list[int] = [0, 1]  # the encapsulation, then 4 bytes a length
-        self._gaps: list[tuple[int, int]] = []
+        self._steps = 0
         self._message("", type_name)
         # a transport may pad a message to a multiple of 4 bytes
         if not 0 <= len(data) - _HEADER - self._position < 4:
@@ -217,11 +170,14 @@ class _Walk:
             }  # type: ignore[arg-type]  # NumPy's stubs want a TypedDict
         )
         fixed = np.array(self._fixed, dtype=np.int64)
-        size = self._position + _HEADER
-        return Layout(records, self._texts, self._text_lists, fixed, self._gaps, size)
+        return Layout(records, self._texts, self._text_lists, fixed)
 
     def _message(self, prefix: str, type_name: str) -> None:
-        for name, description in self._store.fielddefs[type_name][1]:
+        known = self._store.fielddefs[type_name][1]
+        self._steps += len(known) + 1
+        if self._steps > _MOST_FIELDS:
+            raise RecordingError(f"{self._type_name}: more than {_MOST_FIELDS} fields")
+        for name, description in known:
             path = f"{prefix}{name}"
             kind = description[0]
             if kind == Nodetype.BASE:
@@ -250,6 +206,10 @@ class _Walk:
 
     def _array(self, path: str, name: str, count: int) -> None:
         if name == "string":
+            if count > len(self._data):
+                raise RecordingError(
+                    f"{self._type_name}: message of {len(self._data)} bytes is cut"
+                )
             self._text_lists[path] = [self._text() for _ in range(count)]
         else:
             self._number(path, name, (count,))
@@ -261,13 +221,10 @@ class _Walk:
         self._names.append(path)
         self._formats.append((item, shape) if shape else item)
         self._offsets.append(self._position + _HEADER)
-        self._position += item.itemsize * int(np.prod(shape, dtype=int))
+        self._position += item.itemsize * math.prod(shape)
 
     def _align(self, size: int) -> None:
-        position = _aligned(self._position, size)
-        if position > self._position:
-            self._gaps.append((self._position + _HEADER, position + _HEADER))
-        self._position = position
+        self._position = _aligned(self._position, size)
 
     def _length(self) -> int:
         self._align(4)

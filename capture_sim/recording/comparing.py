@@ -27,7 +27,7 @@ from capture_sim.recording.measured import (
     touches_of,
     wrench,
 )
-from capture_sim.recording.reader import Run
+from capture_sim.recording.read import Run
 from capture_sim.results import first_cluster
 from capture_sim.studies.measurements import Measurements, Series, measured_in
 from capture_sim.studies.touches import Touches

@@ -12,7 +12,7 @@ from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from capture_sim.errors import RecordingError
-from capture_sim.recording.reader import read_run
+from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
 
 #: Start and end of a chunk's record, and topic and bytes of its messages.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -27,8 +28,13 @@ def typestore() -> Typestore:
 
 @cache
 def offline_messages() -> Messages:
-    """Return the maker of message objects for :func:`typestore`."""
-    return Messages(typestore().types.__getitem__)
+    """Return the maker of messages for :func:`typestore`."""
+    store = typestore()
+
+    def serialise(message: Any) -> bytes:
+        return bytes(store.serialize_cdr(message, message.__msgtype__))
+
+    return Messages(store.types.__getitem__, serialise)
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages.topics import CONTACT_TRACE
-from capture_sim.recording.reader import Run
+from capture_sim.recording.read import Run
 from capture_sim.samples import TRACE
 
 #: Column of the log times.

@@ -1,23 +1,34 @@
-"""The half of the live recorder that knows no ROS: bytes in, one checked file out."""
+"""The half of the live recorder that knows no ROS: bytes in, one checked recording out."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
+from capture_sim.files import file_name, free_path, whole_file
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import BENCH_STATE, RECORDED, RUN_INFO, STREAM_COUNTS, Topic
-from capture_sim.recording.cdr import PaddingCleaner, sequence_of
+from capture_sim.messages.topics import (
+    BENCH_STATE,
+    RECORDED,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_COUNTS,
+    Topic,
+)
+from capture_sim.recording.bag_metadata import FILE_NAME, TopicEntry, bag_metadata, in_folder
+from capture_sim.recording.cdr import sequence_of, stamp_of
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.files import RecordingFiles, Split
 from capture_sim.recording.tally import Tally, TopicTally
+from capture_sim.recording.write import RunWriter
 
 #: What the metadata record says of a live recording's origin.
 LIVE = "live"
@@ -29,6 +40,147 @@ FLUSH_PERIOD = 0.5
 WRITE_PERIOD = 0.05
 #: Seconds that take() waits for a stalled disk.
 STALL_LIMIT = 10.0
+
+
+@dataclass(frozen=True)
+class Split:
+    """When a new file is begun.
+
+    Attributes
+    ----------
+    size
+        Bytes in the file; 0 for no bound.
+    time
+        s, from its first message to its last; 0 for no bound.
+    folder
+        Lay the recording out as a bag's folder, even if no new file is ever begun.
+    """
+
+    size: int = 0
+    time: float = 0.0
+    folder: bool = False
+
+    def __bool__(self) -> bool:
+        return self.folder or self.size > 0 or self.time > 0.0
+
+
+class RecordingFiles:
+    """Writes a run to ``<directory>/<name>.mcap``, or split to a folder ``<directory>/<name>``.
+
+    A folder holds ``<name>_0.mcap``, ``<name>_1.mcap`` ... and ``metadata.yaml``, as rosbag2
+    lays out a bag.  What exists is never overwritten: ``<name>_2`` is taken instead.  The files
+    have their names from the beginning, so that what a kill leaves is where it is looked for.
+
+    Parameters
+    ----------
+    directory
+        Where the recording goes.
+    run, metadata, topics
+        As of :class:`~capture_sim.recording.write.RunWriter`.
+    split
+        When a new file is begun.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be written.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        run: RunDescription,
+        metadata: Mapping[str, str],
+        topics: Sequence[Topic],
+        split: Split,
+    ) -> None:
+        self._run = run
+        self._metadata = dict(metadata)
+        self._topics = topics
+        self._split = split
+        self._stem = file_name(run.name)
+        self._finished: list[RunWriter] = []
+        #: Entries for the metadata record at the end of the last file.
+        self.closing: dict[str, str] = {}
+        wanted = directory / (self._stem if split else f"{self._stem}.mcap")
+        while True:
+            #: The file, or the folder.
+            self.path = free_path(wanted)
+            try:
+                if split:
+                    self.path.mkdir(parents=True)
+                self._writer = self._open()
+            except FileExistsError:
+                continue  # another recorder was faster
+            except OSError as error:
+                reason = error.strerror or error
+                raise RecordingError(f"{self.path}: cannot write: {reason}") from None
+            except RecordingError as error:
+                if not isinstance(error.__cause__, FileExistsError):
+                    raise
+            else:
+                break
+
+    def write(self, topic: Topic, data: bytes, time: int | None) -> None:
+        """Write a serialised message, into a new file when it is time for one.
+
+        Raises
+        ------
+        RecordingError
+            A file cannot be written.
+        """
+        size, span = self._split.size, self._split.time
+        if (size and self._writer.size >= size) or (span and self._writer.span >= span):
+            self._writer.close()
+            self._finished.append(self._writer)
+            self._writer = self._open()
+        self._writer.write(topic, data, time)
+
+    def flush(self) -> None:
+        """Hand what waits to the operating system."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write index and summary, and ``metadata.yaml`` of a folder.
+
+        Raises
+        ------
+        RecordingError
+            A file cannot be written.
+        """
+        self._writer.closing.update(self.closing)
+        self._writer.close()
+        if self._split:
+            self._write_metadata()
+
+    def give_up(self) -> None:
+        """Close the file as far as that is possible."""
+        with suppress(RecordingError):
+            self._writer.close()
+
+    def _open(self) -> RunWriter:
+        path, metadata = self.path, self._metadata
+        if self._split:
+            number = len(self._finished)
+            path = self.path / f"{self._stem}_{number}.mcap"
+            metadata = {**metadata, "part": str(number)}
+        return RunWriter(path, self._run, metadata, topics=self._topics)
+
+    def _write_metadata(self) -> None:
+        parts = [*self._finished, self._writer]
+        topics: dict[str, TopicEntry] = {}
+        for entry in (entry for part in parts for entry in part.topic_entries()):
+            known = topics.get(entry.name)
+            count = entry.count + (known.count if known else 0)
+            topics[entry.name] = replace(entry, count=count)
+        files = [part.file_entry for part in parts]
+        text = bag_metadata(list(topics.values()), files, self._writer.run_id)
+        path = self.path / FILE_NAME
+        try:
+            with whole_file(path) as part:
+                part.write_text(in_folder(text), encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
 
 
 @dataclass(frozen=True)
@@ -59,8 +211,9 @@ class LiveRecorder:
 
     A RunInfo names the run and opens ``<directory>/<name>.mcap`` (``<name>_2.mcap`` when that
     exists); what came before it is kept and written after it.  Messages are written by a
-    thread of the recorder's own.  The publishers' StreamCounts are written last, since they
-    carry no time.
+    thread of the recorder's own, logged at the simulated time that they carry, or where no
+    simulator takes part at the time of their arrival.  The publishers' StreamCounts are
+    written last, since they carry no time.
 
     :meth:`take` may be called from any one thread.  Use it as a context manager or call
     :meth:`close`.
@@ -68,15 +221,16 @@ class LiveRecorder:
     Parameters
     ----------
     directory
-        Where the file goes.
+        Where the recording goes.
     metadata
         Further entries for the file's metadata record.
     queue_bytes
         Bound of the memory for waiting messages; as much again may be being written.
     topics
-        Those that are recorded; others are ignored.  RunInfo and StreamCounts always are.
+        Those that are recorded, of the bench's or others; what is not among them is ignored.
+        RunInfo and StreamCounts always are.
     split
-        When a new file is begun, in a folder ``<directory>/<name>``; None never.
+        When a new file is begun, in a folder ``<directory>/<name>``.
 
     Attributes
     ----------
@@ -95,12 +249,12 @@ class LiveRecorder:
     ) -> None:
         self._directory = Path(directory)
         self._metadata = {"origin": LIVE, **(metadata or {})}
-        always = (RUN_INFO, STREAM_COUNTS)
-        self._topics = tuple(topic for topic in RECORDED if topic in topics or topic in always)
-        self._split = split
+        chosen = {*topics, RUN_INFO, STREAM_COUNTS}
+        others = [topic for topic in topics if topic not in RECORDED]
+        self._topics = (*(topic for topic in RECORDED if topic in chosen), *others)
+        self._split = split or Split()
         self._tally = Tally(topics=self._topics)
-        self._run: RunDescription | None = None
-        self._path: Path | None = None
+        self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
         self._early_counts: list[bytes] = []  # came before the run was announced
         self._remarks: dict[str, None] = {}  # each once, in order
@@ -109,21 +263,15 @@ class LiveRecorder:
         self._queue = _WriteQueue(queue_bytes)
         self._report: RecordingReport | None = None
         self.paused = False
-
-    @property
-    def run(self) -> RunDescription | None:
-        """The run that is recorded; None until it is announced."""
-        return self._run
-
-    @property
-    def path(self) -> Path | None:
-        """The file, or the folder of files; None until the run is announced."""
-        return self._path
+        #: The run that is recorded; None until it is announced.
+        self.run: RunDescription | None = None
+        #: The file, or the folder of files; None until the run is announced.
+        self.path: Path | None = None
 
     @property
     def done(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""
-        return self._run is not None and self._tally.satisfied
+        return self.run is not None and self._tally.satisfied
 
     def take(self, topic: Topic, data: bytes) -> None:
         """Take in one serialised message.
@@ -146,7 +294,8 @@ class LiveRecorder:
             paused = self.paused
             self._tally.add(topic, sequence_of(topic, data), written=not paused)
             if not paused:
-                self._queue.put(topic, data)
+                stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
+                self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
         """Write what waits, close the file and say what is missing; again: same report.
@@ -159,7 +308,7 @@ class LiveRecorder:
         if self._report is None:
             self._report = self._make_report()
             for data in self._counts.values():
-                self._queue.put(STREAM_COUNTS, data)
+                self._queue.put(STREAM_COUNTS, data, None)
             closing = {}
             if self._first_state is not None:
                 closing["wall_time"] = repr(self._last_message - self._first_state)
@@ -173,45 +322,42 @@ class LiveRecorder:
         self.close()
 
     def _take_info(self, data: bytes) -> None:
-        info = _decoded(RUN_INFO, data)
-        if self._run is None:
-            run = RunDescription(
-                run_id=info.run_id,
-                name=info.name,
-                scene=info.scene,
-                software=tuple(info.software),
-                state_rate=info.state_rate,
-                rate=info.rate,
-                publishers=tuple(info.publishers),
+        info = decoded(RUN_INFO, data)
+        if self.run is None:
+            run = described(info)
+            self._simulated = SIMULATOR in run.publishers
+            stamp = stamp_of(RUN_INFO, data) if self._simulated else time.time_ns()
+            files = self._queue.open(
+                self._directory, run, self._metadata, self._topics, self._split
             )
-            self._path = self._queue.open(
-                lambda: RecordingFiles(
-                    self._directory, run, self._metadata, self._topics, self._split
-                ),
-                data,
-            )
+            self._queue.begin(files, data, stamp)
+            self.path = files.path
             self._tally.add(RUN_INFO, None)
-            self._run = run
+            self.run = run
             self._tally.publishers = run.publishers
             for early in self._early_counts:
                 self._take_counts(early)
-        elif info.run_id != self._run.run_id:
-            self._remarks[f"another run was announced meanwhile: {info.run_id}"] = None
+        elif info.run_id != self.run.run_id:
+            self._remarks[f"another run was announced meanwhile: {info.run_id!r}"] = None
 
     def _take_counts(self, data: bytes) -> None:
-        if self._run is None:
+        if self.run is None:
             self._early_counts.append(data)
             return
-        told = _decoded(STREAM_COUNTS, data)
-        if told.run_id != self._run.run_id:
+        told = decoded(STREAM_COUNTS, data)
+        if told.run_id != self.run.run_id:
             return  # latched by an earlier run
+        if len(told.topics) != len(told.counts):
+            raise RecordingError(
+                f"{STREAM_COUNTS.name}: {len(told.topics)} topics and {len(told.counts)} counts"
+            )
         self._counts.setdefault(told.publisher, data)
         counts = dict(zip(told.topics, told.counts.tolist(), strict=True))
         self._tally.end(told.publisher, counts, complete=told.complete, reason=told.reason)
 
     def _make_report(self) -> RecordingReport:
         problems = [*self._remarks, *self._tally.problems()]
-        if self._run is None:
+        if self.run is None:
             problems.insert(0, "no run was announced: nothing recorded")
         return RecordingReport(
             path=self.path,
@@ -221,10 +367,41 @@ class LiveRecorder:
         )
 
 
-def _decoded(topic: Topic, data: bytes) -> Any:
+def described(info: Any) -> RunDescription:
+    """Return the description of a run from its RunInfo.
+
+    Raises
+    ------
+    RecordingError
+        A rate is none.
+    """
+    for name in ("state_rate", "rate"):
+        value = float(getattr(info, name))
+        if not 0.0 < value < math.inf:
+            raise RecordingError(f"{RUN_INFO.name}: {name} = {value:g} Hz: allowed is above 0")
+    return RunDescription(
+        run_id=info.run_id,
+        name=info.name,
+        scene=info.scene,
+        software=tuple(info.software),
+        state_rate=float(info.state_rate),
+        rate=float(info.rate),
+        publishers=tuple(info.publishers),
+        consumers=tuple(info.consumers),
+    )
+
+
+def decoded(topic: Topic, data: bytes) -> Any:
+    """Return a message of a topic from its bytes.
+
+    Raises
+    ------
+    RecordingError
+        The bytes are no such message.
+    """
     try:
         return typestore().deserialize_cdr(data, topic.type_name)
-    except SerdeError as error:
+    except (SerdeError, UnicodeDecodeError) as error:
         raise RecordingError(f"{topic.name}: {error}") from None
 
 
@@ -238,14 +415,14 @@ class _WriteQueue:
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._lock = threading.Condition()
-        self._waiting: list[tuple[Topic, bytes]] = []
+        self._waiting: list[tuple[Topic, bytes, int | None]] = []
         self._bytes = 0
         self._closing: dict[str, str] | None = None
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
 
-    def open(self, make: Callable[[], RecordingFiles], info: bytes) -> Path:
-        """Open the file and start writing: the RunInfo, then what waits; return its path.
+    def open(self, *arguments: Any) -> RecordingFiles:
+        """Return new files; what fails is raised by :meth:`put` too.
 
         Raises
         ------
@@ -253,18 +430,20 @@ class _WriteQueue:
             The file cannot be written.
         """
         try:
-            files = make()
+            return RecordingFiles(*arguments)
         except RecordingError as error:
             self._error = error
             raise
-        self._waiting.insert(0, (RUN_INFO, info))
+
+    def begin(self, files: RecordingFiles, info: bytes, stamp: int | None) -> None:
+        """Start writing: the RunInfo, then what waits."""
+        self._waiting.insert(0, (RUN_INFO, info, stamp))
         self._thread = threading.Thread(
             target=self._work, args=(files,), name="recording", daemon=True
         )
         self._thread.start()
-        return files.path
 
-    def put(self, topic: Topic, data: bytes) -> None:
+    def put(self, topic: Topic, data: bytes, stamp: int | None) -> None:
         """Append a message; waits while the queue is full.
 
         Raises
@@ -284,7 +463,7 @@ class _WriteQueue:
                     if self._thread is None
                     else f"the disk has not written anything for {STALL_LIMIT:g} s"
                 )
-            self._waiting.append((topic, data))
+            self._waiting.append((topic, data, stamp))
             self._bytes += len(data)
 
     def close(self, closing: dict[str, str]) -> None:
@@ -322,8 +501,6 @@ class _WriteQueue:
 
     def _write_until_closed(self, files: RecordingFiles) -> None:
         flushed = time.monotonic()
-        store = typestore()
-        clean = {topic: PaddingCleaner(store, topic.type_name) for topic in RECORDED}
         while True:
             with self._lock:
                 self._lock.wait_for(lambda: self._closing is not None, WRITE_PERIOD)
@@ -331,8 +508,8 @@ class _WriteQueue:
                 self._bytes = 0
                 closing = self._closing
                 self._lock.notify_all()
-            for topic, data in batch:
-                files.write_raw(topic, clean[topic](data))
+            for message in batch:
+                files.write(*message)
             if closing is not None:
                 files.closing.update(closing)
                 return

@@ -27,7 +27,7 @@ from capture_sim.messages.topics import (
     TARGET_POSE,
     Topic,
 )
-from capture_sim.recording.reader import Columns, Run
+from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.measurements import Measurements, Series

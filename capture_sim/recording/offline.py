@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,14 +9,19 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import numpy as np
+from mcap.records import Chunk, Metadata
+from mcap.stream_reader import StreamReader
 
 from capture_sim.errors import RecordingError
+from capture_sim.files import free_path, is_device, whole_file
 from capture_sim.launch.plan import Launcher
 from capture_sim.messages.convert import (
     LaunchAction,
     RunDescription,
     StringPhase,
-    speed_along,
+    row_of,
+    speed_along_rail,
+    stamp_ns,
     string_phase,
 )
 from capture_sim.messages.telemetry import (
@@ -27,10 +31,14 @@ from capture_sim.messages.telemetry import (
     Sent,
     samples_per_message,
 )
-from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
-from capture_sim.recording.column_stream import ColumnStream
+from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    LAUNCHER,
+    SIMULATOR,
+    STREAM_COUNTS,
+)
 from capture_sim.recording.definitions import offline_messages
-from capture_sim.recording.writer import RunWriter, free_path
+from capture_sim.recording.write import RUN_METADATA, RunWriter
 
 if TYPE_CHECKING:
     from capture_sim.simulation import Result
@@ -44,18 +52,16 @@ SIMULATED = "simulated"
 def write_run(
     result: Result, path: Path | str, run_id: str | None = None, *, replace: bool = True
 ) -> Path:
-    """Write a simulated run as one MCAP file.
-
-    It holds the streams that simulator, launcher and capture detector send, byte for byte
-    those of :func:`run_stream`, but serialised by columns.
+    """Write a simulated run as one MCAP file: what simulator, launcher and detector send.
 
     Parameters
     ----------
     result
         Sampled on the grid of ``scene.run.state_rate``.
     path
-        File to write.  An earlier simulated run there is replaced; beside any other
-        recording, which could not be made again, the file gets a number behind its name.
+        File to write; it has its name when it is whole.  An earlier simulated run there is
+        replaced; beside any other recording, which could not be made again, the file gets a
+        number behind its name.
     run_id
         None makes a new one.
     replace
@@ -73,35 +79,41 @@ def write_run(
     """
     _check_grid(result)
     path = Path(path)
-    if path.is_file() and not (replace and is_simulated(path)):
-        path = free_path(path)
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
-    stream = ColumnStream(result, run)
-    with RunWriter(path, run, {"origin": SIMULATED}, replace=replace) as writer:
-        if not stream.covers_all:
-            for topic, message in run_stream(result, run):
-                writer.write(topic, message)
-            writer.closing["wall_time"] = repr(result.wall_time)
-            return writer.path
-        for topic, message in stream.head():
-            writer.write(topic, message)
-        for blocks, order in stream.blocks():
-            writer.write_rows(blocks, order)
-        for topic, message in stream.tail():
-            writer.write(topic, message)
+    try:
+        while True:
+            replaced = is_device(path) or (replace and is_simulated(path))
+            target = path if replaced else free_path(path)
+            try:
+                with whole_file(target, replace=replaced) as part:
+                    _write(result, run, part, target.name)
+            except FileExistsError:
+                continue  # another command was faster
+            return target
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+
+
+def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
+    with RunWriter(part, run, {"origin": SIMULATED}, name=name) as writer:
+        for topic, t, data in run_stream(result, run):
+            # the counts carry no time: they come last
+            writer.write(topic, data, None if topic is STREAM_COUNTS else stamp_ns(t))
         writer.closing["wall_time"] = repr(result.wall_time)
-    return writer.path
 
 
 def is_simulated(path: Path) -> bool:
-    """Whether a file says of itself that it holds a run simulated without nodes."""
+    """Whether a file is a run that was simulated without ROS, and could be made again."""
     try:
         with path.open("rb") as file:
-            head = file.read(65536)
-    except OSError:
+            for record in StreamReader(file, emit_chunks=True, record_size_limit=1 << 24).records:
+                if isinstance(record, Metadata) and record.name == RUN_METADATA:
+                    return record.metadata.get("origin") == SIMULATED
+                if isinstance(record, Chunk):
+                    break
+    except Exception:  # whatever it is, it is no such file
         return False
-    entry = [struct.pack("<I", len(text)) + text.encode() for text in ("origin", SIMULATED)]
-    return b"".join(entry) in head
+    return False
 
 
 def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
@@ -120,7 +132,7 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     detector = DetectorTelemetry(messages, run.run_id)
     launcher = Launcher(scene)
 
-    yield from bench.begin()
+    yield bench.begin()
     yield follower.command(0.0, LaunchAction.ARM, launcher.plan)
     yield follower.state(0.0, launcher.status)
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
@@ -129,21 +141,22 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     *judged, verdict = result.statuses
     waiting = deque(judged)
     periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])
-    for topic, message in bench.block(samples, result.events, result.trace):
-        yield topic, message
-        if topic is bench.LAST_PERIODIC:
-            sample = next(periodic)
+    for sent in bench.block(samples, result.events, result.trace):
+        yield sent
+        if sent.topic is bench.LAST_PERIODIC:
+            row = row_of(next(periodic))
             launched = launcher.observe(
-                speed_along(scene.initial.chaser.theta, sample["v"]),
-                string_phase(sample, has_string=scene.string is not None) is StringPhase.SLACK,
-                touched=int(sample["touches"]) > 0,
+                speed_along_rail(row, scene),
+                string_phase(row, scene) is StringPhase.SLACK,
+                touched=row.touches > 0,
             )
-            yield follower.state(float(sample["t"]), launched)
-            while waiting and waiting[0].t <= float(sample["t"]):
+            yield follower.state(row.t, launched)
+            while waiting and waiting[0].t <= row.t:
                 status = waiting.popleft()
                 yield detector.status(status.t, status)
     complete, reason = not result.failure, result.failure
-    yield from bench.end(complete=complete, reason=reason)
+    yield from bench.rest()
+    yield bench.end(complete=complete, reason=reason)
     yield follower.end(complete=complete, reason=reason)
     for status in (*waiting, verdict):
         yield detector.status(status.t, status)

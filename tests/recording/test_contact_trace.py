@@ -86,8 +86,8 @@ def test_trace_agrees_with_the_recorded_touches_as_its_steps_allow(rtol, tmp_pat
 def test_points_are_told_with_the_first_sample_behind_them(result):
     description = RunDescription.of(result.scene, "a run", PUBLISHERS)
     sent = [
-        (topic, message)
-        for topic, message in run_stream(result, description)
+        (topic, typestore().deserialize_cdr(data, topic.type_name))
+        for topic, _, data in run_stream(result, description)
         if topic in (BENCH_STATE, CONTACT_TRACE)
     ]
     told = 0
@@ -105,13 +105,12 @@ def test_points_are_told_with_the_first_sample_behind_them(result):
 def test_trace_changes_nothing_else_and_is_off_unless_asked_for(result):
     plain = simulate(load_scene(NAME))
     assert plain.trace is None
-    store = typestore()
 
     def others(one):
         description = RunDescription.of(one.scene, "a run", PUBLISHERS)
         return [
-            (topic.name, bytes(store.serialize_cdr(message, topic.type_name)))
-            for topic, message in run_stream(one, description)
+            (topic.name, data)
+            for topic, _, data in run_stream(one, description)
             if topic not in (CONTACT_TRACE, RUN_INFO, STREAM_COUNTS)
         ]
 

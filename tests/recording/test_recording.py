@@ -82,11 +82,7 @@ def path(result, tmp_path_factory):
 @pytest.fixture(scope="module")
 def sent(result, run):
     """All messages of the run, serialised, in the order of the nodes."""
-    store = typestore()
-    return [
-        (topic, bytes(store.serialize_cdr(message, topic.type_name)))
-        for topic, message in run_stream(result, run)
-    ]
+    return [(topic, data) for topic, _, data in run_stream(result, run)]
 
 
 def messages_in(path):
@@ -105,36 +101,8 @@ def bits(array):
     return np.ascontiguousarray(array).tobytes()
 
 
-# by columns and one by one
-
-
-def test_messages_written_by_columns_are_those_of_the_nodes(path, sent):
+def test_file_holds_the_messages_of_the_nodes_in_their_order(path, sent):
     assert messages_in(path) == [(topic.absolute_name, data) for topic, data in sent]
-
-
-@pytest.mark.parametrize(
-    "name, overrides",
-    [
-        ("paper_designed", ["run.t_end=1.5"]),
-        ("tilt_p10", ["run.state_rate=900", "run.rate=100"]),
-        ("tilt_p10", ["run.trace=true"]),
-        # ends within a touch; some samples and steps fall on one instant
-        ("paper_designed", ["run.trace=true", "run.t_end=0.1", "run.method=rk4"]),
-        ("tilt_0", ["run.rate=1000", "run.t_end=3.1"]),
-        ("tilt_0", ["latch=null", "run.t_end=11.0", "run.rate=7.8125", "run.state_rate=1000"]),
-    ],
-)
-def test_by_columns_whatever_the_rates(name, overrides, tmp_path):
-    result = capture_sim.simulate(capture_sim.load_scene(name, overrides))
-    path = write_run(result, tmp_path / "x.mcap", run_id="x")
-    description = RunDescription.of(result.scene, "x", PUBLISHERS)
-    store = typestore()
-    one_by_one = [
-        (topic.absolute_name, bytes(store.serialize_cdr(message, topic.type_name)))
-        for topic, message in run_stream(result, description)
-    ]
-    assert messages_in(path) == one_by_one
-    assert read_run(path).complete
 
 
 def test_a_live_recording_is_not_overwritten(result, sent, tmp_path):
@@ -422,18 +390,6 @@ def test_index_without_checksum_is_read(path, tmp_path):
     assert bits(read_run(other).samples) == bits(read_run(path).samples)
 
 
-@pytest.mark.parametrize("at, value", [(3, 0xFF), (-2, 0xEE)])
-def test_what_is_damaged_is_said_in_plain_words(at, value, path, tmp_path):
-    data = bytearray(path.read_bytes())
-    data[data.index(b"capture_sim/msg/") + at] = value  # the name of a type, behind its length
-    (tmp_path / "broken.mcap").write_bytes(data)
-    with pytest.raises(
-        RecordingError, match="what should be text is none; what is whole"
-    ) as caught:
-        read_run(tmp_path / "broken.mcap")
-    assert "codec" not in str(caught.value)
-
-
 def test_flipped_bytes_are_seen_in_a_cut_file_too(path, tmp_path):
     # there only the chunk's own checksum tells
     chunk = chunk_indexes(path)[3]
@@ -508,15 +464,11 @@ def file_size_limit(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_what_was_written_before_the_disk_was_full_stays_readable(result, tmp_path):
+def test_a_file_that_did_not_become_whole_has_no_name(result, tmp_path):
     path = tmp_path / "full.mcap"
-    with file_size_limit(600_000), pytest.raises(RecordingError, match="cannot write"):
+    with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write"):
         write_run(result, path)
-    run = read_run(path)
-    assert not run.complete
-    n = len(run.samples)
-    assert 0 < n < len(result.samples)
-    assert bits(run.samples) == bits(result.samples[:n])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_run_off_the_grid_is_not_recorded(tmp_path):
@@ -532,7 +484,7 @@ def test_an_error_in_the_middle_leaves_a_whole_file(run, sent, tmp_path):
     def write_some():
         with RunWriter(path, run) as writer:
             for topic, data in sent[:3000]:
-                writer.write_raw(topic, data)
+                writer.write(topic, data, stamp_of(topic, data))
             raise RuntimeError("mine")
 
     with pytest.raises(RuntimeError, match="mine"):
@@ -547,7 +499,7 @@ def test_writing_after_the_end_is_refused(run, tmp_path):
     writer.close()
     writer.close()
     with pytest.raises(RecordingError, match="already closed"):
-        writer.write(RUN_INFO, offline_messages().run_info(run))
+        writer.write(RUN_INFO, b"", None)
 
 
 # live
@@ -575,18 +527,6 @@ def test_live_recording_holds_the_same_as_the_offline_one(path, sent, tmp_path):
         assert live.log_times(name).tolist() == offline.log_times(name).tolist()
     assert live.scene_text == offline.scene_text
     assert live.wall_time > 0.0
-
-
-def test_garbage_in_padding_is_not_recorded(path, sent, tmp_path):
-    dirty = []
-    for topic, data in sent:
-        if topic is BENCH_STATE:
-            changed = bytearray(data)
-            changed[22:24] = b"\xde\xad"
-            data = bytes(changed)
-        dirty.append((topic, data))
-    report = record(tmp_path, dirty).close()
-    assert read_run(report.path).raw("bench/state") == read_run(path).raw("bench/state")
 
 
 @pytest.mark.parametrize("topic", [t for t in RECORDED if t not in (RUN_INFO, STREAM_COUNTS)])
@@ -638,7 +578,7 @@ def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
         (RUN_INFO, bytes(store.serialize_cdr(messages.run_info(other_run), RUN_INFO.type_name))),
     ]
     report = record(tmp_path, [sent[0], *strange, *sent[1:]]).close()
-    assert report.problems == ("another run was announced meanwhile: another",)
+    assert report.problems == ("another run was announced meanwhile: 'another'",)
 
 
 def test_run_that_ended_early_is_reported(sent, run, tmp_path):
@@ -821,11 +761,7 @@ def small_disk(tmp_path):
 def test_full_disk_keeps_what_was_written(small_disk, result, sent):
     with pytest.raises(RecordingError, match="cannot write: No space left on device"):
         write_run(result, small_disk / "offline.mcap")
-    run = read_run(small_disk / "offline.mcap")
-    n = len(run.samples)
-    assert 0 < n < len(result.samples)
-    assert bits(run.samples) == bits(result.samples[:n])
-    (small_disk / "offline.mcap").unlink()
+    assert list(small_disk.iterdir()) == []
     with pytest.raises(RecordingError, match="cannot write: No space left on device"):
         record(small_disk, sent).close()
     run = read_run(small_disk / f"{NAME}.mcap")

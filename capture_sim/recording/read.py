@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
+from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,17 +32,18 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.cdr import columns, sequence_of
+from capture_sim.recording.contents import CDR, UNPACKED_RATIO, Contents, read_contents
 from capture_sim.recording.definitions import schema_text, typestore
-from capture_sim.recording.records import CDR, Contents, read_contents
-from capture_sim.recording.recover import RECOVERY_METADATA
+from capture_sim.recording.live import described
 from capture_sim.recording.tally import Tally
-from capture_sim.recording.writer import (
+from capture_sim.recording.write import (
     END_METADATA,
+    RECOVERY_METADATA,
     RUN_METADATA,
     SCENE_ATTACHMENT,
     describing,
 )
-from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind
+from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind, Phase
 from capture_sim.scene.parts import Detector
 
 if TYPE_CHECKING:
@@ -47,11 +51,11 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, np.ndarray]
 
-# events that tell of a touch that ended
-_ENDING = (EventKind.LIFT_OFF.label, EventKind.END.label)
+# events that end a touch
+_ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
-def read_run(path: Path | str) -> Run:
+def read_run(path: Path | str, ratio: float = UNPACKED_RATIO) -> Run:
     """Read a recorded run, a file or the folder of a split one; checksums are checked.
 
     It may be a bag of a real bench with the same topics: what is not in it is empty.
@@ -59,13 +63,21 @@ def read_run(path: Path | str) -> Run:
     marked by ``complete`` and ``damage``.  Messages come in the order of their log times,
     in whatever order they stand in the file.
 
+    Parameters
+    ----------
+    path
+        The file or folder.
+    ratio
+        How many times a file's size it may unpack to.
+
     Raises
     ------
     RecordingError
-        The file cannot be read, is no MCAP file, or is damaged inside.
+        The file cannot be read, is no MCAP file, is damaged inside, or unpacks to more than
+        is allowed.
     """
     path = Path(path)
-    return Run(path, read_contents(path))
+    return Run(path, read_contents(path, ratio))
 
 
 class Run:
@@ -124,13 +136,18 @@ class Run:
         for topic, messages in recorded.items():
             for data in messages:
                 tally.add(topic, sequence_of(topic, data))
-        told = self._told
-        for i, publisher in enumerate(told.get("publisher", ())):
+        ends = self._ends
+        for i, publisher in enumerate(ends.get("publisher", ())):
+            topics, counts = ends["topics"][i], ends["counts"][i].tolist()
+            if len(topics) != len(counts):
+                raise RecordingError(
+                    f"{self.path}: {STREAM_COUNTS.name}: {len(topics)} topics, {len(counts)} counts"
+                )
             tally.end(
                 publisher,
-                dict(zip(told["topics"][i], told["counts"][i].tolist(), strict=True)),
-                complete=bool(told["complete"][i]),
-                reason=told["reason"][i],
+                dict(zip(topics, counts, strict=True)),
+                complete=bool(ends["complete"][i]),
+                reason=ends["reason"][i],
             )
         return tuple(tally.problems())
 
@@ -139,13 +156,13 @@ class Run:
         """Whether a simulator's run does not come to its end: ended early, or not all recorded."""
         if SIMULATOR not in self.metadata.get("publishers", "").split("\n"):
             return False
-        ended = zip(self._told.get("publisher", ()), self._told.get("complete", ()), strict=True)
+        ended = zip(self._ends.get("publisher", ()), self._ends.get("complete", ()), strict=True)
         return not any(publisher == SIMULATOR and complete for publisher, complete in ended)
 
     @property
-    def _told(self) -> Columns:
+    def _ends(self) -> Columns:
         """How the publishers have ended the run; empty where that is not recorded."""
-        # one of another type is a bag's of others: nothing is told by it
+        # one of another type is a bag's of others
         recorded = any(
             topic_named(name) is STREAM_COUNTS and type_name == STREAM_COUNTS.type_name
             for name, type_name in self._contents.types.items()
@@ -180,9 +197,23 @@ class Run:
 
     @property
     def wall_time(self) -> float | None:
-        """How long the run took, s of wall time; None when the recording ended before it."""
+        """How long the run took, s of wall time; None when the recording ended before it.
+
+        Raises
+        ------
+        RecordingError
+            The file tells something else.
+        """
         text = self._contents.metadata.get(END_METADATA, {}).get("wall_time")
-        return None if text is None else float(text)
+        if text is None:
+            return None
+        try:
+            seconds = float(text)
+        except ValueError:
+            seconds = math.nan
+        if not 0.0 <= seconds < math.inf:
+            raise RecordingError(f"{self.path}: wall_time = {text[:40]!r}: allowed is s, 0 or more")
+        return seconds
 
     @property
     def has_scene(self) -> bool:
@@ -199,7 +230,10 @@ class Run:
             The file holds none.
         """
         if SCENE_ATTACHMENT in self._contents.attachments:
-            return self._contents.attachments[SCENE_ATTACHMENT].decode()
+            try:
+                return self._contents.attachments[SCENE_ATTACHMENT].decode()
+            except UnicodeDecodeError:
+                raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is no text") from None
         if self._announced is not None:
             return self._announced.scene
         raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}")
@@ -209,17 +243,8 @@ class Run:
         """How the run was announced, as `ros2 bag record` keeps it; None unless it is one run."""
         if len(self.run_ids) != 1:
             return None
-        told = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
-        return RunDescription(
-            run_id=told["run_id"],
-            name=told["name"],
-            scene=told["scene"],
-            software=tuple(told["software"]),
-            state_rate=float(told["state_rate"]),
-            rate=float(told["rate"]),
-            publishers=tuple(told["publishers"]),
-            consumers=tuple(told["consumers"]),
-        )
+        fields = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
+        return described(SimpleNamespace(**fields))
 
     @cached_property
     def scene(self) -> Scene:
@@ -274,7 +299,12 @@ class Run:
             messages = self._contents.messages.get(name, ())
             if messages:
                 type_name = self._contents.types[name]
-                found = columns(self._store_for(type_name), type_name, messages)
+                try:
+                    found = columns(self._store_for(type_name), type_name, messages)
+                except RecursionError:
+                    raise RecordingError(
+                        f"{self.path}: definition of type {type_name!r} contains itself"
+                    ) from None
             else:
                 found = {}
             self._columns[name] = found
@@ -288,6 +318,7 @@ class Run:
         if len(samples):
             for name in SAMPLE.names or ():
                 samples[name] = recorded[name]
+            self._check_numbers(BENCH_STATE, "phase", samples["phase"], Phase)
         samples.flags.writeable = False
         return samples
 
@@ -343,6 +374,7 @@ class Run:
         recorded = self.columns(CAPTURE_STATUS)
         if not recorded:
             return ()
+        self._check_numbers(CAPTURE_STATUS, "state", recorded["state"], CaptureState)
         by_name: dict[str, list[Any]] = {
             name: recorded[name].tolist() for name in CaptureStatus._fields if name != "t"
         }
@@ -369,8 +401,17 @@ class Run:
 
     @property
     def verdict(self) -> CaptureState | None:
-        """The detector's last word; None when it said nothing."""
+        """The detector's last judgement; None without any."""
         return self.statuses[-1].state if self.statuses else None
+
+    def _check_numbers(
+        self, topic: Topic, name: str, values: np.ndarray, kinds: type[IntEnum]
+    ) -> None:
+        highest = max(kinds)
+        if (wrong := values[values > highest]).size:
+            raise RecordingError(
+                f"{self.path}: {topic.name}: {name} = {wrong[0]}: allowed is 0 to {highest}"
+            )
 
     def _store_for(self, type_name: str) -> Typestore:
         """Return a store that knows the type as this file defines it."""
@@ -381,7 +422,7 @@ class Run:
         try:
             store = get_typestore(Stores.EMPTY)
             store.register(get_types_from_msg(text, type_name))
-        except (TypesysError, ValueError) as error:
+        except (TypesysError, ValueError, KeyError, RecursionError) as error:
             reason = " ".join(str(error).split())
             raise RecordingError(
                 f"{self.path}: definition of type {type_name!r} cannot be read: {reason}"
@@ -403,7 +444,7 @@ class Run:
 
 def _touch(recorded: Columns, i: int) -> np.void | None:
     """Return the touch that event i ended; None when it ended none."""
-    if recorded["kind"][i] not in _ENDING or recorded["wall"][i] == 0:
+    if recorded["kind"][i] not in _ENDED or recorded["wall"][i] == 0:
         return None
     touch: np.void = np.zeros(1, dtype=TOUCH)[0]
     touch["start"] = recorded["touch_start"][i]
