@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         for path in ALIASES.get(name, (name,))
     ]
     say(" ".join(changes))
-    for name in fit.untold:
+    for name in fit.undetermined:
         say(f"{name}: what was measured does not depend on it; the value is where the search began")
     if not is_explained(fit):
         say(
@@ -130,4 +130,4 @@ def run(options: argparse.Namespace) -> int:
             f"{fit.chi2**0.5:.3g}, and may still be too small"
         )
         return FAILED
-    return FAILED if fit.untold else OK
+    return FAILED if fit.undetermined else OK

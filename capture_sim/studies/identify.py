@@ -88,7 +88,7 @@ class Fit:
     touches: int = 0
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def undetermined(self) -> tuple[str, ...]:
         """Parameters that the measurements do not depend on."""
         return tuple(
             n for n, e in zip(self.names, self.errors, strict=True) if not math.isfinite(e)

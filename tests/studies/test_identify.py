@@ -19,7 +19,7 @@ from capture_sim.studies.touches import located
 HERE = "tilt_0"
 
 
-@pytest.mark.parametrize("name, seed", [("tilt_0", 1), ("tilt_m10", 2), ("tilt_p10", 3)])
+@pytest.mark.parametrize("name, seed", [("tilt_m10", 2), ("tilt_p10", 3)])
 def test_noisy_runs_give_their_parameters_back(name, seed):
     run = noisy_run(name, seed)
     fit = identify(run.scene, run.measured, NAMES, plan=run.plan, touches=run.touches)
@@ -110,7 +110,7 @@ def test_touches_behind_the_end_do_not_count():
     )
     assert fit.touches == 0
     assert fit.chi2 < 1.0
-    assert fit.untold == ("buffer.k_A",)  # nothing touches so early
+    assert fit.undetermined == ("buffer.k_A",)  # nothing touches so early
 
 
 def test_noise_of_nothing_is_refused_in_one_line():

@@ -1,0 +1,215 @@
+"""Recorded runs compared: what of them, from which series, with which sign."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from recorded_bags import BENCH_TOPICS, rewritten
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
+from capture_sim.recording.measured import first_contact, measurements
+from capture_sim.studies.compare import gaps
+from capture_sim.studies.measurements import Measurements, Series
+from capture_sim.viewing.comparison import draw_touches, impulse_so_far
+
+
+def test_comparison_with_itself_and_with_another_run(path, other):
+    one, two = read_run(path), read_run(other)
+    at, at_other = first_contact(one), first_contact(two)
+    same = gaps(measurements(one), measurements(one), at, at, 1.0)
+    assert [f"{gap.series}.{gap.part.label}" for gap in same] == [
+        *("chaser.x", "chaser.y", "chaser.theta", "target.x", "target.y", "target.theta"),
+        *("stroke.", "torsion."),
+    ]
+    assert all(gap.largest == 0.0 for gap in same)
+    different = gaps(measurements(one), measurements(two), at, at_other, 1.0)
+    assert next(gap for gap in different if gap.series == "stroke").rms > 1e-4
+
+
+def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):
+    """As results.json has it of the run; at 100 Hz the torsion comes out 0.5 % lower."""
+    sides = comparable(read_run(path), read_run(other))
+    found = characteristics(sides[0])
+    expected = result.summary
+    for name, key, factor in (
+        ("largest torsion, mrad", "max_torsion", 1e3),
+        ("largest stroke inwards, mm", "max_axial_stroke", 1e3),
+        ("nearest to BE, mm", "nearest_distance", 1e3),
+        ("largest force, N", "peak_force", 1.0),
+        ("normal impulse, N s", "normal_impulse", 1.0),
+    ):
+        assert found[name].value == expected[key] * factor, name
+    assert found["largest torsion, mrad"].source == "bench/state, 1000 Hz"
+    assert found["largest force, N"].source == "bench/event"
+    assert characteristics(sides[1])["largest stroke inwards, mm"].value > (
+        found["largest stroke inwards, mm"].value
+    )
+    assert sides[0].touches.peak.tolist() == result.touches["peak_force"].tolist()
+
+
+def test_both_runs_are_compared_by_a_series_that_both_hold(bench_bag, path):
+    bench, run = comparable(read_run(bench_bag), read_run(path))
+    assert bench.sources == {
+        "chaser": "chaser/odom, 100 Hz",
+        "target": "target/odom, 100 Hz",
+        "stroke": "bench/buffer, 100 Hz",
+        "torsion": "bench/buffer, 100 Hz",
+        "force": "contact/wrench, 100 Hz",
+    }
+    assert {name: run.sources[name] for name in bench.sources} == bench.sources
+    assert run.sources["distance"] == "bench/state, 1000 Hz"  # the bench's bag has none
+    assert bench.touches is None
+    assert "too slow for touches of 0.348 ms as the other has" in bench.touch_source
+    assert "largest force, N" not in characteristics(bench)  # a sample is no peak
+    assert SAMPLED_FORCE in characteristics(bench, sampled=True)
+
+
+def test_peaks_between_messages_come_before_samples(path, tmp_path):
+    """bench/contact tells the first touch's peak at 100 Hz too; contact/wrench shows none."""
+    topics = [*BENCH_TOPICS, ("/bench/contact", "capture_sim/msg/ContactState")]
+    bag = read_run(rewritten(path, tmp_path / "bag", topics=topics))
+    side, _ = comparable(bag, read_run(path))
+    assert side.touch_source == "bench/contact, 100 Hz, as long as each message counts one"
+    assert side.touches.within(side.contact, 1.0).start[0] == 0.0
+    located = read_run(path).touches
+    assert side.touches.peak[0] == located["peak_force"][0]
+    assert side.touches.start[0] == pytest.approx(located["start"][0], abs=0.01)
+    assert np.isnan(side.touches.impulse).all()
+
+
+def test_a_fast_bench_is_compared_by_the_fast_series_of_the_run(result, path, tmp_path):
+    """The bench's encoders at 500 Hz: the run's bench/buffer at 100 Hz would be the slower."""
+    fast = capture_sim.load_scene("tilt_0", ["run.rate=500"])
+    recorded = write_run(capture_sim.simulate(fast), tmp_path / "fast.mcap")
+
+    sides = comparable(read_run(rewritten(recorded, tmp_path / "bag")), read_run(path))
+    assert [of.sources["stroke"] for of in sides] == [
+        "bench/buffer, 500 Hz",
+        "bench/state, 1000 Hz",
+    ]
+    assert [of.sources["chaser"] for of in sides] == ["chaser/odom, 500 Hz", "bench/state, 1000 Hz"]
+    mine, theirs = (characteristics(of)["largest torsion, mrad"].value for of in sides)
+    assert mine == pytest.approx(theirs, rel=1e-3)
+    assert theirs == result.summary["max_torsion"] * 1e3
+
+
+def test_with_motion_capture_the_true_path_is_taken_where_both_hold_it(path, tmp_path):
+    scene = capture_sim.load_scene("tilt_0", ["sensors.motion_capture.rate=100"])
+    seen = capture_sim.simulate(scene)
+    noisy = write_run(seen, tmp_path / "noisy.mcap")
+    found = characteristics(comparable(read_run(noisy), read_run(path))[0])["nearest to BE, mm"]
+    assert found == (seen.summary["nearest_distance"] * 1e3, "bench/state, 1000 Hz")
+    # a bench knows it by its detector alone, and so it is taken of both
+    topics = [*BENCH_TOPICS, ("/capture/status", "capture_sim/msg/CaptureStatus")]
+
+    bag = rewritten(path, tmp_path / "bag", topics=topics)
+    sides = comparable(read_run(noisy), read_run(bag))
+    assert [of.sources["distance"] for of in sides] == ["capture/status, 100 Hz"] * 2
+
+
+def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
+    scene = capture_sim.load_scene(
+        "tilt_0", ["sensors.motion_capture.rate=100", "sensors.load_cell.force_noise=0.5"]
+    )
+    recorded = write_run(capture_sim.simulate(scene), tmp_path / "run.mcap")
+    topics = [
+        ("/motion_capture/chaser", "geometry_msgs/msg/PoseStamped"),
+        ("/motion_capture/target", "geometry_msgs/msg/PoseStamped"),
+        ("/bench/buffer", "capture_sim/msg/BufferState"),
+        ("/load_cell/wrench", "geometry_msgs/msg/WrenchStamped"),
+    ]
+
+    bag = rewritten(recorded, tmp_path / "bag", topics=topics)
+    assert first_contact(read_run(bag)) == pytest.approx(first_contact(read_run(path)), abs=0.01)
+    assert main(["compare", str(bag), str(path), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "load_cell/wrench, 1000 Hz" in said
+    assert "nan" not in said
+
+
+def test_gaps_of_known_series():
+    t = np.linspace(0.0, 3.0, 301)
+    a = Measurements(stroke=Series(t, np.sin(t)))
+    b = Measurements(stroke=Series(t + 0.25, np.sin(t) + 0.1))  # later, and 0.1 larger
+    (gap,) = gaps(a, b, 1.0, 1.25, 1.5)
+    assert gap.rms == pytest.approx(0.1)
+    assert gap.largest == pytest.approx(0.1)  # second less first, as in the table
+
+
+def test_compare_command(path, other, bench_bag, tmp_path, capsys):
+    assert main(["compare", str(path), str(other), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "peak force of first contact, N" in said
+    assert "stroke        rms" in said
+    assert "force" not in said.split("B - A over 1 s")[1]  # of samples it says nothing
+    # touch by touch: the first row is the first touch of both
+    row = next(line.split() for line in said.splitlines() if line.startswith("  1 "))
+    first = [read_run(file).touches[0] for file in (path, other)]
+    assert row[1:5] == ["-" if first[0]["wall"] < 0 else "+"] * 2 + ["0.000"] * 2
+    assert [float(cell) for cell in row[6:8]] == pytest.approx(
+        [touch["peak_force"] for touch in first], abs=0.005
+    )
+    assert [float(cell) for cell in row[11:13]] == pytest.approx(
+        [touch["impulse"] * 1e3 for touch in first], abs=0.0005
+    )
+    (picture,) = tmp_path.glob("*.png")
+    assert picture.stat().st_size > 20_000
+    assert "is aligned where" not in said
+    assert "identical" not in said
+    assert main(["compare", str(path), str(path), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    table, series = said.split("B - A over 1 s")
+    assert table.count("identical") == table.count("bench/state") + table.count("bench/event") - 1
+    assert series.count("identical") == 8
+    assert main(["compare", str(bench_bag), str(path), "--out", str(tmp_path)]) == 0
+    assert "A is aligned where contact/wrench first shows a force" in capsys.readouterr().out
+    far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
+    untouched = write_run(far, tmp_path / "far.mcap")
+    capsys.readouterr()
+    assert main(["compare", str(path), str(untouched), "--out", str(tmp_path)]) == 2
+    assert "no contact in it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("window", ["0.0001", "0"])
+def test_window_without_samples_is_refused(window, path, other, bench_bag, tmp_path, capsys):
+    command = ["compare", str(path), "--out", str(tmp_path), "--window", window]
+    for theirs, least in ((other, "0.004 s (4 samples"), (bench_bag, "0.04 s (4 samples")):
+        assert main([*command, str(theirs)]) == 2
+        said = capsys.readouterr().err
+        assert f"--window {float(window):g} s: allowed is {least}" in said
+        assert said.count("\n") == 1
+
+
+def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
+    end = first_contact(read_run(path)) + 0.05
+    short = capture_sim.simulate(capture_sim.load_scene("tilt_0", [f"run.t_end={end:.3f}"]))
+    file = write_run(short, tmp_path / "short.mcap")
+    assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "B - A over 0.05" in said
+    assert "1 s were asked for" in said
+    scene = capture_sim.load_scene("tilt_0", [f"run.t_end={end - 0.048:.3f}"])
+    file = write_run(capture_sim.simulate(scene), tmp_path / "touched.mcap")
+    assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 2
+    assert "in common: that is fewer than 4 samples" in capsys.readouterr().err
+
+
+def test_diagram_shows_the_peak_of_every_touch(result, path, tmp_path):
+    """Read off the figure's own markers."""
+    sides = comparable(read_run(path), read_run(path))
+    told = sides[0].touches.within(sides[0].contact, 1.0)
+    assert told.peak.max() == result.touches["peak_force"].max()
+    axes = Figure().subplots()
+    draw_touches(axes, told, "A", "blue", "o")
+    (marks,) = axes.lines
+    assert marks.get_ydata().tolist() == told.peak.tolist()
+    for bar, impulse in zip(axes.patches, told.impulse, strict=True):
+        assert bar.get_width() * bar.get_height() == pytest.approx(impulse)
+    t, total = impulse_so_far(told, 1.0)
+    assert total[-1] == pytest.approx(result.touches["impulse"].sum())
+    assert (np.diff(total) >= 0.0).all()
+    assert t[-1] == 1.0

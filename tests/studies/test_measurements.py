@@ -1,0 +1,93 @@
+"""What is measured in bags of other recorders and benches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from recorded_bags import BENCH_TOPICS, rewritten
+
+from capture_sim.cli import main
+from capture_sim.recording import read_run
+from capture_sim.recording.measured import measurements
+from capture_sim.studies.measurements import measured_in
+
+
+def test_bench_whose_clock_is_the_walls_is_fitted_as_well(path, tmp_path, capsys):
+    epoch = 1_700_000_000
+
+    def later(time, message):
+        message.header.stamp.sec += epoch
+        yield time + epoch * 1_000_000_000, message
+
+    bag = rewritten(path, tmp_path / "bag", later)
+    seen = measurements(read_run(bag))
+    for (_, mine), (_, theirs) in zip(
+        seen.items(), measurements(read_run(path)).items(), strict=True
+    ):
+        np.testing.assert_allclose(mine.t, theirs.t, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(mine.values, theirs.values)
+    command = ["identify", str(bag), "mu", "--scene", "tilt_0", "--set", "friction.mu=0.3"]
+    assert main([*command, "--starts", "1"]) == 0
+    value = float(capsys.readouterr().out.splitlines()[1].split()[1])
+    assert value == pytest.approx(0.33, rel=1e-3)
+
+
+def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
+    counter = iter(range(10_000))
+
+    def spoilt(time, message):
+        if next(counter) % 7 == 3:
+            if hasattr(message, "pose"):
+                message.pose.pose.position.x = np.nan
+            elif hasattr(message, "axial_stroke"):
+                message.axial_stroke = np.nan
+            else:
+                message.wrench.force.x = np.nan
+        yield time, message
+        yield time, message
+
+    bag = rewritten(path, tmp_path / "bag", spoilt)
+    for _, series in measurements(read_run(bag)).items():
+        assert np.isfinite(series.values).all()
+        assert (np.diff(series.t) > 0.0).all()
+    assert main(["identify", str(bag), "mu", "--scene", "tilt_0", "--starts", "1"]) == 0
+    assert main(["compare", str(bag), str(path), "--out", str(tmp_path)]) == 0
+    assert "nan" not in capsys.readouterr().out
+
+
+def test_joints_are_known_by_their_names(path, tmp_path):
+    def swapped(time, message):
+        if hasattr(message, "name"):
+            message.name = message.name[::-1]
+            for field in ("position", "velocity"):
+                setattr(message, field, getattr(message, field)[::-1].copy())
+        yield time, message
+
+    topics = [*BENCH_TOPICS[:2], ("/joint_states", "sensor_msgs/msg/JointState")]
+    seen = measurements(read_run(rewritten(path, tmp_path / "bag", swapped, topics)))
+    told = measurements(read_run(path))
+    np.testing.assert_array_equal(seen.stroke.values, told.stroke.values)
+    np.testing.assert_array_equal(seen.torsion.values, told.torsion.values)
+
+
+def test_measurements_of_a_bag_are_those_of_the_samples(result, path):
+    every = round(result.scene.run.state_rate / result.scene.run.rate)
+    exact = measured_in(result.samples[::every])
+    for name, series in measurements(read_run(path)).items():
+        assert series.t == pytest.approx(getattr(exact, name).t, abs=1e-9)
+        assert series.values == pytest.approx(getattr(exact, name).values, abs=1e-12)
+
+
+def test_identify_command_finds_what_the_run_was_made_with(path, capsys):
+    command = ["identify", str(path), "mu", "c_A"]
+    changed = ["--set", "friction.mu=0.25", "--set", "buffer.c_A=16"]
+    assert main([*command, *changed]) == 0
+    said = capsys.readouterr().out
+    fitted = {word.split("=")[0]: word.split("=")[1] for word in said.split() if "=" in word}
+    assert float(fitted["friction.mu"]) == pytest.approx(0.33, rel=1e-4)
+    assert float(fitted["buffer.c_A"]) == pytest.approx(13.0, rel=1e-4)
+    # a scene that is wrong elsewhere does not explain the run
+    assert main([*command, "--set", "buffer.k_A=400", "--starts", "1"]) == 1
+    assert "does not explain" in capsys.readouterr().out
+    assert main(["identify", str(path), "colour"]) == 2
+    assert "parameter colour: allowed are c_rr, e, mu, c_A" in capsys.readouterr().err

@@ -1,0 +1,220 @@
+"""Recorded runs judged anew and exported; bags that are not as they should be."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from recorded_bags import BENCH_TOPICS, rewritten
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from capture_sim.cli import main
+from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import EPOCH_NS
+from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
+from capture_sim.recording import read_run, write_run
+from capture_sim.recording.definitions import typestore
+from capture_sim.recording.export import flat_columns, save_npz
+from capture_sim.recording.judging import judge_recording
+from capture_sim.recording.measured import first_contact
+
+TF = "tf2_msgs/msg/TFMessage"
+
+
+def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_path, capsys):
+    """As `ros2 bag record` leaves it: no attachment, and the wall's time for the log's."""
+    topics = [
+        (topic.absolute_name, topic.type_name) for topic in RECORDED if topic is not CAPTURE_STATUS
+    ]
+
+    def as_it_is(time, message):
+        yield time + 1_700_000_000_000_000_000, message
+
+    ours, theirs = read_run(path), read_run(rewritten(path, tmp_path / "bag", topics=topics))
+    assert theirs.scene == ours.scene
+    assert (theirs.run_id, theirs.name) == (ours.run_id, ours.name)
+    assert set(ours.metadata) - set(theirs.metadata) <= {"part", "origin"}
+    assert main(["resimulate", str(tmp_path / "bag")]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+    assert main(["detect", str(tmp_path / "bag")]) == 0
+    for command in ("run", "view"):  # a bag's folder like a file
+        assert main([command, str(tmp_path / "bag"), "--out", str(tmp_path / command)]) == 0
+
+    def lost(time, message):
+        if getattr(message, "seq", None) != 5:
+            yield time, message
+
+    lossy = read_run(rewritten(path, tmp_path / "lossy", lost, topics))
+    assert any("bench/state: 1 messages missing" in problem for problem in lossy.problems), (
+        lossy.problems
+    )
+    assert lossy.scene == ours.scene
+
+
+def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
+    run = read_run(path)
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name, type_name in (
+            ("/chaser/odom", "nav_msgs/msg/Odometry"),
+            ("/target/odom", "geometry_msgs/msg/PoseStamped"),
+            ("/bench/buffer", "capture_sim/msg/BufferState"),
+            ("/bench/state", "geometry_msgs/msg/PoseStamped"),
+        ):
+            connection = writer.add_connection(name, type_name, typestore=typestore())
+            for time, data in zip(run.log_times(name)[:9].tolist(), run.raw(name), strict=False):
+                writer.write(connection, time, data)
+    assert main(["detect", str(folder), "--scene", "tilt_0"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
+    with pytest.raises(RecordingError, match="/bench/state is of type"):
+        _ = read_run(folder).samples
+
+
+def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys):
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    types = jazzy.types
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        tf, text = (
+            writer.add_connection(name, kind, typestore=jazzy)
+            for name, kind in (("/tf", TF), ("/chatter", "std_msgs/msg/String"))
+        )
+        for i in range(3):
+            writer.write(tf, 10 + i, jazzy.serialize_cdr(types[TF](transforms=[]), TF))
+            data = types["std_msgs/msg/String"](data="x" * i)
+            writer.write(text, 10 + i, jazzy.serialize_cdr(data, "std_msgs/msg/String"))
+    for form in ("csv", "npz", "parquet"):
+        out = tmp_path / form
+        assert main(["export", str(folder), "--to", form, "--out", str(out)]) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1
+        assert "/tf is left out" in said[0]
+    with (tmp_path / "csv" / "chatter.csv").open() as file:
+        assert [row["data"] for row in csv.DictReader(file)] == ["", "x", "xx"]
+
+
+def test_export_of_nothing_says_so(path, tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:100])
+    assert main(["export", str(cut), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
+    assert "holds no messages" in capsys.readouterr().err
+
+
+def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
+    again = write_run(result, tmp_path / "again.mcap")
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = (*BENCH_TOPICS, ("/bench/run_info", "capture_sim/msg/RunInfo"))
+        opened = [writer.add_connection(name, kind, typestore=typestore()) for name, kind in topics]
+        for run in map(read_run, (path, again)):
+            for connection, (name, _) in zip(opened, topics, strict=True):
+                for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
+                    writer.write(connection, time, data)
+    for command in (["detect"], ["identify", "mu"]):
+        line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
+        assert main(line) == 2
+        assert "holds 2 runs" in capsys.readouterr().err
+    assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
+
+
+def test_detector_judges_a_bag_as_it_judged_the_run(path):
+    run = read_run(path)
+    again = judge_recording(run)
+    assert [(s.t, s.state, s.final, s.reason) for s in again] == [
+        (s.t, s.state, s.final, s.reason) for s in run.statuses
+    ]
+    for mine, theirs in zip(again, run.statuses, strict=True):
+        # the heading went through a quaternion
+        assert mine.distance == pytest.approx(theirs.distance, abs=1e-12)
+
+
+def test_detector_with_other_limits(path, capsys):
+    assert main(["detect", str(path)]) == 0
+    assert "the same" in capsys.readouterr().out
+    # the tip rests 1.7 mm from BE, so it never comes within 1 mm
+    assert main(["detect", str(path), "--set", "detector.radius=0.001"]) == 0
+    said = capsys.readouterr().out
+    assert "verdict: stuck" in said
+    assert "DIFFERENT" in said
+    assert read_run(path).criteria == read_run(path).scene.detector
+
+
+@pytest.mark.parametrize("change", ["buffer.c_A=3", "detector.radus=0.004", "detector=1"])
+def test_detect_takes_limits_alone(change, path, capsys):
+    assert main(["detect", str(path), "--set", change]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"capture-sim: --set {change}: what is recorded is judged, so allowed")
+    assert "detector.radius, detector.dwell" in said
+    assert said.count("\n") == 1
+
+
+def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
+    assert main(["detect", str(bench_bag)]) == 2
+    assert "name one by --scene" in capsys.readouterr().err
+    assert main(["detect", str(bench_bag), "--scene", "tilt_0"]) == 0
+    assert "verdict: captured" in capsys.readouterr().out
+    assert read_run(bench_bag).samples.size == 0
+    assert first_contact(read_run(bench_bag)) == pytest.approx(
+        first_contact(read_run(path)), abs=0.05
+    )
+
+
+def test_topic_that_the_detector_needs_is_named(path, tmp_path):
+    run = read_run(path)
+    folder = tmp_path / "bag"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/chaser/odom", "nav_msgs/msg/Odometry", typestore=typestore()
+        )
+        writer.write(connection, EPOCH_NS, run.raw("chaser/odom")[0])
+    with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
+        judge_recording(read_run(folder), run.scene)
+
+
+def test_csv_gives_the_same_bits(path, tmp_path, capsys):
+    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 0
+    run = read_run(path)
+    assert capsys.readouterr().out.count("written: ") == sum(map(bool, run.topics.values()))
+    with (tmp_path / "bench_state.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    columns = flat_columns(run, "bench/state")
+    assert list(rows[0]) == list(columns)
+    for name in ("t", "q.0", "v.7", "energy_residual"):
+        assert [float(row[name]) for row in rows] == columns[name].tolist()
+    assert [int(row["log_time_ns"]) for row in rows] == run.log_times("bench/state").tolist()
+    with (tmp_path / "bench_event.csv").open() as file:
+        kinds = [row["kind"] for row in csv.DictReader(file)]
+    assert kinds == [event.kind.label for event in run.events]
+
+
+def test_npz_holds_everything_without_pickle(path, tmp_path):
+    run = read_run(path)
+    with np.load(save_npz(run, tmp_path / "x.npz"), allow_pickle=False) as data:
+        for topic in filter(run.raw, run.topics):
+            for name, column in run.columns(topic).items():
+                kept = data[f"{topic.strip('/')}/{name}"]
+                if column.dtype != object:
+                    assert kept.tobytes() == np.ascontiguousarray(column).tobytes()
+        assert str(data["scene"]) == run.scene_text
+        assert data["bench/event/kind"].tolist() == [e.kind.label for e in run.events]
+
+
+def test_parquet_gives_the_same_bits(path, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    assert main(["export", str(path), "--to", "parquet", "--out", str(tmp_path)]) == 0
+    run = read_run(path)
+    for topic in filter(run.raw, run.topics):
+        table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
+        for name, column in flat_columns(run, topic).items():
+            if column.dtype != object:
+                assert table[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
+
+
+def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for command in (["export", str(path), "--to", "csv"], ["compare", str(path), str(path)]):
+        assert main([*command, "--out", str(tmp_path / "file" / "x")]) == 2
+        assert capsys.readouterr().err.count("\n") == 1

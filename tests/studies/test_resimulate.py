@@ -1,0 +1,77 @@
+"""Recorded runs simulated again: identical, different, and mixed with others."""
+
+from __future__ import annotations
+
+import numpy as np
+from recorded_bags import rewritten
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED, topic_named
+from capture_sim.recording import LiveRecorder, read_run
+from capture_sim.recording.measured import first_contact
+from capture_sim.studies.resimulate import agreement
+
+
+def test_resimulation_is_identical_and_a_difference_is_found(result, path, capsys):
+    assert main(["resimulate", str(path)]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+    changed = result.samples.copy()
+    changed["q"][4321, 5] = np.nextafter(changed["q"][4321, 5], 1.0)
+    found = agreement(result.samples, changed, result.events, result.events[:-1])
+    (difference,) = found.differences
+    assert (difference.name, difference.first) == ("q", 4.321)
+    assert 0.0 < difference.largest < 1e-15
+    assert not found.same_events
+    assert not found.identical
+
+
+def test_resimulation_fails_where_an_event_is_missing(path, tmp_path, capsys):
+    run = read_run(path)
+    recorder = LiveRecorder(tmp_path)
+    for name in ("bench/run_info", "bench/state", "bench/event"):
+        for data in run.raw(name)[: -2 if name == "bench/event" else None]:
+            recorder.take(topic_named(name), data)
+    file = str(recorder.close().path)
+    assert main(["resimulate", file]) == 1
+    assert "the events differ" in capsys.readouterr().out
+    assert main(["resimulate", file, "--tolerance", "1e-9"]) == 0
+
+
+def test_samples_of_another_run_are_foreign(result):
+    """At other times, or at the run's own once more: neither is passed over."""
+    other = result.samples[1000:1958].copy()
+    other["t"] += 2e-4
+    for mixed in (np.concatenate([result.samples, other]), result.samples[[0, 1, 1, 2]]):
+        found = agreement(mixed, result.samples, result.events, result.events)
+        assert found.foreign == (958 if mixed.size > 4 else 1)
+        assert not found.identical
+    cut = agreement(result.samples[:500], result.samples, [], [])
+    assert (cut.compared, cut.foreign, cut.missing, cut.identical) == (500, 0, 0, True)
+    lossy = agreement(result.samples[::2], result.samples, result.events, result.events)
+    assert lossy.missing == lossy.compared - 1
+    assert not agreement(result.samples[:0], result.samples, [], []).identical
+
+
+def test_a_recording_with_foreign_samples_is_not_identical(path, tmp_path, capsys):
+    def doubled(time, message):
+        yield time, message
+        if getattr(message, "t", 0.0) > 2.0:
+            message.t += 2e-4
+            yield time, message
+
+    topics = [(t.absolute_name, t.type_name) for t in RECORDED if t is not CAPTURE_STATUS]
+    rewritten(path, tmp_path / "bag", doubled, topics)
+    assert main(["resimulate", str(tmp_path / "bag")]) == 1
+    said = capsys.readouterr().out
+    assert "none of this run's" in said
+    assert "identical" not in said
+
+
+def test_another_scene_agrees_until_the_tip_touches(path):
+    run = read_run(path)
+    scene = capture_sim.load_scene("tilt_0", ["friction.mu=0.331"])
+    result = capture_sim.simulate(scene)
+    found = agreement(run.samples, result.samples, run.events, result.events)
+    assert {d.name for d in found.differences} >= {"q", "v", "friction_force"}
+    assert min(d.first for d in found.differences) >= first_contact(run)

@@ -1,0 +1,86 @@
+"""Touches found in forces and messages that are known."""
+
+import numpy as np
+import pytest
+
+import capture_sim
+from benchmarks.noisy_bench import noisy_run
+from capture_sim.bench import Bench
+from capture_sim.studies.touches import above, in_force, in_messages, quiet_before_contact
+
+
+def test_touches_in_a_fast_force_are_those_that_made_it():
+    """Half sines, whose peak, time and impulse 2 F T / pi are known."""
+    t = np.arange(0.0, 0.2, 2e-5)
+    size = np.zeros_like(t)
+    made = [(0.1, 1e-3, 130.0), (0.12, 2e-3, 60.0), (0.15, 5e-4, 40.0)]
+    for start, lasts, peak in made:
+        inside = (t > start) & (t < start + lasts)
+        size[inside] = peak * np.sin(np.pi * (t[inside] - start) / lasts)
+    force = np.stack([-0.6 * size, 0.8 * size], axis=1)
+    found = in_force(t, force + np.array([0.3, -0.2]))  # a bias
+    assert found.start == pytest.approx([start for start, _, _ in made], abs=3e-5)
+    assert found.lasted == pytest.approx([lasts for _, lasts, _ in made], abs=6e-5)
+    assert found.peak == pytest.approx([peak for _, _, peak in made], rel=1e-2)
+    assert found.impulse == pytest.approx([2 / np.pi * lasts * f for _, lasts, f in made], rel=1e-2)
+    assert in_force(t[::50], force[::50]) is None  # 1 kHz shows one sample of a touch
+
+
+def test_noise_alone_is_no_contact():
+    rng = np.random.default_rng(24)
+    for _ in range(50):
+        force = rng.normal(size=(4000, 2)) * 3.0 + (20.0, -7.0)
+        quiet = quiet_before_contact(force)
+        assert quiet.sigma == pytest.approx(3.0, rel=0.1)
+        assert not above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
+
+
+def half_sines(rate, starts, peaks, lasting, wall, mu, cone, attitude):
+    """Force on the tip in its own frame: known pulses normal to a wall, friction along it."""
+    t = np.arange(0.0, 0.5, 1.0 / rate)
+    normal = np.zeros(t.size)
+    for start, peak in zip(starts, peaks, strict=True):
+        inside = (t >= start) & (t <= start + lasting)
+        normal[inside] += peak * np.sin(np.pi * (t[inside] - start) / lasting)
+    into = np.array([-np.sin(cone.beta), -wall * np.cos(cone.beta)])
+    along = np.array([-np.cos(cone.beta), wall * np.sin(cone.beta)])
+    x, y = (into[:, None] + mu * along[:, None]) * normal
+    c, s = np.cos(attitude), np.sin(attitude)
+    return t, np.stack([c * x + s * y, c * y - s * x], axis=1)
+
+
+@pytest.mark.parametrize("wall, attitude", [(1, 0.0), (-1, 0.2), (1, -0.3)])
+def test_pulses_of_known_height_are_found_whatever_the_friction(wall, attitude):
+    cone = capture_sim.load_scene("tilt_0").cone
+    starts, peaks = (0.30007, 0.31301), (120.0, 60.0)
+    known = (starts, peaks, 3.5e-4, wall, 0.4, cone, attitude)
+    t, force = half_sines(2e4, *known)
+    turned = np.full(t.size, attitude)
+    found = in_force(t, force, turned, cone)
+    assert found.start == pytest.approx(starts, abs=1.0 / 2e4)
+    assert found.peak == pytest.approx(peaks, rel=0.01)
+    # too slow for the peak
+    t, force = half_sines(5e3, *known)
+    assert in_force(t, force, np.full(t.size, attitude), cone) is None
+
+
+def test_slow_force_that_shows_one_touch_only_is_not_used():
+    run = noisy_run("tilt_0", 25)
+    t = np.arange(0.0, 4.0, 0.01)
+    samples = Bench(run.scene).advance(t)
+    force = samples["contact_force"]
+    found = in_force(t, force, np.zeros(t.size), run.scene.cone)
+    # the last touch of the first contact lasts 0.1 s, those before a third of a millisecond
+    assert found.start[0] > run.touches.start[3]
+    assert found.may_miss(3.5e-4)
+
+
+def test_peaks_since_the_last_message_are_touches():
+    t = np.arange(8) * 0.01
+    begun = np.array([0, 0, 1, 0, 1, 0, 2, 0])
+    peak = np.array([0.0, 0.0, 90.0, 0.0, 40.0, 55.0, 20.0, 0.0])
+    in_touch = np.array([0, 0, 0, 0, 1, 0, 0, 0], dtype=bool)
+    found = in_messages(t, begun, peak, in_touch)
+    assert found.start == pytest.approx([0.015, 0.035])
+    assert found.peak.tolist() == [90.0, 55.0]
+    assert found.start_noise == pytest.approx(0.01 / np.sqrt(12.0))
