@@ -14,6 +14,7 @@ import pytest
 from bench_processes import Client, Simulation, Started, processes, wait_until
 from observations import observation
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from recorded import values_of
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
@@ -106,7 +107,7 @@ def test_suite_and_offline_run_record_the_same_messages(name, suites, scenes, tm
     offline = read_run(write_run(simulate(scenes[NAMES.index(name)]), tmp_path / "offline.mcap"))
     assert live.topics == offline.topics
     for topic in {key.lstrip("/") for key in live.topics} - OF_THE_RUN - JUDGED:
-        assert live.raw(topic) == offline.raw(topic), topic
+        assert values_of(live, topic) == values_of(offline, topic), topic
 
 
 def test_trace_of_the_contact_is_sent_where_it_is_asked_for_and_changes_nothing(suites):
@@ -138,7 +139,7 @@ def test_two_suites_are_identical(name, suites):
     assert first.run_id != second.run_id
     assert first.topics == second.topics
     for topic in {key.lstrip("/") for key in first.topics} - OF_THE_RUN:
-        assert first.raw(topic) == second.raw(topic), topic
+        assert values_of(first, topic) == values_of(second, topic), topic
 
 
 def test_two_suites_in_one_domain_do_not_mix(suites, scenes, tmp_path):
@@ -159,7 +160,7 @@ def test_two_suites_in_one_domain_do_not_mix(suites, scenes, tmp_path):
         assert run.complete
         assert run.topics == alone.topics
         for topic in {key.lstrip("/") for key in run.topics} - OF_THE_RUN:
-            assert run.raw(topic) == alone.raw(topic), topic
+            assert values_of(run, topic) == values_of(alone, topic), topic
 
 
 def test_second_simulator_on_the_same_topics_ends_with_a_line(start):

@@ -18,9 +18,9 @@ import pytest
 
 import capture_sim
 from capture_sim.errors import CaptureSimError
+from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import Phase
 from capture_sim.viewing.geometry import tip_in_cone
-from capture_sim.viewing.measured import AlignedMeasurements, samples_of
 
 pytest.importorskip("rerun", reason="needs rerun")
 

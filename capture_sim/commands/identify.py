@@ -15,8 +15,7 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import say
-from capture_sim.messages.bench_columns import release_told
-from capture_sim.recording.measured import launch_of, measurements, touches_of
+from capture_sim.recording.measured import launch_of, measurements, release_recorded, touches_of
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
@@ -74,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
     names = list(options.parameters)
-    told = options.release is None and release_told(recorded) is not None
+    told = options.release is None and release_recorded(recorded) is not None
     if not told and not options.fix_release and RELEASE not in names:
         names.append(RELEASE)
     compile_first()

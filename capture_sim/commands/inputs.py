@@ -367,7 +367,7 @@ def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
 
 
 def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
-    from capture_sim.viewing.bag import run_from_bag
+    from capture_sim.recording.measured_run import run_from_bag
 
     recorded = open_run(path, quiet=True)
     place = Path(path).resolve()  # the path may be . or end in ..

@@ -37,9 +37,9 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.following import RunFollower
 from capture_sim.nodes.receiving import observation_of, stamp_ns_of
 from capture_sim.nodes.running import ParameterError, message_class, run
+from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import SAMPLE
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing.measured import AlignedMeasurements, samples_of
 
 VIEWER = "viewer"
 

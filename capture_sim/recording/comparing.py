@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages.bench_columns import release_of
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -24,6 +23,7 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.measured import (
     first_contact_told,
     measured_sources,
+    release_of,
     touches_of,
     wrench,
 )

@@ -6,15 +6,17 @@ the contact's wrench.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from capture_sim.errors import RecordingError
 from capture_sim.launch.plan import LaunchPlan, plan_launch
-from capture_sim.messages.bench_columns import headings_of, release_of, stamps_of
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
+from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, LaunchAction
 from capture_sim.messages.topics import (
     BENCH_EVENT,
+    BENCH_STATE,
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CHASER_POSE,
@@ -23,6 +25,7 @@ from capture_sim.messages.topics import (
     JOINT_STATES,
     LAUNCH_COMMAND,
     LOAD_CELL,
+    RUN_INFO,
     TARGET_ODOMETRY,
     TARGET_POSE,
     Topic,
@@ -41,6 +44,76 @@ from capture_sim.studies.touches import (
 )
 
 
+def stamps_of(columns: Columns) -> np.ndarray:
+    """Return the stamps of a topic's messages, (n,) int64, ns."""
+    path = "clock" if "clock.sec" in columns else "header.stamp"
+    stamps = np.asarray(columns[f"{path}.sec"]).astype(np.int64) * 1_000_000_000
+    return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
+
+
+def headings_of(columns: Columns, at: str) -> np.ndarray:
+    """Return the headings of the poses that stand at a path, (n,), rad."""
+    z, w = (columns[f"{at}.orientation.{axis}"].tolist() for axis in "zw")
+    # by math, as the detector's node does it: NumPy's differ in the last bit
+    return 2.0 * np.array(list(map(math.atan2, z, w)))
+
+
+def release_of(run: Run, after: float | None = None) -> int:
+    """Return the stamp of the release, ns: the launcher's, else that of simulated runs.
+
+    Where neither is recorded, as on a bench whose clock is the wall's, the first pose's.
+
+    Parameters
+    ----------
+    run
+        The recording.
+    after
+        s after the first pose, where it is known better; None where it is not.
+
+    Raises
+    ------
+    RecordingError
+        That is behind the last pose.
+    """
+    if after is not None:
+        return _after_first_pose(run, after)
+    recorded = release_recorded(run)
+    if recorded is not None:
+        return recorded
+    stamps = _pose_stamps(run)
+    return EPOCH_NS if stamps is None else int(stamps.min())
+
+
+def release_recorded(run: Run) -> int | None:
+    """Return the stamp of the release, ns, where the recording holds it; else None."""
+    commands = run.columns(LAUNCH_COMMAND)
+    if commands:
+        released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
+        if released.size:
+            return int(stamps_of(commands)[released[0]])
+    return EPOCH_NS if run.columns(RUN_INFO) or run.columns(BENCH_STATE) else None
+
+
+def _pose_stamps(run: Run) -> np.ndarray | None:
+    for topic in (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY):
+        if poses := run.columns(topic):
+            return stamps_of(poses)
+    return None
+
+
+def _after_first_pose(run: Run, after: float) -> int:
+    stamps = _pose_stamps(run)
+    if stamps is None:
+        raise RecordingError(f"release = {after:g} s: counts from the first pose: there is none")
+    first, last = int(stamps.min()), int(stamps.max())
+    if not 0.0 <= after <= (last - first) / 1e9:
+        raise RecordingError(
+            f"release = {after:g} s: allowed is 0 to {(last - first) / 1e9:g} s, from the first "
+            "pose to the last"
+        )
+    return first + round(after * 1e9)
+
+
 def measurements(run: Run, released: float | None = None) -> Measurements:
     """Return what was measured; times are s since the release.
 
@@ -52,7 +125,7 @@ def measurements(run: Run, released: float | None = None) -> Measurements:
         The recording.
     released
         When, s after the first pose; None where the recording tells, see
-        :func:`capture_sim.messages.bench_columns.release_of`.
+        :func:`release_of`.
 
     Raises
     ------

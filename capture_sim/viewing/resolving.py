@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from capture_sim.errors import CaptureSimError, SimulationError
+from capture_sim.recording.measured_run import MeasuredRun
 from capture_sim.simulation import Result, simulate
-from capture_sim.viewing.measured import MeasuredRun
 from capture_sim.viewing.source import ViewableRun
 
 #: Samples over the length of each touch, and over a window that is asked for.

@@ -1,5 +1,6 @@
-"""Samples from what can be measured on a bench: poses, buffer, and forces where there are any.
+"""A run out of the topics that a real bench has as well: poses, buffer, forces where measured.
 
+Nothing of the simulator's own (BenchState, events, the scene) is needed but the bench's geometry.
 What cannot be measured (energies, mostly) is not a number.
 """
 
@@ -8,18 +9,33 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
 
+from capture_sim.detection.align import Observation
 from capture_sim.detection.exact import CaptureStatus
-from capture_sim.errors import SceneError
-from capture_sim.messages.convert import StringPhase
+from capture_sim.detection.noisy import NoisyDetector
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase
+from capture_sim.messages.topics import (
+    BUFFER_STATE,
+    CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CONTACT_STATE,
+    CONTACT_WRENCH,
+    JOINT_STATES,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    Topic,
+)
+from capture_sim.recording.measured import headings_of, release_of, stamps_of
+from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
-from capture_sim.viewing.geometry import tip_in_world, wall
 
-#: Of dtype SAMPLE and not known from measurements.
+#: Fields of SAMPLE that have no NaN for what is not known.
 _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
 
 
@@ -154,7 +170,9 @@ def measured_run(
 
 def _tip_in_cone(scene: Scene, q: np.ndarray) -> np.ndarray:
     """Return the tip's centre in the cone's frame, (n, 2), m."""
-    offset = tip_in_world(scene, q) - q[:, 5:7]
+    heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
+    probe = np.stack([np.cos(q[:, 3]), np.sin(q[:, 3])], axis=-1)
+    offset = q[:, :2] + scene.buffer.a * heading + q[:, 4, None] * probe - q[:, 5:7]
     c, s = np.cos(q[:, 7]), np.sin(q[:, 7])
     along = c * offset[:, 0] + s * offset[:, 1] + scene.cone.L_T
     return np.stack([along, c * offset[:, 1] - s * offset[:, 0]], axis=-1)
@@ -162,9 +180,10 @@ def _tip_in_cone(scene: Scene, q: np.ndarray) -> np.ndarray:
 
 def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
     """Return the gap between the tip and a wall, (n,), m."""
-    inner, lip = wall(scene.cone, side)
-    along = (lip - inner) / scene.cone.L_c
-    reach = np.clip((tip - inner) @ along, 0.0, scene.cone.L_c)
+    cone = scene.cone
+    inner = np.array([0.0, side * cone.R_c])
+    along = np.array([-np.cos(cone.beta), side * np.sin(cone.beta)])
+    reach = np.clip((tip - inner) @ along, 0.0, cone.L_c)
     return np.asarray(
         np.linalg.norm(tip - inner - reach[:, None] * along, axis=1) - scene.probe.tip_radius
     )
@@ -233,3 +252,146 @@ def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
         return dataclasses.replace(scene, initial=initial)
     except SceneError:
         return scene  # a start that the simulator would refuse
+
+
+def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> MeasuredRun:
+    """Read a run from its measurements, on the stamps of the chaser's poses.
+
+    Parameters
+    ----------
+    run
+        Holds the poses of chaser and target, and the buffer's state or the joints'.
+    scene
+        The geometry of buffer and cone, and the detector's criteria: where the recording holds no
+        judgements, the detector judges now.
+    released
+        When, s after the first pose; None where the recording tells, see
+        :func:`capture_sim.recording.measured.release_of`.
+
+    Raises
+    ------
+    RecordingError
+        A topic is missing, or the release lies outside the recording.
+    """
+    chaser, target = _needed(run, CHASER_ODOMETRY), _needed(run, TARGET_ODOMETRY)
+    stamps, first = np.unique(stamps_of(chaser), return_index=True)
+    release = release_of(run, released)
+    t = (stamps - release) * 1e-9
+    poses, rates = zip(*(_planar(odometry) for odometry in (chaser, target)), strict=True)
+    buffer, buffer_rate, buffer_stamps = _buffer(run)
+
+    def at(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return values at the chaser's stamps, linear between their own."""
+        since = (columns_stamps - stamps[0]) * 1e-9
+        wanted = (stamps - stamps[0]) * 1e-9
+        return np.stack([np.interp(wanted, since, column) for column in values.T], axis=-1)
+
+    def held(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return states at the chaser's stamps, each holding until the next."""
+        before = np.searchsorted(columns_stamps, stamps, side="right") - 1
+        return np.asarray(values[np.maximum(before, 0)].astype(int))
+
+    measured = AlignedMeasurements(
+        t=t,
+        chaser=poses[0][first],
+        chaser_rate=rates[0][first],
+        target=at(stamps_of(target), poses[1]),
+        target_rate=at(stamps_of(target), rates[1]),
+        buffer=at(buffer_stamps, buffer),
+        buffer_rate=at(buffer_stamps, buffer_rate),
+        **_optional(run, at, held),
+    )
+    statuses: Sequence[CaptureStatus] = run.statuses
+    if statuses:
+        # a recording counts them from a stamp of 1 s, the run from the release
+        first_status = (stamps_of(run.columns(CAPTURE_STATUS))[0] - release) * 1e-9
+        late = statuses[0].t - float(first_status)
+        statuses = [status._replace(t=status.t - late) for status in statuses]
+    else:
+        statuses = judge(scene, measured)
+    return measured_run(run.name, scene, measured, statuses)
+
+
+def judge(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
+    """Let the capture detector judge measurements."""
+    detector = NoisyDetector(scene)
+    statuses = []
+    for i, t in enumerate(measured.t.tolist()):
+        stroke, torsion = measured.buffer[i].tolist()
+        stroke_rate, torsion_rate = measured.buffer_rate[i].tolist()
+        seen = Observation(
+            t=t,
+            chaser=_three(measured.chaser[i]),
+            chaser_rate=_three(measured.chaser_rate[i]),
+            target=_three(measured.target[i]),
+            target_rate=_three(measured.target_rate[i]),
+            stroke=stroke,
+            stroke_rate=stroke_rate,
+            torsion=torsion,
+            torsion_rate=torsion_rate,
+        )
+        statuses.append(detector.update(seen))
+    return [*statuses, *detector.finish()]
+
+
+def _three(row: np.ndarray) -> tuple[float, float, float]:
+    x, y, theta = row.tolist()
+    return x, y, theta
+
+
+def _needed(run: Run, topic: Topic) -> Columns:
+    found = run.columns(topic)
+    if not found:
+        raise RecordingError(f"{run.name}: holds no {topic.absolute_name}, nothing to draw")
+    return found
+
+
+def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses (n, 3) and their rates in the world (n, 3), from nav_msgs/Odometry."""
+    x, y = odometry["pose.pose.position.x"], odometry["pose.pose.position.y"]
+    theta = np.unwrap(headings_of(odometry, "pose.pose"))
+    c, s = np.cos(theta), np.sin(theta)
+    # the twist is in the vehicle's own frame
+    vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
+    rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
+    return np.stack([x, y, theta], axis=-1), np.stack(rates, axis=-1)
+
+
+def _buffer(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return stroke and torsion (n, 2), their rates (n, 2), and stamps (n,)."""
+    state = run.columns(BUFFER_STATE)
+    if state:
+        values = np.stack([state["axial_stroke"], state["torsion"]], axis=-1)
+        rates = np.stack([state["axial_rate"], state["torsion_rate"]], axis=-1)
+        return values, rates, stamps_of(state)
+    joints = run.columns(JOINT_STATES)
+    if joints:
+        names = list(joints["name"][0])
+        if {HINGE_JOINT, SLIDE_JOINT} <= set(names):
+            order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
+            return joints["position"][:, order], joints["velocity"][:, order], stamps_of(joints)
+    raise RecordingError(
+        f"{run.name}: holds neither {BUFFER_STATE.absolute_name} nor {JOINT_STATES.absolute_name} "
+        f"with {HINGE_JOINT} and {SLIDE_JOINT}: the tip's place is not known"
+    )
+
+
+def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
+    """Return what else was measured."""
+    found: dict[str, np.ndarray] = {}
+    wrench = run.columns(CONTACT_WRENCH)
+    if wrench:
+        force = np.stack([wrench["wrench.force.x"], wrench["wrench.force.y"]], axis=-1)
+        found["tip_force"] = at(stamps_of(wrench), force)
+    contact = run.columns(CONTACT_STATE)
+    if contact:
+        found["normal_force"] = at(stamps_of(contact), contact["normal_force"])
+        found["peak_force"] = at(stamps_of(contact), contact["peak_force"][:, None])[:, 0]
+        found["walls"] = held(stamps_of(contact), contact["walls"])
+        found["begun"] = held(stamps_of(contact), contact["touches"])
+    string = run.columns(STRING_STATE)
+    if string:
+        values = np.stack([string[n] for n in ("tension", "mass_height", "mass_speed")], axis=-1)
+        phase = held(stamps_of(string), string["phase"])
+        found["string"] = np.column_stack([phase, at(stamps_of(string), values)])
+    return found
