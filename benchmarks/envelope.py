@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,9 +29,9 @@ from capture_sim.bench import compile_kernels
 from capture_sim.commands.envelope import read_axis
 from capture_sim.detection.exact import CaptureState
 from capture_sim.recording.envelope_file import write_envelope
-from capture_sim.studies.envelope import Envelope, Plan, evaluate
-from capture_sim.studies.envelope_runs import CHUNK, map_envelope
-from capture_sim.studies.executors import Executor, InProcess, open_executor, ordered
+from capture_sim.studies.envelope import ROW, Envelope, Plan, evaluate
+from capture_sim.studies.envelope_runs import map_envelope
+from capture_sim.studies.executors import InProcess, open_executor, ordered
 from capture_sim.viewing.envelope_map import save_envelope
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -58,9 +59,9 @@ class Timed:
 def the_plan(points: int) -> Plan:
     return Plan(
         load_scene("tilt_0"),
-        angle=read_axis("--angle", ANGLE, math.radians(1.0)),
-        offset=read_axis("--offset", OFFSET, 1e-3),
-        speed=read_axis("--speed", SPEED, 1.0),
+        angle=read_axis("--angle", ANGLE, "deg"),
+        offset=read_axis("--offset", OFFSET, "mm"),
+        speed=read_axis("--speed", SPEED, "m/s"),
         levels=LEVELS,
         runs=points,
     )
@@ -72,7 +73,7 @@ def digest(path: Path) -> str:
 
 def timed(plan: Plan, executor: Executor, folder: Path) -> Timed:
     began = time.perf_counter()
-    envelope = map_envelope(plan, executor, folder / "parts")
+    envelope = map_envelope(plan, executor, folder / "e.runs")
     seconds = time.perf_counter() - began
     return Timed(envelope, seconds, digest(write_envelope(envelope, folder / "e.parquet")))
 
@@ -104,6 +105,13 @@ def by_dask(plan: Plan) -> Timed | None:
         return timed(plan, executor, Path(folder))
 
 
+def kept_runs(path: Path) -> int:
+    """How many rows a file of runs holds behind the line of its plan."""
+    if not path.exists():
+        return 0
+    return len(path.read_bytes().partition(b"\n")[2]) // ROW.itemsize
+
+
 def killed_and_resumed(plan: Plan, points: int) -> tuple[str, int]:
     """Kill the command half-way and start it again; return its file's hash and the points kept."""
     with tempfile.TemporaryDirectory() as folder:
@@ -113,14 +121,13 @@ def killed_and_resumed(plan: Plan, points: int) -> tuple[str, int]:
         command += [f"--runs={points}", "--workers=2", f"--out={out}", "--mark"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         first = subprocess.Popen(command, **quiet)
-        half = plan.runs * (1 + CHECKS) / CHUNK / 2
-        while len(list(out.with_suffix(".parts").glob("*.rows"))) < half:
+        half = plan.runs * (1 + CHECKS) / 2
+        while (kept := kept_runs(out.with_suffix(".runs"))) < half:
             if first.poll() is not None:
                 raise SystemExit("the command ended before it could be killed")
             time.sleep(0.05)
         os.kill(first.pid, signal.SIGKILL)
         first.wait()
-        kept = len(list(out.with_suffix(".parts").glob("*.rows"))) * CHUNK
         subprocess.run(command, check=True, **quiet)
         return digest(out), kept
 

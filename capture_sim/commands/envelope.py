@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from capture_sim.commands import OK
@@ -19,6 +20,8 @@ from capture_sim.commands.inputs import (
 from capture_sim.commands.output import Progress, say
 from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import check_parquet, write_envelope
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.approach import other_parts
 from capture_sim.studies.envelope import AXES, Envelope, Plan, Slices, Span, explore
 from capture_sim.studies.envelope_runs import KeptRuns
 from capture_sim.studies.executors import default_workers, open_executor
@@ -52,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mark",
         nargs="*",
-        default=list(_EXPERIMENTS),
         metavar="SCENE",
-        help=f"experiments to run and mark in the picture (default: {' '.join(_EXPERIMENTS)})",
+        help="experiments on the same bench, to run and mark in the picture (default: the scene, "
+        f"and those of {' '.join(_EXPERIMENTS)} that are)",
     )
     parser.add_argument(
         "--out",
@@ -70,8 +73,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     if options.out.suffix != ".parquet":
         raise SceneError(f"--out {options.out}: allowed is a name that ends in .parquet")
+    scene = load(options.scene, options.overrides)
     plan = Plan(
-        load(options.scene, options.overrides),
+        scene,
         angle=read_axis("--angle", options.angle, "deg"),
         offset=read_axis("--offset", options.offset, "mm"),
         speed=read_axis("--speed", options.speed, "m/s"),
@@ -79,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         runs=options.runs,
         rtol=options.rtol,
     )
-    marks = [load(name) for name in options.mark]
+    marks = experiments(scene, options.mark, options.overrides)
     check_parquet()
     prepare_folder(options.out.parent)
     compile_first()
@@ -87,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         open_executor(options.workers or default_workers(), options.scheduler) as executor,
         Progress() as progress,
     ):
-        runs = KeptRuns(plan, executor, options.out.with_suffix(".parts"), progress.at)
+        runs = KeptRuns(plan, executor, options.out.with_suffix(".runs"), progress.at)
         envelope = explore(plan, runs)
     if runs.resumed:
         say(f"{runs.resumed} runs were there already")
@@ -103,6 +107,37 @@ def run(options: argparse.Namespace) -> int:
     except ImportError as error:
         say(f"no picture: {error}")
     return OK
+
+
+def experiments(scene: Scene, names: Sequence[str] | None, overrides: Sequence[str]) -> list[Scene]:
+    """Return the experiments to mark on the map of a scene, with the same overrides.
+
+    Parameters
+    ----------
+    scene
+        That is mapped.
+    names
+        Of the experiments; None takes the scene and the stock ones that are on its bench.
+    overrides
+        Of the scene.
+
+    Raises
+    ------
+    SceneError
+        One that is named is on another bench: its verdict has no place on the map.
+    """
+    if names is None:
+        stock = (load(name, overrides) for name in _EXPERIMENTS)
+        found = {scene.name: scene, **{each.name: each for each in stock}}
+        return [each for each in found.values() if not other_parts(scene, each)]
+    marks = [load(name, overrides) for name in names]
+    for mark in marks:
+        if parts := other_parts(scene, mark):
+            raise SceneError(
+                f"--mark {mark.name}: another bench than {scene.name}: its {', '.join(parts)} "
+                "differ"
+            )
+    return marks
 
 
 def read_axis(flag: str, text: str, unit: str) -> Span | Slices:

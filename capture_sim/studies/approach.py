@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 from capture_sim.errors import SceneError
 from capture_sim.launch.plan import plan_launch, rolling_force, travel_to_touch
@@ -57,3 +57,17 @@ def approach_of(scene: Scene) -> tuple[float, float, float]:
     c, s = math.cos(chaser.theta), math.sin(chaser.theta)
     offset = c * (chaser.y - target.y) - s * (chaser.x - target.x)
     return math.remainder(target.theta - chaser.theta, math.tau), offset, plan.impact_speed
+
+
+def other_parts(scene: Scene, other: Scene) -> list[str]:
+    """Return the parts in which the benches of two scenes differ.
+
+    Where the vehicles start, what launches them, what is sampled and measured is no matter of
+    the bench.
+    """
+    free = {"name", "title", "initial", "rail", "string", "run", "sensors"}
+    return [
+        part.name
+        for part in fields(Scene)
+        if part.name not in free and getattr(scene, part.name) != getattr(other, part.name)
+    ]

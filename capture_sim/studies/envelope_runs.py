@@ -1,17 +1,17 @@
-"""The runs of an envelope, spread over workers and kept as they come.
+"""The runs of an envelope: spread over workers, kept in one file as they come.
 
-Each round of the map is cut into chunks.  A chunk that is done is written to a file of its
-own, under another name first and then renamed, so that a file that is there is whole.
-Killed and started again, a map takes up the files that are there; as the plan decides what
-each chunk holds, it ends in the same rows.
+The file begins with the plan, in a line of JSON; each chunk of runs that is done is written
+behind it.  Killed and started again, a map takes the runs that are there and does the others;
+as what is run depends on verdicts alone, it ends in the same rows.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,10 @@ from capture_sim.errors import RecordingError, SceneError
 from capture_sim.kernels import source_hash
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.studies.envelope import ROW, Envelope, Key, Plan, Slices, Span, evaluate, explore
-from capture_sim.studies.executors import Executor
+from capture_sim.studies.executors import answers
 
 #: Points in a chunk: some tenths of a second of work.
 CHUNK = 32
-
-_PLAN = "plan.json"
 
 
 def plan_to_mapping(plan: Plan) -> dict[str, Any]:
@@ -67,21 +65,14 @@ def plan_from_mapping(mapping: dict[str, Any]) -> Plan:
         raise SceneError(f"plan of an envelope: {error} is missing or not understood") from None
 
 
-@dataclass(frozen=True)
-class _Task:
-    """A chunk of runs, as it travels to a worker."""
-
-    plan: Plan
-    keys: Sequence[Key]
-    rtol: float
-
-
-def _work(task: _Task) -> np.ndarray:
-    return evaluate(task.plan, task.keys, task.rtol)
+def _chunk(plan: Plan, keys: Sequence[Key], rtol: float, check: bool) -> np.ndarray:
+    rows = evaluate(plan, keys, rtol)
+    rows["checked"] = check
+    return rows
 
 
 class KeptRuns:
-    """Runs points of a map on an executor and keeps them in a folder.
+    """Runs points of a map on an executor and keeps them in a file.
 
     Parameters
     ----------
@@ -89,97 +80,92 @@ class KeptRuns:
         What is mapped.
     executor
         Where it is run.
-    folder
-        For the chunks; made if it is not there.
-    tell
-        Called with a round's name, and how many of its points are done, of how many.
+    path
+        Of the file; made if it is not there.
+    report
+        Called with a round's name, how many of its points are done, and of how many.
+
+    Attributes
+    ----------
+    resumed : int
+        Points that the file already held.
 
     Raises
     ------
     SceneError
-        The folder holds runs of another plan, or of another version of the simulator.
+        The file holds runs of another plan, or of another version of the simulator.
     RecordingError
-        The folder cannot be written.
+        The file cannot be read or written.
     """
 
     def __init__(
         self,
         plan: Plan,
         executor: Executor,
-        folder: Path,
-        tell: Callable[[str, int, int], None] | None = None,
+        path: Path,
+        report: Callable[[str, int, int], None] | None = None,
     ) -> None:
-        self._plan, self._executor, self._folder, self._tell = plan, executor, folder, tell
-        self.resumed = 0  # points taken from the folder
+        self._plan, self._executor, self._path, self._report = plan, executor, path, report
         config = {**plan_to_mapping(plan), "source": source_hash()}
-        text = json.dumps(config, indent=1, sort_keys=True)
+        head = json.dumps(config, sort_keys=True).encode() + b"\n"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            kept = folder / _PLAN
-            if not kept.exists():
-                _write(kept, text.encode())
-            elif kept.read_text(encoding="utf-8") != text:
+            kept = path.read_bytes() if path.exists() else b""
+            if not kept.startswith(head[: len(kept)]):
                 raise SceneError(
-                    f"{folder}: holds runs of another plan or version; remove it, or choose "
+                    f"{path}: holds runs of another plan or version; remove it, or choose "
                     "another --out"
                 )
+            whole = max(len(kept) - len(head), 0) // ROW.itemsize
+            rows = np.frombuffer(kept, ROW, whole, len(head)) if whole else np.zeros(0, ROW)
+            if len(kept) < len(head):
+                path.write_bytes(head)
+            else:
+                os.truncate(path, len(head) + rows.nbytes)  # half a row at the end is lost
         except OSError as error:
-            raise RecordingError(f"{folder}: cannot be used: {error.strerror}") from None
+            raise RecordingError(f"{path}: cannot be used: {error.strerror}") from None
+        self._kept = {(bool(row["checked"]), *_key(row)): row for row in rows}
+        self.resumed = len(self._kept)
 
     def __call__(self, name: str, keys: Sequence[Key], rtol: float) -> np.ndarray:
-        """Return the rows of points, from the folder or by running them."""
-        pieces = [keys[start : start + CHUNK] for start in range(0, len(keys), CHUNK)]
-        found = [self._read(self._path(name, n), piece) for n, piece in enumerate(pieces)]
-        missing = [n for n, rows in enumerate(found) if rows is None]
-        done = len(keys) - sum(len(pieces[n]) for n in missing)
-        self.resumed += done
-        self._say(name, done, len(keys))
-        tasks = [_Task(self._plan, pieces[n], rtol) for n in missing]
-        for place, rows in self._executor.answers(_work, tasks):
-            number = missing[place]
-            _write(self._path(name, number), rows.tobytes())
-            found[number] = rows
+        """Return the rows of points, from the file or by running them."""
+        check = name == "check"
+        missing = [key for key in keys if (check, *key) not in self._kept]
+        done = len(keys) - len(missing)
+        chunks = [missing[start : start + CHUNK] for start in range(0, len(missing), CHUNK)]
+        work = partial(_chunk, self._plan, rtol=rtol, check=check)
+        for _, rows in answers(self._executor, work, chunks):
+            self._keep(rows)
+            self._kept.update({(check, *_key(row)): row for row in rows})
             done += len(rows)
-            self._say(name, done, len(keys))
-        return np.concatenate([np.zeros(0, ROW), *(rows for rows in found if rows is not None)])
+            if self._report is not None:
+                self._report(name, done, len(keys))
+        found = np.zeros(len(keys), ROW)
+        for place, key in enumerate(keys):
+            found[place] = self._kept[check, *key]
+        found["checked"] = False
+        return found
 
-    def _say(self, name: str, done: int, count: int) -> None:
-        if self._tell is not None:
-            self._tell(name, done, count)
-
-    def _path(self, name: str, number: int) -> Path:
-        return self._folder / f"{name}-{number:05d}.rows"
-
-    @staticmethod
-    def _read(path: Path, keys: Sequence[Key]) -> np.ndarray | None:
-        """Return the rows of a chunk if its file is there and holds these points."""
+    def _keep(self, rows: np.ndarray) -> None:
         try:
-            rows = np.frombuffer(path.read_bytes(), ROW)
-        except (OSError, ValueError):
-            return None
-        held = zip(*(rows[name].tolist() for name in ("slice", "i", "j")), strict=True)
-        return rows if list(held) == list(keys) else None
+            with self._path.open("ab") as file:
+                file.write(rows.tobytes())
+        except OSError as error:
+            raise RecordingError(f"{self._path}: cannot be written: {error.strerror}") from None
 
     def remove(self) -> None:
-        """Remove the folder: the finished map is kept elsewhere."""
-        shutil.rmtree(self._folder)
+        """Remove the file: the finished map is kept elsewhere."""
+        self._path.unlink()
 
 
-def _write(path: Path, data: bytes) -> None:
-    """Write a file that is there whole or not at all."""
-    beside = path.with_suffix(".part")
-    try:
-        beside.write_bytes(data)
-        beside.replace(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+def _key(row: np.void) -> Key:
+    return int(row["slice"]), int(row["i"]), int(row["j"])
 
 
 def map_envelope(
     plan: Plan,
     executor: Executor,
-    folder: Path,
-    tell: Callable[[str, int, int], None] | None = None,
+    path: Path,
+    report: Callable[[str, int, int], None] | None = None,
 ) -> Envelope:
-    """Map an envelope with its runs kept in ``folder``; see :class:`KeptRuns`."""
-    return explore(plan, KeptRuns(plan, executor, folder, tell))
+    """Map an envelope with its runs kept in a file; see :class:`KeptRuns`."""
+    return explore(plan, KeptRuns(plan, executor, path, report))

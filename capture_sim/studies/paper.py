@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -26,7 +27,7 @@ from capture_sim.scene.paths import changed
 from capture_sim.simulation import Result, simulate
 from capture_sim.studies.approach import placed
 from capture_sim.studies.design import Design, DesignTarget, design_buffer
-from capture_sim.studies.executors import Executor, ordered
+from capture_sim.studies.executors import ordered
 from capture_sim.studies.first_contact import run_first_contact
 from capture_sim.studies.verdict import run_to_verdict
 

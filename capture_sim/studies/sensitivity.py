@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ from capture_sim.launch.scenes import check_scene
 from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
-from capture_sim.studies.executors import Executor, ordered
+from capture_sim.studies.executors import ordered
 from capture_sim.studies.first_contact import run_first_contact
 from capture_sim.studies.verdict import run_to_verdict
 

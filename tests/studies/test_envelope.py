@@ -14,6 +14,7 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.commands.envelope import experiments
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import read_envelope, write_envelope
@@ -144,7 +145,7 @@ def test_offset_and_angle_mirrored_give_the_mirrored_map():
 def alone(tmp_path_factory):
     """A small map, run in this process; and its file."""
     folder = tmp_path_factory.mktemp("alone")
-    e = map_envelope(plan(), InProcess(), folder / "parts")
+    e = map_envelope(plan(), InProcess(), folder / "e.runs")
     return e, write_envelope(e, folder / "e.parquet").read_bytes()
 
 
@@ -173,7 +174,7 @@ def test_any_reader_has_table_units_and_plan(alone, tmp_path):
 
 def test_two_processes_give_the_same_file(alone, tmp_path):
     with open_executor(2) as executor:
-        e = map_envelope(plan(), executor, tmp_path / "parts")
+        e = map_envelope(plan(), executor, tmp_path / "e.runs")
     assert write_envelope(e, tmp_path / "e.parquet").read_bytes() == alone[1]
 
 
@@ -191,7 +192,7 @@ def test_a_dask_cluster_gives_the_same_file(alone, tmp_path):
         ) as cluster,
         open_executor(scheduler=cluster.scheduler_address) as executor,
     ):
-        e = map_envelope(plan(), executor, tmp_path / "parts")
+        e = map_envelope(plan(), executor, tmp_path / "e.runs")
     assert write_envelope(e, tmp_path / "e.parquet").read_bytes() == alone[1]
 
 
@@ -200,7 +201,7 @@ def test_killed_half_way_and_resumed_gives_the_same_file(tmp_path):
     out = tmp_path / "e.parquet"
     arguments = [sys.executable, "-m", "capture_sim.cli", "envelope", "--levels=1", "--mark"]
     arguments += ["--angle=-20:20:4", "--offset=-40:40:10", "--speed=0.1", "--workers=2"]
-    parts = tmp_path / "killed.parts"
+    kept = tmp_path / "killed.runs"
     killed = subprocess.Popen(
         [*arguments, f"--out={tmp_path / 'killed.parquet'}"],
         stdout=subprocess.DEVNULL,
@@ -208,7 +209,7 @@ def test_killed_half_way_and_resumed_gives_the_same_file(tmp_path):
     )
     try:
         deadline = time.monotonic() + 120
-        while not list(parts.glob("*.rows")):
+        while not (kept.exists() and kept.read_bytes().partition(b"\n")[2]):
             assert killed.poll() is None, "ended before it could be killed"
             assert time.monotonic() < deadline
             time.sleep(0.002)
@@ -216,28 +217,65 @@ def test_killed_half_way_and_resumed_gives_the_same_file(tmp_path):
         os.kill(killed.pid, signal.SIGKILL)
         killed.wait()
     assert not (tmp_path / "killed.parquet").exists()
-    there = len(list(parts.glob("*.rows")))
     answer = subprocess.run(
         [*arguments, f"--out={tmp_path / 'killed.parquet'}"], capture_output=True, text=True
     )
     assert answer.returncode == 0, answer.stderr
     assert "runs were there already" in answer.stdout
-    assert there >= 1
-    assert not parts.exists()
-    assert subprocess.run([*arguments, f"--out={out}"], capture_output=True).returncode == 0
+    assert not kept.exists()
+    assert main([*arguments[3:], "--workers=1", f"--out={out}"]) == 0
     assert out.read_bytes() == (tmp_path / "killed.parquet").read_bytes()
 
 
-def test_half_a_chunk_and_chunks_of_another_plan_are_not_taken(tmp_path):
-    p = plan(0)
-    map_envelope(p, InProcess(), tmp_path)
-    for chunk in tmp_path.glob("round-00-*.rows"):
-        chunk.write_bytes(chunk.read_bytes()[:-10])
-    runs = KeptRuns(p, InProcess(), tmp_path)
-    e = explore(p, runs)
-    assert runs.resumed == e.rows["checked"].sum() < len(e.rows)
+def test_half_a_row_and_runs_of_another_plan_are_not_taken(tmp_path):
+    p, path = plan(0), tmp_path / "e.runs"
+    e = map_envelope(p, InProcess(), path)
+    whole = path.read_bytes()
+    for lost in (10, len(whole) // 2, len(whole) - 100):
+        path.write_bytes(whole[:-lost])
+        runs = KeptRuns(p, InProcess(), path)
+        head = len(whole) - ROW.itemsize * (len(e.rows) + int(e.rows["checked"].sum()))
+        assert runs.resumed == max(len(whole) - lost - head, 0) // ROW.itemsize
+        assert explore(p, runs).rows.tobytes() == e.rows.tobytes()
+        assert len(path.read_bytes()) == len(whole)
     with pytest.raises(SceneError, match="another plan"):
-        KeptRuns(replace(p, rtol=1e-6), InProcess(), tmp_path)
+        KeptRuns(replace(p, rtol=1e-6), InProcess(), path)
+
+
+def test_only_experiments_of_the_maps_own_bench_are_marked():
+    assert [s.name for s in experiments(load_scene("tilt_0"), None, ())] == [
+        *("tilt_0", "tilt_p10", "tilt_m10"),
+    ]
+    softer = ["buffer.k_A=700"]
+    marks = experiments(load_scene("tilt_0", softer), None, softer)
+    assert [(s.name, s.buffer.k_A) for s in marks][1:] == [("tilt_p10", 700.0), ("tilt_m10", 700.0)]
+    other = load_scene("paper_designed")
+    assert experiments(other, None, ()) == [other]
+    with pytest.raises(SceneError, match="--mark tilt_0: another bench than paper_designed: its"):
+        experiments(other, ["tilt_0"], ())
+
+
+def test_ctrl_c_ends_the_command_in_a_line(tmp_path):
+    """Also while the workers start."""
+    arguments = [sys.executable, "-m", "capture_sim.cli", "envelope", "--levels=0", "--mark"]
+    arguments += ["--angle=-20:20:8", "--offset=-40:40:10", "--speed=0.1", "--workers=2"]
+    process = subprocess.Popen(
+        [*arguments, f"--out={tmp_path / 'e.parquet'}"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "e.runs").exists():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers as well
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in said
 
 
 def test_plans_survive_as_plain_data():
@@ -256,9 +294,9 @@ def test_plans_survive_as_plain_data():
         (["--speed=0.1:0.2:3"], "a list of values for one of them"),
         (["--offset=30:-30:3"], "offset = (0.03, -0.03) m: allowed are ascending values"),
         (["--runs=5"], "runs = 5: allowed is >= 429"),
-        (["--levels=-1"], "levels = -1"),
+        (["--levels=-1"], "--levels: '-1': allowed is a whole number >= 0"),
         (["--rtol=1"], "rtol = 1.0"),
-        (["--workers=-1"], "--workers -1"),
+        (["--workers=-1"], "--workers"),
         (["--out=x.csv"], "--out x.csv"),
         (["--mark", "nowhere"], "nowhere"),
     ],
