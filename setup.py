@@ -1,10 +1,14 @@
-"""The part of the pip installation that is not plain Python: the ROS messages.
+"""The part of the pip installation that is not plain Python: data files and the ROS messages.
+
+    pip install .
+
+where there is no ROS installs the core, recording and viewing: plain Python.
 
     pip install --no-build-isolation [-e] .
 
-in an environment that has ROS (the wheels of requirements/, or a sourced workspace) runs the
-same CMakeLists.txt as colcon into a staging folder, and hands what it installs to setuptools,
-so that pip records and removes it. Everything else stands in pyproject.toml.
+in an environment that has ROS (the wheels of pyproject.toml's extra ros, or a sourced
+workspace) runs the same CMakeLists.txt as colcon into a staging folder, and hands what it
+installs to setuptools, so that pip records and removes it.
 """
 
 import os
@@ -23,6 +27,30 @@ PREFIX = Path(sys.prefix)
 SITE_PACKAGES = Path(sysconfig.get_path("platlib")).relative_to(PREFIX)
 
 
+def ament_prefixes() -> list[str]:
+    """Return where packages of ROS may be, this environment first."""
+    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return list(dict.fromkeys([str(PREFIX), *filter(None, sourced)]))
+
+
+def makes_messages() -> bool:
+    """Whether there is what compiles ROS messages."""
+    return any(
+        Path(prefix, "share", "rosidl_default_generators").is_dir() for prefix in ament_prefixes()
+    )
+
+
+def plain_data() -> list[tuple[str, list[str]]]:
+    """Return the data files by the folder below PREFIX that they go to, without ROS."""
+    by_folder: dict[str, list[str]] = {}
+    for name in ("config", "launch", "msg", "srv"):
+        for file in sorted((HERE / name).rglob("*.*")):
+            if file.suffix in (".csv", ".msg", ".py", ".srv", ".xml", ".yaml"):
+                path = file.relative_to(HERE)
+                by_folder.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
+    return sorted(by_folder.items())
+
+
 def cmake_install(build: Path) -> Path:
     """Configure, build and install below `build`; return the folder that stands for PREFIX."""
     # rosidl's rules do not notice a message that has gone
@@ -35,8 +63,7 @@ def cmake_install(build: Path) -> Path:
     stage = build / "stage"
     shutil.rmtree(stage, ignore_errors=True)
     env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONNOUSERSITE")}
-    prefixes = [str(PREFIX), *filter(None, env.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
-    env["AMENT_PREFIX_PATH"] = env["CMAKE_PREFIX_PATH"] = os.pathsep.join(dict.fromkeys(prefixes))
+    env["AMENT_PREFIX_PATH"] = env["CMAKE_PREFIX_PATH"] = os.pathsep.join(ament_prefixes())
     env["PATH"] = os.pathsep.join([str(PREFIX / "bin"), env["PATH"]])
     # The final prefix, reached through DESTDIR: with any other one CMake refuses an
     # environment that lies within the source tree, as .venv does.
@@ -105,4 +132,7 @@ class BinaryDistribution(Distribution):
         return self.has_data_files()
 
 
-setup(cmdclass={"build_py": BuildWithMessages}, distclass=BinaryDistribution)
+if makes_messages():
+    setup(cmdclass={"build_py": BuildWithMessages}, distclass=BinaryDistribution)
+else:
+    setup(data_files=plain_data())
