@@ -62,7 +62,7 @@ def why_missing(adapter: ModuleType) -> str:
         importlib.import_module(adapter.MODULE)
     except ImportError as error:
         if isinstance(error, ModuleNotFoundError) and error.name == adapter.MODULE:
-            return "not installed: pip install -r requirements/benchmark.txt"
+            return "not installed: pip install -c requirements/constraints.txt '.[benchmark]'"
         return f"does not load: {error}"
     return ""
 

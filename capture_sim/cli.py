@@ -130,7 +130,7 @@ def _failed(error: Exception) -> int:
 
 def _lacking(error: ImportError) -> str:
     if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv")):
-        return "the ROS messages are not compiled: install capture_sim where ROS 2 is (docs/nodes.md)"
+        return "the ROS messages are not compiled: install capture_sim where ROS 2 is"
     package = (error.name or "").partition(".")[0]
     for extra, packages in _EXTRAS.items():
         if package in packages:

@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 import sysconfig
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,7 @@ def project(tmp_path, setup_env, monkeypatch):
         ("srv/Reset.srv", "---\n", "package"),
         ("CMakeLists.txt", "\n", "package"),
         ("setup.py", "\n", "package"),
-        ("requirements/run.txt", "\n", "requirements"),
+        ("requirements/constraints.txt", "\n", "requirements"),
         ("tools/finish_venv.py", "\n", "requirements"),
         ("pyproject.toml", "\n[tool.other]\n", None),
         ("capture_sim/bench.py", "\n", None),
@@ -116,20 +117,17 @@ def test_a_failing_step_leaves_its_output_in_the_log(setup_env, monkeypatch, tmp
     assert "Good ..." in capsys.readouterr().out
 
 
-def test_every_requirement_is_pinned():
-    pinned = re.compile(r"[\w.-]+(\[\w+\])?==[\w.]+")
-    constraints = {
-        line.split("==")[0].lower()
-        for line in (ROOT / "requirements" / "constraints.txt").read_text().splitlines()
-    }
-    for path in (ROOT / "requirements").glob("*.txt"):
-        for line in path.read_text().splitlines():
-            requirement = line.partition("#")[0].strip()
-            if not requirement or requirement == "-c constraints.txt":
-                continue
-            assert pinned.fullmatch(requirement), f"{path.name}: {line}"
-            if path.name not in ("installer.txt", "workstation.txt"):
-                assert re.split(r"[\[=]", requirement)[0].lower() in constraints, requirement
+def test_every_requirement_is_pinned(setup_env):
+    pins = (ROOT / "requirements" / "constraints.txt").read_text().lower()
+    pinned = set(re.findall(r"^([\w.-]+)==[\w.]+$", pins, re.MULTILINE))
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)["project"]
+    wanted = setup_env.requirements(project)
+    assert {"ros-rclpy[fastrtps]==7.1.6", "pytest>=8,<9"} <= set(wanted)
+    for extra in (*project["optional-dependencies"].values(), wanted):
+        for requirement in extra:
+            name = re.match(r"[\w.-]+", requirement).group().lower()
+            assert name in pinned or name == "capture_sim", requirement
 
 
 def test_mending_changes_no_shared_file(tmp_path):

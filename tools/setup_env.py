@@ -19,6 +19,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -31,7 +32,7 @@ VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 LOG = VENV / "setup.log"
 STAMP = VENV / "setup.json"
-REQUIREMENTS = ("run.txt", "build.txt", "test.txt")
+EXTRAS = ("ros", "test")
 
 OLDEST_PYTHON = (3, 11)
 NEWEST_PYTHON = (3, 14)  # no wheels of ROS for a later one
@@ -111,13 +112,25 @@ def wanted_state():
     project["tool"] = project["tool"]["setuptools"]  # the linters' settings need no rebuild
     interfaces = [*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")]
     build = [ROOT / name for name in ("CMakeLists.txt", "package.xml", "setup.py")]
+    pins = [ROOT / "requirements" / "constraints.txt", ROOT / "tools" / "finish_venv.py"]
     return {
         "python": [sys.version, os.path.realpath(sys.executable), str(VENV)],
-        "requirements": digest(
-            [*ROOT.glob("requirements/*.txt"), ROOT / "tools" / "finish_venv.py"]
-        ),
+        "requirements": [requirements(project["project"]), digest(pins)],
         "package": [digest([*interfaces, *build]), project],
     }
+
+
+def requirements(project):
+    """Return what the package and the extras EXTRAS require, this package's own extras resolved."""
+    found, extras = list(project["dependencies"]), list(EXTRAS)
+    for extra in extras:  # grows meanwhile
+        for requirement in project["optional-dependencies"][extra]:
+            own = re.fullmatch(r"capture_sim\[(.*)\]", requirement)
+            if not own:
+                found.append(requirement)
+            else:
+                extras += [name for name in own.group(1).split(",") if name not in extras]
+    return sorted(found)
 
 
 def found_state():
@@ -213,24 +226,23 @@ def make_venv(progress):
     progress.run("Python environment", [sys.executable, "-m", "venv", VENV])
 
 
-def install_requirements(progress):
-    """Install what is pinned: by uv, which takes seconds; where that does not work, by pip."""
-    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install"]
-    folder = ROOT / "requirements"
-    files = [word for name in REQUIREMENTS for word in ("-r", folder / name)]
+def install_requirements(progress, wanted):
+    """Install what is wanted, as pinned: by uv, which takes seconds; else by pip."""
+    constraints = ROOT / "requirements" / "constraints.txt"
+    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "-c", constraints]
     env = clean_environment()
     try:
-        progress.run("Installer", [*pip, "--no-compile", "-r", folder / "installer.txt"])
+        progress.run("Installer", [*pip, "--no-compile", "uv"])
         index = pip_index()
         if index:
             env.setdefault("UV_DEFAULT_INDEX", index)
         # with bytecode: the nodes are many processes, and each would compile it anew where
         # Python may not write it
         uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
-        progress.run("Packages", [*uv, *files], env)
+        progress.run("Packages", [*uv, "-c", constraints, *wanted], env)
     except SetupError as error:
         print(f"  {error}; trying pip")
-        progress.run("Packages", [*pip, *files])
+        progress.run("Packages", [*pip, *wanted])
     progress.run("Mending", [PYTHON, ROOT / "tools" / "finish_venv.py"])
 
 
@@ -261,7 +273,7 @@ def set_up():
     STAMP.unlink(missing_ok=True)  # an interrupted set-up starts from nothing
     LOG.write_text("")
     if renew or found.get("requirements") != wanted["requirements"]:
-        install_requirements(progress)
+        install_requirements(progress, wanted["requirements"][0])
     install_package(progress)
     STAMP.write_text(json.dumps(wanted, indent=1))
     print(f"Set up in {time.monotonic() - progress.start:.0f} s", flush=True)

@@ -117,7 +117,7 @@ def _dask_client(address: str) -> Any:
         from distributed import Client
     except ImportError:
         raise ExecutorError(
-            "--scheduler: Dask is not installed; pip install -r requirements/cluster.txt"
+            "--scheduler: Dask is not installed; pip install 'capture_sim[cluster]'"
         ) from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)

@@ -179,9 +179,7 @@ def test_two_processes_give_the_same_file(alone, tmp_path):
 
 
 def test_a_dask_cluster_gives_the_same_file(alone, tmp_path):
-    distributed = pytest.importorskip(
-        "distributed", reason="Dask is optional: requirements/cluster.txt"
-    )
+    distributed = pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
     with (
         distributed.LocalCluster(
             n_workers=2,
@@ -311,7 +309,7 @@ def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypa
 
 
 def test_a_cluster_that_is_not_there_is_said_in_a_line(capsys):
-    pytest.importorskip("distributed", reason="Dask is optional: requirements/cluster.txt")
+    pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
     with (
         pytest.raises(ExecutorError, match="allowed is an address"),
         open_executor(scheduler="nowhere"),
