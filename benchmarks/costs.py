@@ -21,19 +21,17 @@ from benchmarks.trial import Progress, spread
 from capture_sim.bench import Bench
 from capture_sim.kernels import entry_kernel
 from capture_sim.model import equations
-from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL, rate_of_change
+from capture_sim.model.equations import MODE, N_TOTAL, OUT, make_system, rate_of_change
 from capture_sim.scene.parts import BallSupport, Latch, Scene, Stops, Supports
 
 _LOOP = 20_000  # evaluations in one measurement of an evaluation
 
 
 @entry_kernel
-def evaluate_often(parameters, modes, y, f, scratch, n):  # type: ignore[no-untyped-def]
+def evaluate_often(systems, y, f, n):  # type: ignore[no-untyped-def]
     """Evaluate the equations of motion ``n`` times, each waiting for the one before."""
-    par = parameters[0]
-    mode = modes[0]
     for _ in range(n):
-        rate_of_change(0.0, y, f, par, mode, scratch)
+        rate_of_change(0.0, y, f, systems[0])
         y[0] += 1e-18 * f[8]
 
 
@@ -128,7 +126,8 @@ def evaluation_cost(scene: Scene, repeats: int) -> EvaluationCost:
 
 
 def _evaluation(scene: Scene, touching: bool, repeats: int) -> Spread:
-    parameters, mode = packed(scene), np.zeros(1, MODE)
+    system = make_system(packed(scene))
+    mode = system["mode"]
     q, v = scene.initial_coordinates()
     y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
     if touching:
@@ -136,12 +135,12 @@ def _evaluation(scene: Scene, touching: bool, repeats: int) -> Spread:
         mode["chi"][0] = 1e9
         mode["direction"][0] = 1.0
         y[0] = into_wall(scene)
-    f, scratch = np.zeros(N_TOTAL), np.zeros(N_SCRATCH)
-    evaluate_often(parameters, mode, y, f, scratch, _LOOP)
+    f = np.zeros(N_TOTAL)
+    evaluate_often(system, y, f, _LOOP)
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        evaluate_often(parameters, mode, y, f, scratch, _LOOP)
+        evaluate_often(system, y, f, _LOOP)
         seconds.append((time.perf_counter() - began) / _LOOP)
     return Spread.of(seconds)
 
@@ -372,8 +371,10 @@ def operations(scene: Scene) -> dict[str, dict[str, int]]:
         q[0] = into_wall(scene) if phase == "contact" else q[0]
         y = [Counted(value) for value in (*q, *v, *[0.0] * (N_TOTAL - 16))]
         f = [Counted(0.0)] * N_TOTAL
-        scratch = [Counted(0.0)] * N_SCRATCH
+        out = SimpleNamespace(
+            **{k: [Counted(0.0)] * 2 if OUT[k].shape else Counted(0.0) for k in OUT.names or ()}
+        )
         tally.clear()
-        evaluate(0.0, y, f, par, mode, scratch)
+        evaluate(0.0, y, f, SimpleNamespace(par=par, mode=mode, out=out))
         counts[phase] = dict(tally)
     return counts

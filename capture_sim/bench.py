@@ -15,35 +15,45 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from capture_sim.engine import loop, notebook
-from capture_sim.engine.steps import N_WATCHED
+from capture_sim.engine import loop
+from capture_sim.engine.state import N_WATCHED, WORKSPACE, Status
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.interrupts import do_apart
+from capture_sim.kernels import records
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
-from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL
 from capture_sim.model.parameters import pack
-from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
+from capture_sim.model.stiffness import stiffest_part
+from capture_sim.samples import (
+    EXTREMES,
+    SAMPLE,
+    TOUCH,
+    Event,
+    EventKind,
+    Extremes,
+    Phase,
+)
 from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
-from capture_sim.solver.radau import make_work
+from capture_sim.solver.runge_kutta import set_pair
 
 #: Samples per call into the engine; large enough to make the call's own cost vanish.
 BLOCK = 4096
-_EVENT_ROOM = 256
 _TRACE_ROOM = 1024
+_FIRST_STEP = 1e-6  # s; rejected or enlarged as its error has it
+_FIRST_ERROR = 1e-4  # of the step before the first
 
 _CAUSES = {
-    notebook.NOT_FINITE: "the state is not finite any more",
-    notebook.STEP_TOO_SMALL: "the step fell below 1e-15 s: run.rtol is too small for this scene",
-    notebook.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
-    notebook.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
+    Status.NOT_FINITE: "the state is not finite any more",
+    Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
+    Status.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
+    Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
     "the contact is too soft for this impact",
-    notebook.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
+    Status.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
-    notebook.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
+    Status.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
     "or the contact is not resolved",
-    notebook.PILE_UP: "more than 100 events fell on one instant",
+    Status.PILE_UP: "more than 100 events fell on one instant",
 }
 
 
@@ -103,19 +113,14 @@ class Bench:
         self.scene = scene
         own_plan = check_scene(scene)
         self.plan = own_plan if plan is None else plan
-        self._par = pack(scene, self.plan.hanging_mass, self.plan.drop_height)
-        self._pair = PAIRS[scene.run.method]()
+        self._workspace = np.zeros(1, WORKSPACE)
+        w = self._workspace[0]
+        self._run, self._step, self._system = w["run"], w["step"], w["system"]
+        self._system["par"] = pack(scene, self.plan.hanging_mass, self.plan.drop_height)[0]
+        set_pair(self._step, PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
-        self._y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
-        sizes = (N_TOTAL, N_STATE, N_TOTAL, N_TOTAL, N_WATCHED, N_WATCHED)
-        self._work = [np.zeros(size) for size in sizes]
-        self._K = np.zeros((len(self._pair.C), N_TOTAL))
-        self._F = np.zeros((self._pair.G.shape[0], N_TOTAL))
-        self._scratch = np.zeros(N_SCRATCH)
-        self._implicit = make_work(8, N_TOTAL)
-        self._mode = np.zeros(1, MODE)
-        self._run = np.zeros(1, notebook.RUN)
-        self._event_room = np.zeros(_EVENT_ROOM, notebook.EVENT)
+        self._step["y"][:16] = *q, *v
+        self._step["weights"] = 1.0 / error_scale(self._system["par"])
         self._trace_room = np.zeros(_TRACE_ROOM if trace or scene.run.trace else 0, SAMPLE)
         self._traced: list[np.ndarray] = []
         self._begin()
@@ -126,23 +131,19 @@ class Bench:
         self._log(EventKind.RELEASE, 0.0, q, v, detail=self._describe_release())
 
     def _begin(self) -> None:
-        run, mode, par = self._run[0], self._mode[0], self._par[0]
+        run, mode, par, y = self._run, self._system["mode"], self._system["par"], self._step["y"]
         run["t_stop"] = self.scene.run.t_end
-        run["h_next"] = 1e-6
-        run["error"] = 1e-4
+        run["h_next"] = _FIRST_STEP
+        run["error"] = _FIRST_ERROR
         run["fresh"] = 1
         run["on_rail"] = self.scene.rail is not None
         run["taut"] = self.scene.string is not None
-        run["speed"] = math.hypot(self._y[8], self._y[9]) if run["on_rail"] else 0.0
+        run["speed"] = math.hypot(y[8], y[9]) if run["on_rail"] else 0.0
         if par["has_supports"]:
-            still = not np.any(self._y[13:16])
+            still = not np.any(y[13:16])
             mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
-            still = not np.any(self._y[8:11]) and not run["on_rail"]
+            still = not np.any(y[8:11]) and not run["on_rail"]
             mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
-        run["energy_0"] = loop.energy_at_release(
-            self._par, self._mode, self._run, self._y, self._scratch, np.zeros(1, SAMPLE)
-        )
-        self._weights = 1.0 / error_scale(self._par, float(run["energy_0"]))
 
     def _describe_release(self) -> str:
         if self.scene.string is None:
@@ -152,7 +153,7 @@ class Bench:
     @property
     def done(self) -> bool:
         """Whether the run is over."""
-        return bool(self._run[0]["done"])
+        return bool(self._run["done"])
 
     @property
     def touches(self) -> np.ndarray:
@@ -184,8 +185,15 @@ class Bench:
     @property
     def statistics(self) -> Statistics:
         """Steps taken and rejected, and evaluations of the equations of motion."""
-        run = self._run[0]
+        run = self._run
         return Statistics(int(run["steps"]), int(run["rejected"]), int(run["evaluations"]))
+
+    @property
+    def extremes(self) -> Extremes:
+        """Largest strokes, torsion, depths and forces and the nearest approach so far."""
+        found = np.stack([np.abs(self._run["extreme"]), self._run["extreme_time"]], axis=-1)
+        before, after = found.reshape(2, -1).view(EXTREMES)[:, 0]
+        return Extremes(before, after if self._system["mode"]["latched"] else None)
 
     def times(self, first: int, count: int) -> np.ndarray:
         """Return the times (s) of ``count`` samples from number ``first`` on, up to the end."""
@@ -221,54 +229,36 @@ class Bench:
             # nothing lies beyond: a time that is never reached runs to the end
             times = np.append(times, np.inf)
         samples = np.zeros(times.shape[0], SAMPLE)
+        workspace, trace = records(self._workspace), records(self._trace_room)
+        run = self._run
         served = 0
-        y_new, y_stage, y_at, y_end, e_5, e_3 = self._work
         while True:
-            self._run[0]["n_events"] = 0
-            self._run[0]["n_trace"] = 0
-            status, count = loop.advance(
-                self._par,
-                self._mode,
-                self._run,
-                tuple(self._pair),
-                self._y,
-                y_new,
-                y_stage,
-                y_at,
-                y_end,
-                e_5,
-                e_3,
-                self._K,
-                self._F,
-                self._weights,
-                self._scratch,
-                tuple(self._implicit),
-                times[served:],
-                samples[served:],
-                self._event_room,
-                self._trace_room,
-            )
-            served += count
-            happened = int(self._run[0]["n_events"])
+            run["n_events"] = run["n_trace"] = 0
+            served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
+            happened, traced = int(run["n_events"]), int(run["n_trace"])
             if happened:
-                self._unread.append(self._event_room[:happened].copy())
-            traced = int(self._run[0]["n_trace"])
+                self._unread.append(self._workspace["events"][0, :happened].copy())
             if traced:
                 self._traced.append(self._trace_room[:traced].copy())
-            if status == notebook.EVENTS_FULL:
-                continue
-            if status != notebook.SERVED:
-                raise self._failure(int(status), samples[:served])
-            return samples[:served]
+            if run["status"] == Status.SERVED:
+                return samples[:served]
+            if run["status"] != Status.INTERRUPTED:
+                raise self._failure(Status(int(run["status"])), samples[:served])
 
-    def _failure(self, status: int, partial: np.ndarray) -> SimulationError:
-        run = self._run[0]
-        sample = np.zeros(1, SAMPLE)
-        loop.energy_at_release(self._par, self._mode, self._run, self._y, self._scratch, sample)
-        phase = Phase(int(sample[0]["phase"])).name.lower()
+    def _failure(self, status: Status, partial: np.ndarray) -> SimulationError:
+        phase = Phase(int(self._workspace["sample"]["phase"][0])).name.lower()
+        cause = _CAUSES[status]
+        if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
+            mode, run = self._system["mode"], self._run
+            part, duration = stiffest_part(
+                self._system["par"],
+                depth=-float(run["gap"][:2].min()),
+                chi=float(mode["chi"].max()),
+                force=float(run["force"].max()),
+            )
+            cause += f"; stiffest is the {part}, with a time of {duration:.2g} s"
         return SimulationError(
-            f"{self.scene.name}: stopped at t = {run['t0']:.9g} s in phase {phase}: "
-            f"{_CAUSES[status]}",
+            f"{self.scene.name}: stopped at t = {self._run['t0']:.9g} s in phase {phase}: {cause}",
             partial,
         )
 
@@ -422,21 +412,22 @@ def _detail(kind: EventKind, raw: np.void) -> str:
     return ""
 
 
-def error_scale(par: np.ndarray, kinetic: float = 0.0) -> np.ndarray:
-    """Return the error allowed per step of each state (16,): rtol of the scene's own scale.
+def error_scale(par: np.void) -> np.ndarray:
+    """Return the error allowed per step of each watched place: rtol of the scene's own scale.
 
     The scale is a length (the tip's radius) and a speed (of the approach), not the state's
     present value: the same error counts the same wherever on the floor the bench stands.
     Angles count by what they move the tip.
+
+    Parameters
+    ----------
+    par
+        Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
     """
-    p = par[0]
-    arm = float(p["a"] + p["h_0"])
-    length, speed = float(p["length_scale"]), float(p["speed_scale"])
-    places = np.array([length, length, length / arm, length / arm, length] + [length] * 3)
-    rates = np.array([speed, speed, speed / arm, speed / arm, speed] + [speed] * 3)
-    places[7], rates[7] = length / float(p["L_T"] + p["R_c"]), speed / float(p["L_T"] + p["R_c"])
-    energy = float(p["rtol"] * p["m_P"]) * speed**2
-    # rounding of what is dissipated in all must not be taken for an error
-    energies = np.full(N_WATCHED - 16, max(energy, 1e-15 * kinetic))
-    scale = np.concatenate([float(p["rtol"]) * np.concatenate([places, rates]), energies])
+    arm, at_target = float(par["a"] + par["h_0"]), float(par["L_T"] + par["R_c"])
+    levers = np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])
+    rtol, speed = float(par["rtol"]), float(par["speed_scale"])
+    scale = np.full(N_WATCHED, rtol * float(par["m_P"]) * speed**2)
+    scale[:8] = rtol * (float(par["length_scale"]) / levers)
+    scale[8:16] = rtol * (speed / levers)
     return scale

@@ -8,23 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 
-class Named(IntEnum):
-    """Numbers of a message's constants; printed by name."""
-
-    @property
-    def label(self) -> str:
-        """The name used in messages and tables."""
-        return self.name.lower()
-
-    def __str__(self) -> str:
-        return self.label
-
-
-class Phase(Named):
+class Phase(IntEnum):
     """Phase of a run; each integrates only the freedoms it has."""
 
     HELD = 0
@@ -35,7 +24,7 @@ class Phase(Named):
     LATCHED = 5
 
 
-class EventKind(Named):
+class EventKind(IntEnum):
     """What happened at a located instant."""
 
     RELEASE = 0
@@ -51,6 +40,11 @@ class EventKind(Named):
     STOP_LEFT = 10
     STICK = 11
     SLIP = 12
+
+    @property
+    def label(self) -> str:
+        """The name used in messages and tables."""
+        return self.name.lower()
 
 
 #: Order of ``q`` and ``v``.
@@ -103,27 +97,6 @@ SAMPLE = np.dtype(
     ]
 )
 
-#: What belongs to each number of a field that holds several.
-_MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
-_PLANAR = ("contact_force", "latch_force")
-
-
-def columns_of(samples: np.ndarray) -> dict[str, np.ndarray]:
-    """Return every number of some samples (n,) by a name of its own, as ``q.x_S``.
-
-    Of two numbers they are the walls' (``penetration.+y``), of forces in the world x and y.
-    """
-    columns = {}
-    for name in samples.dtype.names or ():
-        values = samples[name]
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        members = ("x", "y") if name in _PLANAR else _MEMBERS[values.shape[1]]
-        columns.update({f"{name}.{member}": values[:, k] for k, member in enumerate(members)})
-    return columns
-
-
 #: The contact at the end of one of the integrator's steps; as in msg/ContactTrace.msg.
 TRACE = np.dtype(
     [
@@ -147,8 +120,38 @@ TOUCH = np.dtype(
         ("peak_time", "f8"),  # s
         ("impulse", "f8"),  # N s, normal
         ("dissipated", "f8"),  # J, contact hysteresis
+        ("rate_ratio", "f8"),  # largest rate of penetration over the approach speed (v_0)
     ]
 )
+
+#: Extremes of a run: strokes inwards and outwards (m), torsion (rad), distance of the tip to the
+#: centre of BE (m), penetration (m) and normal force of a wall (N).
+EXTREME_NAMES = (
+    "compression",
+    "extension",
+    "torsion",
+    "tip_distance",
+    "penetration",
+    "normal_force",
+)
+
+#: The extremes as magnitudes, the distance the smallest, each with its time (s).
+EXTREMES = np.dtype([(f"{name}{end}", "f8") for name in EXTREME_NAMES for end in ("", "_time")])
+
+
+class Extremes(NamedTuple):
+    """Extremes found inside the integrator's steps, whatever the sample rate.
+
+    Attributes
+    ----------
+    before_latch : np.void of dtype EXTREMES
+        Up to the latch; of the whole run where none closes.
+    after_latch : np.void of dtype EXTREMES or None
+        From its closing on.
+    """
+
+    before_latch: np.void
+    after_latch: np.void | None
 
 
 @dataclass(frozen=True)

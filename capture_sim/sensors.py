@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.kernels import plain
 from capture_sim.model.parameters import pack
 from capture_sim.model.supports import rolling_wrench
 from capture_sim.scene.parts import LoadCell, MotionCapture, Scene
@@ -157,7 +158,7 @@ def _rolling(scene: Scene) -> Callable[[np.void], Wrench]:
         return lambda sample: (0.0, 0.0, 0.0)
     part = pack(scene, math.nan, math.nan)[0]
     balls, v_eps = np.array(part["balls_T"]), float(part["v_eps_ball"])
-    resistance = rolling_wrench.py_func  # type: ignore[attr-defined]
+    resistance = plain(rolling_wrench)
 
     def rolling(sample: np.void) -> Wrench:
         vx, vy, omega = sample["v"][_TARGET].tolist()

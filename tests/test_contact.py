@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gamma
 
 from capture_sim import load_scene, simulate
-from capture_sim.model.contact_laws import (
+from capture_sim.model.contact import (
     HYSTERESIS_FACTOR,
     exact_factor,
     returned_restitution,

@@ -11,14 +11,21 @@ from independent_model import (
     tip,
 )
 
-from capture_sim import Bench, load_scene, simulate
+from capture_sim import load_scene, simulate
 from capture_sim.engine import loop
-from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL
+from capture_sim.launch.plan import plan_launch
+from capture_sim.model.equations import N_TOTAL, make_system
+from capture_sim.model.parameters import pack
 
 
 @pytest.fixture
 def scene():
     return load_scene("paper_designed", ["buffer.c_T=0.7"])
+
+
+def system_of(scene):
+    plan = plan_launch(scene)
+    return make_system(pack(scene, plan.hanging_mass, plan.drop_height))
 
 
 def random_states(scene, n, seed=1):
@@ -31,10 +38,9 @@ def random_states(scene, n, seed=1):
 
 
 def accelerations(scene, q, v):
-    bench = Bench(scene)
     y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
     f = np.zeros(N_TOTAL)
-    loop.evaluate(bench._par, np.zeros(1, MODE), y, f, np.zeros(N_SCRATCH))
+    loop.evaluate(system_of(scene), y, f)
     return f[8:16]
 
 
@@ -65,9 +71,9 @@ def test_contact_force_acts_as_a_force_on_both_bodies(scene):
     assert touching.size > 1000
     for sample in touching[::97]:
         q, v = sample["q"], sample["v"]
-        bench = Bench(scene)
-        mode = np.zeros(1, MODE)
-        mode["touching"][0] = [sample["walls"] & 1, sample["walls"] >> 1]
+        system = system_of(scene)
+        mode, par = system[0]["mode"], system[0]["par"]
+        mode["touching"] = [sample["walls"] & 1, sample["walls"] >> 1]
         speeds = {
             t["wall"]: t["approach_speed"]
             for t in result.touches
@@ -75,10 +81,9 @@ def test_contact_force_acts_as_a_force_on_both_bodies(scene):
         }
         for i, wall in enumerate((1, -1)):
             if wall in speeds:
-                par = bench._par[0]
-                mode["chi"][0][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
+                mode["chi"][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
         y, f = np.concatenate([q, v, np.zeros(N_TOTAL - 16)]), np.zeros(N_TOTAL)
-        loop.evaluate(bench._par, mode, y, f, np.zeros(N_SCRATCH))
+        loop.evaluate(system, y, f)
         Q = mass_matrix(scene, q) @ f[8:16] + bias(scene, q, v) - buffer_forces(scene, q, v)
         force = sample["contact_force"]
         scale = max(np.hypot(*force), 1.0)

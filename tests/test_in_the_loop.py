@@ -14,12 +14,12 @@ import pytest
 from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
 from capture_sim import SceneError, load_scene
+from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.contact_rig import BounceWatch, ContactRig, bounce_with_delay, gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, TipState, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.messages.convert import CONE_FRAME
-from capture_sim.model.tip_wrench import N_LOOP
 from capture_sim.recording.definitions import offline_messages
 
 PLATE = 2000.0  # N/m

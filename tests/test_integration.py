@@ -8,15 +8,17 @@ from scipy.integrate import RK45, solve_ivp
 
 from capture_sim import Bench, load_scene, simulate
 from capture_sim.engine import loop
-from capture_sim.kernels import kernel
-from capture_sim.model.equations import MODE, N_SCRATCH, N_TOTAL
+from capture_sim.kernels import entry_kernel, kernel, plain
+from capture_sim.launch.plan import plan_launch
+from capture_sim.model.equations import N_TOTAL, make_system
+from capture_sim.model.parameters import pack
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.roots import cubic_minimum, may_cross
-from capture_sim.solver.runge_kutta import dense, make_stepper
+from capture_sim.solver.runge_kutta import dense, make_stepper, set_pair, stepper_type
 
 
 @kernel
-def pendulum(t, y, f, par, mode, scratch):
+def pendulum(t, y, f, system):
     """Mathematical pendulum; the third place integrates the power of its weight."""
     f[0] = y[1]
     f[1] = -math.sin(y[0]) + 0.1 * math.cos(3.0 * t)
@@ -26,27 +28,33 @@ def pendulum(t, y, f, par, mode, scratch):
 STEPPER = make_stepper(pendulum, 2, 3, 2)
 
 
+@entry_kernel
+def take_steps(steps, places, between, n, h):
+    """Integrate with n equal steps; dense values at places (0..1) of the last one."""
+    step = steps[0]
+    for i in range(n):
+        pendulum(i * h, step.y, step.K[0], steps)
+        STEPPER.try_step(steps, step, i * h, h)
+        if i == n - 1:
+            STEPPER.prepare_dense(steps, step, i * h, h)
+            for k in range(places.size):
+                dense(step, places[k], step.y_stage, 3)
+                for j in range(3):
+                    between[k, j] = step.y_stage[j]
+        for j in range(3):
+            step.y[j] = step.y_new[j]
+
+
 def fixed_steps(name, n, t_end=2.0, fractions=()):
     """Integrate with n equal steps; dense values at fractions of the last step."""
-    pair = PAIRS[name]()
-    y, weights = np.array([1.0, 0.3, 0.0]), np.ones(2)
-    K, F = np.zeros((pair.A.shape[1], 3)), np.zeros((pair.G.shape[0], 3))
-    y_s, y_new, out = np.zeros(2), np.zeros(3), np.zeros(3)
-    e_5, e_3 = np.zeros(2), np.zeros(2)
+    steps = np.zeros(1, stepper_type(3, 2))
+    set_pair(steps[0], PAIRS[name]())
+    steps["y"] = [1.0, 0.3, 0.0]
+    steps["weights"] = 1.0
     h = t_end / n
-    none = np.zeros(0)
-    between = []
-    for i in range(n):
-        t = i * h
-        pendulum(t, y, K[0], none, none, none)
-        STEPPER.try_step(none, none, none, tuple(pair), t, y, h, K, y_s, e_5, e_3, y_new, weights)
-        if i == n - 1:
-            STEPPER.prepare_dense(none, none, none, tuple(pair), t, y, h, K, y_s, F)
-            for x in fractions:
-                dense(y, F, pair.G.shape[0], x, out, 3)
-                between.append((t + x * h, out.copy()))
-        y = y_new.copy()
-    return y, between
+    between = np.zeros((len(fractions), 3))
+    take_steps(steps, np.array(fractions, dtype=float), between, n, h)
+    return steps["y"][0], [((n - 1 + x) * h, y) for x, y in zip(fractions, between, strict=True)]
 
 
 @pytest.fixture(scope="module")
@@ -88,13 +96,18 @@ def test_dopri5_is_the_pair_that_scipy_has():
     assert pair.A[pair.stages, : pair.stages] == pytest.approx(solver.B)
 
 
+def test_kernels_for_kernels_are_refused_to_python():
+    with pytest.raises(TypeError):
+        cubic_minimum(1.0, -6.0, 1.0, 6.0)
+
+
 def test_cubic_sees_a_dip_between_two_positive_ends():
-    place, low = cubic_minimum(1.0, -6.0, 1.0, 6.0)
+    place, low = plain(cubic_minimum)(1.0, -6.0, 1.0, 6.0)
     assert place == pytest.approx(0.5)
     assert low == pytest.approx(-0.5)
-    assert may_cross(1.0, -6.0, 1.0, 6.0, 0.05)
-    assert not may_cross(1.0, -0.1, 1.0, 0.1, 0.05)
-    assert may_cross(1.0, 0.0, -0.1, 0.0, 0.05)
+    assert plain(may_cross)(1.0, -6.0, 1.0, 6.0, 0.05)
+    assert not plain(may_cross)(1.0, -0.1, 1.0, 0.1, 0.05)
+    assert plain(may_cross)(1.0, 0.0, -0.1, 0.0, 0.05)
 
 
 @pytest.mark.parametrize("method", ["dopri5", "dop853"])
@@ -115,15 +128,15 @@ def test_first_touches_agree_with_scipy_touch_by_touch():
     """SciPy's DOP853 on the same equations, its events located one after the other."""
     scene = load_scene("paper_designed", ["run.rtol=1e-11"])
     result = simulate(scene, t_end=0.05)
-    bench = Bench(scene)
-    f, scratch = np.zeros(N_TOTAL), np.zeros(N_SCRATCH)
-    mode = np.zeros(1, MODE)
+    plan = plan_launch(scene)
+    system = make_system(pack(scene, plan.hanging_mass, plan.drop_height))
+    f, mode = np.zeros(N_TOTAL), system["mode"]
     q, v = scene.initial_coordinates()
     y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
     cone, R = scene.cone, scene.probe.tip_radius
 
     def motion(t, y):
-        loop.evaluate(bench._par, mode, np.ascontiguousarray(y), f, scratch)
+        loop.evaluate(system, np.ascontiguousarray(y), f)
         return f.copy()
 
     def gap(t, y):
@@ -137,7 +150,7 @@ def test_first_touches_agree_with_scipy_touch_by_touch():
         x = min(max((tip - inner) @ along, 0.0), cone.L_c)
         return float(np.hypot(*(tip - inner - x * along)) - R)
 
-    par = bench._par[0]
+    par = system[0]["par"]
     t, touching, times = 0.0, False, []
     while len(times) < 8:
         gap.terminal, gap.direction = True, 1 if touching else -1

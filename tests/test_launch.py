@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 from capture_sim import SceneError, load_scene, simulate
+from capture_sim.kernels import plain
 from capture_sim.launch.plan import Launcher, LauncherPhase, expected_speed, plan_launch
 from capture_sim.model.supports import ball_loads, load_factor, rolling_wrench
 
@@ -205,10 +206,10 @@ BALLS = np.array([[0.1, 0.0, 2.0], [-0.05, 0.0866025403784, 2.0], [-0.05, -0.086
 
 def test_limit_of_the_supports_where_it_is_known():
     # a pure force is held by all three balls together, a pure torque by each at its arm
-    assert load_factor(3.0, 0.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
-    assert load_factor(0.0, -6.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(1.0, rel=1e-6)
-    assert load_factor(0.0, 0.0, 0.3, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
-    assert load_factor(0.0, 0.0, 0.0, 1.0, 0.0, BALLS) == 0.0
+    assert plain(load_factor)(3.0, 0.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
+    assert plain(load_factor)(0.0, -6.0, 0.0, 1.0, 0.0, BALLS) == pytest.approx(1.0, rel=1e-6)
+    assert plain(load_factor)(0.0, 0.0, 0.3, 1.0, 0.0, BALLS) == pytest.approx(0.5, rel=1e-6)
+    assert plain(load_factor)(0.0, 0.0, 0.0, 1.0, 0.0, BALLS) == 0.0
 
 
 def test_limit_of_the_supports_against_an_optimiser():
@@ -236,16 +237,16 @@ def test_limit_of_the_supports_against_an_optimiser():
             ).fun
             for start in (scaled, *(scaled + 0.5 * rng.normal(size=(4, 3))))
         )
-        found = load_factor(w[0], w[1], w[2], c, s, balls)
+        found = plain(load_factor)(w[0], w[1], w[2], c, s, balls)
         assert found == pytest.approx(1 / best, rel=2e-3)
         assert found >= 1 / best * (1 - 2e-3)
 
 
 def test_rolling_resistance_opposes_each_ball():
-    fx, fy, torque, power = rolling_wrench(0.1, 0.0, 0.0, 1.0, 0.0, BALLS, 1e-9)
+    fx, fy, torque, power = plain(rolling_wrench)(0.1, 0.0, 0.0, 1.0, 0.0, BALLS, 1e-9)
     assert (fx, fy, torque) == pytest.approx((-6.0, 0.0, 0.0), abs=1e-12)
     assert power == pytest.approx(0.6)
-    fx, fy, torque, power = rolling_wrench(0.0, 0.0, 2.0, 1.0, 0.0, BALLS, 1e-9)
+    fx, fy, torque, power = plain(rolling_wrench)(0.0, 0.0, 2.0, 1.0, 0.0, BALLS, 1e-9)
     assert (fx, fy) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert torque == pytest.approx(-0.6)
     assert power == pytest.approx(1.2)

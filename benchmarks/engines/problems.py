@@ -11,7 +11,7 @@ from benchmarks.engines.python_model import PythonModel
 from capture_sim.engine import loop
 from capture_sim.kernels import entry_kernel
 from capture_sim.launch.plan import plan_launch
-from capture_sim.model.equations import MODE, N_SCRATCH, N_STATE, N_TOTAL, tip_in_cone, wall_gap
+from capture_sim.model.equations import N_STATE, N_TOTAL, make_system, tip_in_cone, wall_gap
 from capture_sim.model.parameters import pack
 from capture_sim.scene.parts import Scene
 
@@ -68,21 +68,20 @@ class CompiledProblem:
 
     def __init__(self, scene: Scene) -> None:
         self.parameters = packed(scene)
-        self.mode = np.zeros(1, MODE)
-        self.touching = self.mode["touching"][0]
-        self.chi = self.mode["chi"][0]
+        self.system = make_system(self.parameters)
+        self.mode = self.system["mode"][0]
+        self.touching, self.chi = self.mode["touching"], self.mode["chi"]
         par = self.parameters[0]
         self._damping = float(par["hysteresis"] * par["K"])
         self._floor = float(par["v_0_floor"])
         self._K = float(par["K"])
         self._f = np.zeros(N_TOTAL)
-        self._scratch = np.zeros(N_SCRATCH)
         self.evaluations = 0
 
     def rate_of_change(self, _: float, y: np.ndarray) -> np.ndarray:
         """Return dy/dt (16,)."""
         self.evaluations += 1
-        loop.evaluate(self.parameters, self.mode, y, self._f, self._scratch)
+        loop.evaluate(self.system, y, self._f)
         return self._f[:N_STATE].copy()
 
     def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
@@ -94,7 +93,7 @@ class CompiledProblem:
         """Begin a touch."""
         self.touching[wall] = 1
         self.chi[wall] = self._damping / max(approach, self._floor)
-        self.mode["sticking"][0, wall] = 0
+        self.mode["sticking"][wall] = 0
 
     def release(self, wall: int) -> None:
         """End a touch."""

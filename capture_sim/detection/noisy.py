@@ -33,6 +33,7 @@ from capture_sim.detection.exact import (
     new_memory,
     reason,
 )
+from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
 from capture_sim.scene.parts import Scene
 
@@ -57,7 +58,7 @@ _SAME = 1e-12
 _LONGEST_STAND = 4.0
 
 # a few hundred measurements a second: not worth a compiled function of its own
-_tip_motion = tip_motion.py_func  # type: ignore[attr-defined]
+_tip_motion = plain(tip_motion)
 
 
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:

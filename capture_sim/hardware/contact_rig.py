@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, TipState, Wrench
+from capture_sim.kernels import plain
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
 
-_nearest_on_wall = nearest_on_wall.py_func  # type: ignore[attr-defined]
+_nearest_on_wall = plain(nearest_on_wall)
 
 
 class ContactRig:

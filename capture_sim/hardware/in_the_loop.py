@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.errors import CaptureSimError, SceneError
-from capture_sim.interrupts import do_apart
-from capture_sim.messages.topics import Rate, Topic
-from capture_sim.model.equations import MODE, N_SCRATCH
-from capture_sim.model.parameters import pack
-from capture_sim.model.tip_wrench import (
+from capture_sim.engine.held_wrench import (
     N_LOOP,
     WORK,
     mobility,
@@ -24,6 +19,11 @@ from capture_sim.model.tip_wrench import (
     stored_energy,
     tip_state,
 )
+from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.interrupts import do_apart
+from capture_sim.messages.topics import Rate, Topic
+from capture_sim.model.equations import make_system
+from capture_sim.model.parameters import pack
 from capture_sim.scene.parts import Scene
 
 CONTACT_RIG = "contact_rig"
@@ -82,15 +82,13 @@ class LoopStage:
         self.scene = scene
         self.step = step
         self._substeps = substeps
-        self._par = pack(scene, 0.0, 0.0)
-        self._mode = np.zeros(1, MODE)
+        self._system = make_system(pack(scene, 0.0, 0.0))
         q, v = scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
-        self._work = np.zeros((5, N_LOOP))
-        self._scratch = np.zeros(N_SCRATCH)
+        self._stages = np.zeros((5, N_LOOP))
         self._count = 0
         # loads the kernel, or compiles it: not within the loop
-        no_step = (self._par, self._mode, self._y, self._work, self._scratch, 0.0, 0, *NOTHING)
+        no_step = (self._system, self._y, self._stages, 0.0, 0, *NOTHING)
         do_apart(lambda: step_with_wrench(*no_step))
 
     @property
@@ -111,13 +109,13 @@ class LoopStage:
     @property
     def tip(self) -> TipState:
         """Where the tip is now."""
-        x, y, theta, vx, vy, omega = tip_state(self._par, self._y)
+        x, y, theta, vx, vy, omega = tip_state(self._system, self._y)
         return TipState(self.t, x + self.scene.cone.L_T, y, theta, vx, vy, omega)
 
     @property
     def energy(self) -> float:
         """Kinetic energy and that of the springs, with what the dampers have taken, J."""
-        return float(stored_energy(self._par, self._y) + self._y[16] + self._y[17])
+        return float(stored_energy(self._system, self._y) + self._y[16] + self._y[17])
 
     @property
     def work(self) -> float:
@@ -126,7 +124,7 @@ class LoopStage:
 
     def effective_mass(self, nx: float, ny: float) -> float:
         """Return the mass that a contact with this normal (target's axes) feels, kg."""
-        return 1.0 / float(mobility(self._par, self._y, self._work[0], nx, ny))
+        return 1.0 / float(mobility(self._system, self._y, self._stages, nx, ny))
 
     def advance(self, wrench: Wrench) -> TipState:
         """Go one step with the wrench held; return where the tip is then.
@@ -137,9 +135,7 @@ class LoopStage:
             The probe is pushed in up to its tip, or the state is not finite any more.
         """
         h = self.step / self._substeps
-        step_with_wrench(
-            self._par, self._mode, self._y, self._work, self._scratch, h, self._substeps, *wrench
-        )
+        step_with_wrench(self._system, self._y, self._stages, h, self._substeps, *wrench)
         self._count += 1
         if not np.all(np.isfinite(self._y)) or self._y[4] < self.scene.probe.tip_radius:
             raise SafeStopError(

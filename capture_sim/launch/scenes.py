@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from capture_sim.errors import SceneError
+from capture_sim.kernels import plain
 from capture_sim.launch.plan import LaunchPlan, plan_launch, tip_at_release, travel_to_touch
-from capture_sim.model.contact_laws import NEED_POSITIVE_RESTITUTION
+from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.model.parameters import loads
 from capture_sim.resources import config_dir
@@ -241,7 +242,7 @@ def _start(scene: Scene) -> None:
     px, py, _, _ = tip_at_release(scene)
     cone = scene.cone
     for side, name in ((1.0, "+y"), (-1.0, "-y")):
-        distance, _, _ = nearest_on_wall.py_func(  # type: ignore[attr-defined]
+        distance, _, _ = plain(nearest_on_wall)(
             -(px + cone.L_T),
             side * py,
             cone.R_c,

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture_sim.kernels import inline_kernel, kernel
-from capture_sim.model.contact_laws import normal_force
-from capture_sim.model.friction import COULOMB, friction_coefficient
+from capture_sim.kernels import inline_kernel, kernel, records
+from capture_sim.model.contact import COULOMB, friction_coefficient, normal_force
 from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.model.parameters import PARAMETERS
 from capture_sim.model.supports import rolling_wrench
 from capture_sim.model.trig import sine_cosine
 
@@ -26,13 +26,6 @@ N_STATE = 16
 N_TOTAL = 26
 # places of the integrals in y; those up to STOP are energies
 AXIAL, TORSION, HYSTERESIS, FRICTION, ROLLING, LATCH, STOP, IMPULSE = 16, 17, 18, 20, 21, 22, 23, 24
-
-# places in the scratch that an evaluation fills
-N_SCRATCH = 48
-P_HYSTERESIS, P_FRICTION, P_LATCH = 0, 2, 3  # power lost, W
-NORMAL, RUB = 4, 6  # forces of both walls, N
-P_ROLLING, P_AXIAL, P_TORSION, P_STOP = 8, 9, 10, 11
-_TRIAL = 16  # a state put together for the sticking tip, (16,)
 
 #: What changes in the course of a run; the kernels read and write it.
 MODE = np.dtype(
@@ -47,9 +40,47 @@ MODE = np.dtype(
         ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
         ("rest_S", "i8"),  # vehicle held by its supports
         ("rest_T", "i8"),
+        ("driven", "i8"),  # a wrench from outside the model acts on the tip
+        ("wrench", "f8", (3,)),  # target's axes, at the tip's centre: N, N, N m
     ],
     align=True,
 )
+
+#: What an evaluation finds out besides the accelerations.
+OUT = np.dtype(
+    [
+        ("axial", "f8"),  # power lost, W
+        ("torsion", "f8"),
+        ("hysteresis", "f8", (2,)),
+        ("friction", "f8"),
+        ("rolling", "f8"),
+        ("latch", "f8"),
+        ("stop", "f8"),
+        ("driven", "f8"),  # power of the wrench from outside, W
+        ("normal", "f8", (2,)),  # forces of both walls, N
+        ("rub", "f8", (2,)),
+    ],
+    align=True,
+)
+
+#: All that the equations of motion read and write besides state and derivative.
+SYSTEM = np.dtype(
+    [
+        ("par", PARAMETERS),
+        ("mode", MODE),
+        ("out", OUT),
+        ("trial", "f8", (N_TOTAL,)),  # a state put together for the sticking tip
+        ("spare", "f8", (1, N_TOTAL)),  # a derivative of which only OUT is wanted
+    ],
+    align=True,
+)
+
+
+def make_system(parameters: np.ndarray) -> np.ndarray:
+    """Return the (1,) record that the kernels take, free flight, for a scene's parameters."""
+    system = np.zeros(1, SYSTEM)
+    system["par"] = parameters
+    return records(system)
 
 
 @inline_kernel
@@ -105,31 +136,35 @@ def slip_speed(gap, nx, ny, wx, wy, spin, par):
 
 
 @inline_kernel
-def tip_forces(y, par, mode, px, py, wx, wy, out):
+def tip_forces(y, system, px, py, wx, wy):
     """Return force on the tip and torque about its centre, and the moment on the target.
 
     Returns (fx, fy, torque_tip, torque_target) with the force in the target's axes, N and
-    N m.  ``out`` receives the powers of hysteresis, friction and latch (W) and the forces
-    of both walls (N) in their places; RUB holds the friction forces on entry where the
-    law is "coulomb".
+    N m.  ``system.out`` receives the powers of hysteresis, friction and latch (W) and the
+    forces of both walls (N); ``out.rub`` holds the friction forces on entry where a tip sticks.
     """
+    par, mode, out = system.par, system.mode, system.out
     fx = 0.0
     fy = 0.0
     tip = 0.0
     target = 0.0
+    if mode.driven:
+        fx, fy, tip = mode.wrench[0], mode.wrench[1], mode.wrench[2]
+        target = -(px * fy - py * fx) - tip
+        out.driven = fx * wx + fy * wy + tip * (y[11] - y[15])
     if mode.latched:
-        fx = -par.k_L * (px - mode.latch_x) - par.c_L * wx
-        fy = -par.k_L * (py - mode.latch_y) - par.c_L * wy
-        out[P_LATCH] = par.c_L * (wx * wx + wy * wy)
-        target = -(px * fy - py * fx)
-        return fx, fy, tip, target
+        gx = -par.k_L * (px - mode.latch_x) - par.c_L * wx
+        gy = -par.k_L * (py - mode.latch_y) - par.c_L * wy
+        out.latch = par.c_L * (wx * wx + wy * wy)
+        target -= px * gy - py * gx
+        return fx + gx, fy + gy, tip, target
     for i in range(2):
         if mode.touching[i]:
             gap, rate, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
             force, elastic = normal_force(-gap, -rate, par.K, mode.chi[i])
             slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
             if par.friction_law == COULOMB:
-                rub = out[RUB + i] if mode.sticking[i] else -par.mu * force * mode.direction[i]
+                rub = out.rub[i] if mode.sticking[i] else -par.mu * force * mode.direction[i]
             else:
                 rub = -force * friction_coefficient(
                     slip * par.inverse_v_eps, par.mu, par.mu_s, par.friction_law
@@ -142,15 +177,15 @@ def tip_forces(y, par, mode, px, py, wx, wy, out):
             fy += gy
             tip -= dist * rub
             target -= (px - dist * nx) * gy - (py - dist * ny) * gx
-            out[P_HYSTERESIS + i] = -(force - elastic) * rate
-            out[P_FRICTION] -= rub * slip
-            out[NORMAL + i] = force
-            out[RUB + i] = rub
+            out.hysteresis[i] = -(force - elastic) * rate
+            out.friction -= rub * slip
+            out.normal[i] = force
+            out.rub[i] = rub
     return fx, fy, tip, target
 
 
 @kernel
-def accelerate(y, par, mode, f, out):
+def accelerate(y, f, system):
     """Write accelerations into f[8:16]; return what the supports must hold.
 
     Returns (Fx, Fy, M of the chaser; Fx, Fy, M of the target): the generalised forces on
@@ -158,6 +193,7 @@ def accelerate(y, par, mode, f, out):
     are what the supports must balance to keep it there, N and N m about the body's
     centre of mass.
     """
+    par, mode, out = system.par, system.mode, system.out
     omega, spin, rate = y[10], y[11], y[12]
     h = y[4]
     sS, cS = sine_cosine(y[2])
@@ -179,20 +215,20 @@ def accelerate(y, par, mode, f, out):
     target = 0.0
     sT = 0.0
     cT = 1.0
-    out[P_HYSTERESIS] = 0.0
-    out[P_HYSTERESIS + 1] = 0.0
-    out[P_FRICTION] = 0.0
-    out[P_LATCH] = 0.0
-    out[NORMAL] = 0.0
-    out[NORMAL + 1] = 0.0
-    out[P_ROLLING] = 0.0
-    out[P_STOP] = 0.0
-    contact = mode.latched or mode.touching[0] or mode.touching[1]
+    out.hysteresis[0] = 0.0
+    out.hysteresis[1] = 0.0
+    out.friction = 0.0
+    out.latch = 0.0
+    out.normal[0] = 0.0
+    out.normal[1] = 0.0
+    out.rolling = 0.0
+    out.stop = 0.0
+    contact = mode.latched or mode.touching[0] or mode.touching[1] or mode.driven
     if contact or par.has_supports:
         sT, cT = sine_cosine(y[7])
     if contact:
         px, py, wx, wy = tip_motion(y, a, sS, cS, sP, cP, sT, cT)
-        fx, fy, tip, target = tip_forces(y, par, mode, px, py, wx, wy, out)
+        fx, fy, tip, target = tip_forces(y, system, px, py, wx, wy)
         gx = cT * fx - sT * fy
         gy = sT * fx + cT * fy
         f_u = gx * cP + gy * sP
@@ -202,7 +238,7 @@ def accelerate(y, par, mode, f, out):
     if mode.stop:
         push, lost = stop_force(h - par.h_0, rate, mode.stop, par)
         axial += push
-        out[P_STOP] = lost
+        out.stop = lost
     twist = spin - omega
     torque = -par.k_T * (y[3] - y[2]) - par.c_T * twist
 
@@ -239,7 +275,7 @@ def accelerate(y, par, mode, f, out):
             r_u += qx * cP + qy * sP
             r_w += qy * cP - qx * sP
             r_S += qm
-            out[P_ROLLING] += lost
+            out.rolling += lost
         coupled = moment * ratio
         S_w = par.m_total - coupled
         S_uS = par.m_C * a * sD
@@ -274,12 +310,12 @@ def accelerate(y, par, mode, f, out):
             tx += qx
             ty += qy
             tm += qm
-            out[P_ROLLING] += lost
+            out.rolling += lost
         f[13] = tx * par.inverse_m_T
         f[14] = ty * par.inverse_m_T
         f[15] = tm * par.inverse_I_T
-    out[P_AXIAL] = par.c_A * rate * rate
-    out[P_TORSION] = par.c_T * twist * twist
+    out.axial = par.c_A * rate * rate
+    out.torsion = par.c_T * twist * twist
     return hold_x, hold_y, hold_m, -gx, -gy, target
 
 
@@ -307,65 +343,23 @@ def slip_of(y, par, i):
     return slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
 
 
-@kernel
-def stiff_directions(y, par, mode, Q):
-    """Write the directions in which forces change fast into rows of ``Q`` (8, 8); return how many.
+#: s: a move along the motion by this much shows how the geometry changes; its error is of the
+#: order of its square, rounding's of its inverse.
+_SMALL_TIME = 1e-6
 
-    Buffer, stops and latch act along their own coordinates, a touched wall along and across
-    its normal.  Ball supports resist any motion of the vehicles: with them it is all eight.
-    """
-    count = 0
-    Q[:, :] = 0.0
-    if par.has_supports:
-        for i in range(8):
-            Q[i, i] = 1.0
-        return 8
-    Q[0, 4] = 1.0
-    Q[1, 3] = 1.0
-    Q[1, 2] = -1.0
-    count = 2
-    if not (mode.latched or mode.touching[0] or mode.touching[1]):
-        return count
-    sS, cS = sine_cosine(y[2])
-    sP, cP = sine_cosine(y[3])
-    sT, cT = sine_cosine(y[7])
-    px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
-    for i in range(2):
-        nx = 1.0 if i == 0 else 0.0
-        ny = 1.0 - nx
-        dist = 0.0
-        if not mode.latched:
-            if not mode.touching[i]:
-                continue
-            gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            dist = gap + par.R_t
-        for across in range(1 if mode.latched else 2):
-            # in the world's axes
-            ex = cT * nx - sT * ny
-            ey = sT * nx + cT * ny
-            # the tip turns with the probe, so a slip has a part in its rate
-            spin = dist if across else 0.0
-            Q[count, 0] = ex
-            Q[count, 1] = ey
-            Q[count, 2] = par.a * (ey * cS - ex * sS)
-            Q[count, 3] = y[4] * (ey * cP - ex * sP) - spin
-            Q[count, 4] = ex * cP + ey * sP
-            Q[count, 5] = -ex
-            Q[count, 6] = -ey
-            Q[count, 7] = spin - (px * ny - py * nx)
-            count += 1
-            nx, ny = -ny, nx
-    return count
+#: How fast rounding's drift of a sticking tip is pulled back, 1/s.
+_PULL_BACK = 1e3
 
 
 @kernel
-def slip_acceleration(y, f, par, i, trial):
+def slip_acceleration(y, f, system, i):
     """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2.
 
     The slip is linear in the rates, so their part is exact; the part of the moving
     geometry is a central difference along the motion.
     """
-    small = 1e-6
+    par, trial = system.par, system.trial
+    small = _SMALL_TIME
     for k in range(8):
         trial[k] = y[k]
         trial[8 + k] = f[8 + k]
@@ -379,67 +373,75 @@ def slip_acceleration(y, f, par, i, trial):
     return rate + (ahead - slip_of(trial, par, i)) / (2.0 * small)
 
 
-#: How fast rounding's drift of a sticking tip is pulled back, 1/s.
-_PULL_BACK = 1e3
+@inline_kernel
+def _slip_change(y, f, system, i):
+    """Return the slip's rate on wall ``i`` with what pulls rounding's drift back, m/s^2."""
+    return slip_acceleration(y, f, system, i) + _PULL_BACK * slip_of(y, system.par, i)
 
 
 @kernel
-def accelerate_sticking(y, par, mode, f, out):
+def accelerate_sticking(y, f, system):
     """Find the friction forces that hold the slip of sticking walls, then accelerate.
 
     The accelerations are linear in the friction forces: one evaluation without them and
     one with a unit force at each sticking wall give the equations for them.
     """
-    trial = out[_TRIAL : _TRIAL + 16]
-    out[RUB] = 0.0
-    out[RUB + 1] = 0.0
-    accelerate(y, par, mode, f, out)
+    mode, out = system.mode, system.out
+    out.rub[0] = 0.0
+    out.rub[1] = 0.0
+    accelerate(y, f, system)
     b0 = 0.0
     b1 = 0.0
     if mode.sticking[0]:
-        b0 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0)
+        b0 = _slip_change(y, f, system, 0)
     if mode.sticking[1]:
-        b1 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1)
+        b1 = _slip_change(y, f, system, 1)
     a00 = 1.0
     a01 = 0.0
     a10 = 0.0
     a11 = 1.0
     if mode.sticking[0]:
-        out[RUB] = 1.0
-        out[RUB + 1] = 0.0
-        accelerate(y, par, mode, f, out)
-        a00 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0) - b0
+        out.rub[0] = 1.0
+        out.rub[1] = 0.0
+        accelerate(y, f, system)
+        a00 = _slip_change(y, f, system, 0) - b0
         if mode.sticking[1]:
-            a10 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1) - b1
+            a10 = _slip_change(y, f, system, 1) - b1
     if mode.sticking[1]:
-        out[RUB] = 0.0
-        out[RUB + 1] = 1.0
-        accelerate(y, par, mode, f, out)
-        a11 = slip_acceleration(y, f, par, 1, trial) + _PULL_BACK * slip_of(y, par, 1) - b1
+        out.rub[0] = 0.0
+        out.rub[1] = 1.0
+        accelerate(y, f, system)
+        a11 = _slip_change(y, f, system, 1) - b1
         if mode.sticking[0]:
-            a01 = slip_acceleration(y, f, par, 0, trial) + _PULL_BACK * slip_of(y, par, 0) - b0
+            a01 = _slip_change(y, f, system, 0) - b0
     determinant = a00 * a11 - a01 * a10
-    out[RUB] = -(b0 * a11 - b1 * a01) / determinant
-    out[RUB + 1] = -(b1 * a00 - b0 * a10) / determinant
-    return accelerate(y, par, mode, f, out)
+    out.rub[0] = -(b0 * a11 - b1 * a01) / determinant
+    out.rub[1] = -(b1 * a00 - b0 * a10) / determinant
+    return accelerate(y, f, system)
 
 
 @kernel
-def rate_of_change(t, y, f, par, mode, out):
-    """Write dy/dt (26,) of the free phases into ``f``; ``out`` (48,) is scratch."""
+def balance(y, f, system):
+    """Write accelerations into f[8:16]; return what the supports must hold (:func:`accelerate`)."""
+    if system.mode.sticking[0] or system.mode.sticking[1]:
+        return accelerate_sticking(y, f, system)
+    return accelerate(y, f, system)
+
+
+@kernel
+def rate_of_change(t, y, f, system):
+    """Write dy/dt (26,) of the free phases into ``f``."""
     for i in range(8):
         f[i] = y[8 + i]
-    if mode.sticking[0] or mode.sticking[1]:
-        accelerate_sticking(y, par, mode, f, out)
-    else:
-        accelerate(y, par, mode, f, out)
-    f[16] = out[P_AXIAL]
-    f[17] = out[P_TORSION]
-    f[18] = out[P_HYSTERESIS]
-    f[19] = out[P_HYSTERESIS + 1]
-    f[20] = out[P_FRICTION]
-    f[21] = out[P_ROLLING]
-    f[22] = out[P_LATCH]
-    f[23] = out[P_STOP]
-    f[24] = out[NORMAL]
-    f[25] = out[NORMAL + 1]
+    balance(y, f, system)
+    out = system.out
+    f[AXIAL] = out.axial
+    f[TORSION] = out.torsion
+    f[HYSTERESIS] = out.hysteresis[0]
+    f[HYSTERESIS + 1] = out.hysteresis[1]
+    f[FRICTION] = out.friction
+    f[ROLLING] = out.rolling
+    f[LATCH] = out.latch
+    f[STOP] = out.stop
+    f[IMPULSE] = out.normal[0]
+    f[IMPULSE + 1] = out.normal[1]

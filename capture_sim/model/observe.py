@@ -11,11 +11,7 @@ from capture_sim.model.equations import (
     HYSTERESIS,
     IMPULSE,
     LATCH,
-    N_SCRATCH,
-    NORMAL,
-    P_FRICTION,
     ROLLING,
-    RUB,
     STOP,
     TORSION,
     accelerate_sticking,
@@ -24,6 +20,7 @@ from capture_sim.model.equations import (
     wall_gap,
 )
 from capture_sim.model.trig import sine_cosine
+from capture_sim.samples import Phase
 
 
 @kernel
@@ -57,8 +54,12 @@ def elastic_contact_energy(gap, K):
 
 
 @kernel
-def observe(t, y, par, mode, run, scratch, sample):
-    """Fill one record of dtype SAMPLE for the state ``y`` at ``t``."""
+def observe(t, y, system, run, sample):
+    """Fill one record of dtype SAMPLE for the state ``y`` at ``t``.
+
+    ``run`` tells where the run stands (dtype :data:`capture_sim.engine.state.RUN`).
+    """
+    par, mode, out = system.par, system.mode, system.out
     sample.t = t
     for i in range(8):
         sample.q[i] = y[i]
@@ -68,11 +69,11 @@ def observe(t, y, par, mode, run, scratch, sample):
     walls = mode.touching[0] + 2 * mode.touching[1]
     sample.walls = walls
     if run.on_rail:
-        sample.phase = 1 if run.taut else 2
+        sample.phase = Phase.TAUT if run.taut else Phase.COAST
     elif mode.latched:
-        sample.phase = 5
+        sample.phase = Phase.LATCHED
     else:
-        sample.phase = 4 if walls else 3
+        sample.phase = Phase.CONTACT if walls else Phase.FREE
 
     stroke = y[4] - par.h_0
     torsion = y[3] - y[2]
@@ -85,13 +86,13 @@ def observe(t, y, par, mode, run, scratch, sample):
     sample.tip_axial = -(px + par.L_T)
     sample.tip_lateral = py
     sample.tip_distance = math.hypot(px + par.L_T, py)
-    for i in range(N_SCRATCH):
-        scratch[i] = 0.0
+    for i in range(2):
+        out.normal[i] = 0.0
+        out.rub[i] = 0.0
     if mode.sticking[0] or mode.sticking[1]:
         # fills the friction forces that hold the tip
-        accelerate_sticking(y, par, mode, scratch[32:48], scratch)
-        scratch[P_FRICTION] = 0.0
-    fx, fy, tip, _ = tip_forces(y, par, mode, px, py, wx, wy, scratch)
+        accelerate_sticking(y, system.spare[0], system)
+    fx, fy, tip, _ = tip_forces(y, system, px, py, wx, wy)
     sT, cT = sine_cosine(y[7])
     gx = cT * fx - sT * fy
     gy = sT * fx + cT * fy
@@ -100,8 +101,8 @@ def observe(t, y, par, mode, run, scratch, sample):
         gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
         sample.penetration[i] = -gap
         sample.penetration_rate[i] = -rate
-        sample.normal_force[i] = scratch[NORMAL + i]
-        sample.friction_force[i] = scratch[RUB + i] if mode.touching[i] else 0.0
+        sample.normal_force[i] = out.normal[i]
+        sample.friction_force[i] = out.rub[i] if mode.touching[i] else 0.0
         sample.impulse[i] = y[IMPULSE + i]
         if mode.touching[i]:
             contact += elastic_contact_energy(gap, par.K)
@@ -158,6 +159,6 @@ def observe(t, y, par, mode, run, scratch, sample):
 
 @kernel
 def speed_travel(run, t):
-    """Return the chaser's travel along the rail within the present stretch, m."""
+    """Return the chaser's travel along the rail within the present segment, m."""
     tau = t - run.t0
     return run.speed * tau + 0.5 * run.acceleration * tau * tau

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from capture_sim.model.contact_laws import HYSTERESIS_FACTOR
-from capture_sim.model.friction import NUMBER
+from capture_sim.model.contact import FRICTION_LAWS, HYSTERESIS_FACTOR
 from capture_sim.model.supports import ball_loads
 from capture_sim.scene.parts import BallSupport, Scene
 
@@ -74,7 +73,6 @@ PARAMETERS = np.dtype(
         ("length_scale", "f8"),
         ("speed_scale", "f8"),
         ("max_steps", "i8"),
-        ("implicit", "i8"),  # Radau IIA where the contact alone keeps the steps short
         ("fixed_step", "f8"),  # 0: chosen by the error
     ],
     align=True,
@@ -137,7 +135,7 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["v_0_floor"] = scene.contact.v_0_floor
     p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
     p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
-    p["friction_law"] = NUMBER[scene.friction.law]
+    p["friction_law"] = FRICTION_LAWS[scene.friction.law]
     p["inverse_v_eps"] = 1.0 / scene.friction.v_eps
     p["gravity"] = scene.gravity
     if scene.supports is not None:
@@ -167,7 +165,6 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["length_scale"] = scene.probe.tip_radius
     p["speed_scale"] = speed_scale(scene)
     p["max_steps"] = scene.run.max_steps
-    p["implicit"] = scene.run.stiff and scene.run.method != "rk4"
     p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     return record
 

@@ -247,6 +247,10 @@ def _split(item: str) -> tuple[str, Any]:
     return name, parse(text, f"override {shown(item)}")
 
 
+#: Fields that were, and why they went.
+_GONE = {"run.stiff": "there are no implicit steps any more (docs/model.md says why); take it out"}
+
+
 def build(data: Any, part: Any = Scene, where: str = "") -> Any:
     """Make a scene, or a part of one, of plain data.
 
@@ -268,6 +272,11 @@ def build(data: Any, part: Any = Scene, where: str = "") -> Any:
         raise refuse(where, data, "", "a mapping of its fields")
     prefix = f"{where}." if where else ""
     fields = declared(part)
+    # recordings of before hold fields that have gone, switched off
+    for key in [key for key in data if f"{prefix}{key}" in _GONE]:
+        if data[key]:
+            raise SceneError(f"{prefix}{key}: {_GONE[f'{prefix}{key}']}")
+    data = {key: value for key, value in data.items() if f"{prefix}{key}" not in _GONE}
     for key in data:
         if key not in fields:
             by_lower = {name.lower(): name for name in fields}

@@ -290,10 +290,6 @@ class Run(Checked):
         "1", Range(1e-13, 1e-2), default=1e-8, doc="error a step may make, of the scene's scale"
     )
     method: str = choice(METHODS, default="dop853", doc="integrator")
-    stiff: bool = field(
-        default=False,
-        metadata={"doc": "Radau IIA in sustained contact, where stability alone limits the step"},
-    )
     trace: bool = field(
         default=False,
         metadata={"doc": "the contact at the integrator's own steps as well (ContactTrace)"},
@@ -302,7 +298,7 @@ class Run(Checked):
         "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
     )
     max_steps: int = quantity(
-        "1", Range(100, 10**12), default=50_000_000, doc="steps before a run is given up"
+        "1", Range(100, 10**12), default=10_000_000, doc="steps before a run is given up"
     )
 
 

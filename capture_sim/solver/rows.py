@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from numba import config
 from numba.core import types
 from numba.extending import intrinsic
 
@@ -26,6 +27,12 @@ def _blocks(n: int) -> list[tuple[int, int]]:
             blocks.append((start, width))
             start += width
     return blocks
+
+
+def _add_rows_plainly(out, base, rows, weights, count, h, n):  # type: ignore[no-untyped-def]
+    """Do what :func:`add_rows` does, where Numba is switched off."""
+    sums = h * (weights[:count] @ rows[:count, :n])
+    out[:n] = sums if base is None else base[:n] + sums
 
 
 @intrinsic(prefer_literal=True)
@@ -116,3 +123,7 @@ def add_rows(
         return context.get_dummy_value()
 
     return signature, generate
+
+
+if config.DISABLE_JIT:
+    add_rows = _add_rows_plainly

@@ -1,8 +1,8 @@
 """One step of an explicit Runge-Kutta pair: stages, error, dense output, step size.
 
-Works on any compiled right-hand side ``rhs(t, y, f, par, mode, scratch)`` that writes dy/dt
-into ``f``.  ``y`` holds ``n`` states followed by integrals that the right-hand side does
-not read; error control looks at the states only.
+Works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
+``system`` is whatever it needs besides.  ``y`` holds ``n`` states followed by integrals that the
+right-hand side does not read; error control looks at the states and at some of the integrals.
 """
 
 from __future__ import annotations
@@ -11,13 +11,63 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from capture_sim.kernels import inline_kernel, kernel
+from capture_sim.solver.pairs import MOST_ROWS, MOST_STAGES, Pair
 from capture_sim.solver.rows import add_rows
 
+# step control as in DOPRI5 and DOP853 (Hairer, Norsett and Wanner 1993, II.4)
 SAFETY = 0.9
 SHRINK_MOST = 0.2
 GROW_MOST = 6.0
-BETA = 0.04  # share of the previous error: Gustafsson's PI control, as in DOPRI5
+BETA = 0.04  # share of the previous error: Gustafsson's PI control
+#: Smallest previous error that the control reckons with.
+LEAST_ERROR = 1e-4
+#: An error at or above this, or not a number, says nothing about how much to shrink.
+OVERFLOW = 1e300
+
+
+def stepper_type(total: int, watched: int) -> np.dtype:
+    """Return the dtype of a stepper's memory: a pair's coefficients and what a step leaves.
+
+    ``total`` is the length of the state with its integrals, ``watched`` how much of it the error
+    control looks at.
+    """
+    square, room = (MOST_STAGES, MOST_STAGES), (MOST_STAGES,)
+    return np.dtype(
+        [
+            ("A", "f8", square),
+            ("C", "f8", room),
+            ("E5", "f8", room),
+            ("E3", "f8", room),
+            ("G", "f8", (MOST_ROWS, MOST_STAGES)),
+            ("stages", "i8"),
+            ("total_stages", "i8"),  # those of the dense output included
+            ("rows", "i8"),
+            ("order", "i8"),
+            ("y", "f8", (total,)),  # at the start of the step
+            ("y_new", "f8", (total,)),  # at its end
+            ("y_stage", "f8", (total,)),
+            ("K", "f8", (MOST_STAGES, total)),  # dy/dt at the stages
+            ("F", "f8", (MOST_ROWS, total)),  # dense output
+            ("e_5", "f8", (watched,)),
+            ("e_3", "f8", (watched,)),
+            ("weights", "f8", (watched,)),  # 1 / error allowed per step
+        ],
+        align=True,
+    )
+
+
+def set_pair(memory: Any, pair: Pair) -> None:
+    """Write a pair's coefficients into a stepper's memory."""
+    total, rows, s = len(pair.C), len(pair.G), pair.stages
+    memory["A"][:total, :total] = pair.A
+    memory["C"][:total] = pair.C
+    memory["E5"][: s + 1], memory["E3"][: s + 1] = pair.E5, pair.E3
+    memory["G"][:rows, :total] = pair.G
+    memory["stages"], memory["total_stages"], memory["rows"] = s, total, rows
+    memory["order"] = pair.order
 
 
 @kernel
@@ -25,18 +75,19 @@ def next_factor(error, previous, order):
     """Return by what to multiply the step after ``error`` (accepted if <= 1)."""
     if error == 0.0:
         return GROW_MOST
-    if not error < 1e300:
+    if not error < OVERFLOW:
         return SHRINK_MOST
     exponent = 1.0 / order - 0.75 * BETA
     factor = SAFETY * error**-exponent
     if error <= 1.0:
-        factor *= max(previous, 1e-4) ** BETA
+        factor *= max(previous, LEAST_ERROR) ** BETA
     return min(GROW_MOST, max(SHRINK_MOST, factor))
 
 
 @inline_kernel
-def dense(y, F, rows, x, y_x, n):
-    """Write the first ``n`` states at the fraction ``x`` (0..1) of the step into ``y_x``."""
+def dense(step, x, y_x, n):
+    """Write the first ``n`` places at the fraction ``x`` (0..1) of the step into ``y_x``."""
+    y, F, rows = step.y, step.F, step.rows
     for i in range(n):
         y_x[i] = 0.0
     for k in range(rows):
@@ -61,7 +112,7 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
     Parameters
     ----------
     rhs
-        ``rhs(t, y, f, par, mode, scratch)``, compiled; reads the first places of ``y``, the
+        ``rhs(t, y, f, system)``, compiled; reads the first places of ``y``, the
         states, and writes dy/dt of all into ``f``; those beyond the states are integrals.
 
     states, total, watched
@@ -74,28 +125,27 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
     stay in registers (:mod:`capture_sim.solver.rows`).
     """
 
-    @inline_kernel
-    def stage(par, mode, scratch, A, C, s, t, y, h, K, y_s):
+    @kernel
+    def stage(system, step, s, t, h):
         """Evaluate stage ``s`` from the stages before it into K[s]."""
-        add_rows(y_s, y, K, A[s], s, h, states)
-        rhs(t + C[s] * h, y_s, K[s], par, mode, scratch)
+        add_rows(step.y_stage, step.y, step.K, step.A[s], s, h, states)
+        rhs(t + step.C[s] * h, step.y_stage, step.K[s], system)
 
     @kernel
-    def try_step(par, mode, scratch, pair, t, y, h, K, y_s, e_5, e_3, y_new, weights):
-        """Take a step of length ``h`` from (t, y) with K[0] known.
+    def try_step(system, step, t, h):
+        """Take a step of length ``h`` from (t, step.y) with K[0] known.
 
         Writes the result into ``y_new`` and its derivative into K[stages]; returns the
-        weighted error, 1 being just good enough: ``weights`` (watched,) are the inverse of
-        what each place of ``y`` may be wrong by.  ``y_s`` (states,), ``e_5`` and ``e_3``
-        (watched,) are scratch.
+        weighted error, 1 being just good enough.
         """
-        A, C, E5, E3, _, stages, _, _ = pair
+        K, stages = step.K, step.stages
         for s in range(1, stages):
-            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
-        add_rows(y_new, y, K, A[stages], stages, h, total)
-        rhs(t + h, y_new, K[stages], par, mode, scratch)
-        add_rows(e_5, None, K, E5, stages + 1, h, watched)
-        add_rows(e_3, None, K, E3, stages + 1, h, watched)
+            stage(system, step, s, t, h)
+        add_rows(step.y_new, step.y, K, step.A[stages], stages, h, total)
+        rhs(t + h, step.y_new, K[stages], system)
+        e_5, e_3, weights = step.e_5, step.e_3, step.weights
+        add_rows(e_5, None, K, step.E5, stages + 1, h, watched)
+        add_rows(e_3, None, K, step.E3, stages + 1, h, watched)
         sum5 = 0.0
         sum3 = 0.0
         for i in range(watched):
@@ -108,12 +158,11 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
         return sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
 
     @kernel
-    def prepare_dense(par, mode, scratch, pair, t, y, h, K, y_s, F):
-        """Fill ``F`` (rows, total) so that :func:`dense` can be called in this step."""
-        A, C, _, _, G, stages, _, _ = pair
-        for s in range(stages + 1, C.shape[0]):
-            stage(par, mode, scratch, A, C, s, t, y, h, K, y_s)
-        for r in range(G.shape[0]):
-            add_rows(F[r], None, K, G[r], C.shape[0], h, total)
+    def prepare_dense(system, step, t, h):
+        """Fill ``F`` so that :func:`dense` can be called in this step."""
+        for s in range(step.stages + 1, step.total_stages):
+            stage(system, step, s, t, h)
+        for r in range(step.rows):
+            add_rows(step.F[r], None, step.K, step.G[r], step.total_stages, h, total)
 
     return Stepper(try_step, prepare_dense)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from capture_sim.model.contact_laws import HYSTERESIS_FACTOR
+from capture_sim.model.contact import HYSTERESIS_FACTOR
 from capture_sim.scene.parts import Scene
 
 

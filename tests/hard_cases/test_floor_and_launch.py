@@ -27,20 +27,18 @@ def test_vehicle_at_rest_stays_for_a_thousand_seconds(method):
     assert result.statistics.evaluations < (500 if method != "rk4" else 500_000)
 
 
-@pytest.mark.parametrize("stiff, t_end, steps", [(False, 100.0, 300_000), (True, 1000.0, 1000)])
-def test_vehicles_loaded_below_the_limit_do_not_move(stiff, t_end, steps):
+def test_vehicles_loaded_below_the_limit_do_not_move():
     """The chaser has run against the target and stands with the spring compressed.
 
     Exact: once both rest, neither moves by a bit for as long as it lasts, while the probe
     between them rings down; then spring and contact force are equal.  The contact keeps
-    explicit steps at 1 ms; ``run.stiff`` takes a thousand seconds in a few hundred steps.
+    the steps at 1 ms.
     """
     changes = ON_THE_FLOOR | {
         "supports.chaser.c_rr": 0.05,
         "supports.target.c_rr": 0.5,
         "initial.chaser.vx": 0.05,
-        "run.stiff": stiff,
-        "run.t_end": t_end,
+        "run.t_end": 100.0,
         "run.state_rate": 10.0,
         "run.rate": 10.0,
     }
@@ -52,7 +50,7 @@ def test_vehicles_loaded_below_the_limit_do_not_move(stiff, t_end, steps):
     after = result.t > rest[0]
     assert np.all(vehicles[after] == vehicles[-1])
     assert np.all(result.q[:, 5:] == result.q[0, 5:])
-    assert result.statistics.steps < steps
+    assert result.statistics.steps < 300_000
     assert result.samples["axial_force"][-1] > 0.5
     assert result.samples["normal_force"][-1, 0] == pytest.approx(
         result.samples["axial_force"][-1], rel=1e-8

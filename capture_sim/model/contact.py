@@ -1,4 +1,4 @@
-r"""Normal contact force with hysteresis damping.
+r"""Contact of the tip with a wall: normal force with hysteresis damping, and Coulomb friction.
 
     F = K delta^1.5 (1 + a delta' / v_0),   never below 0
 
@@ -9,6 +9,22 @@ free bodies this force returns the restitution ``e_out`` with
 
 whatever the masses, K and the exponent: divide the equation of the approach by that of the
 depth, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
+
+Friction: three laws regularise it at zero slip, one switches there:
+
+``tanh``
+    mu F_n tanh(v / v_eps): smooth and cheap; creeps by about v_eps where a real tip
+    would stick.
+``clamp``
+    mu F_n v / v_eps up to v_eps, mu F_n beyond: what other engines have, for comparison with
+    them; its corners cost accuracy.
+``brown_mcphee``
+    F_n (mu tanh 4x + (mu_s - mu) x / (x^2 / 4 + 3/4)^2), x = v / v_eps: the continuous law
+    of Brown and McPhee (2016) without its viscous part; its peak, mu_s, lies at v_eps.
+``coulomb``
+    Coulomb's own law by events: sliding in a fixed direction, or sticking with whatever
+    force keeps the slip at zero, as long as mu_s F_n can.  No creep and no v_eps; costs
+    an event at each change and a second elimination while sticking.
 """
 
 from __future__ import annotations
@@ -17,6 +33,7 @@ import math
 from collections.abc import Callable
 
 from capture_sim.kernels import inline_kernel
+from capture_sim.model.trig import hyperbolic_tangent
 
 
 def returned_restitution(a: float) -> float:
@@ -85,6 +102,16 @@ HYSTERESIS_FACTOR: dict[str, Callable[[float], float]] = {
     "exact": exact_factor,
 }
 
+# laws of friction, by their name in a scene
+NONE, TANH, BROWN_MCPHEE, COULOMB, CLAMP = range(5)
+FRICTION_LAWS = {
+    "none": NONE,
+    "tanh": TANH,
+    "clamp": CLAMP,
+    "brown_mcphee": BROWN_MCPHEE,
+    "coulomb": COULOMB,
+}
+
 #: Laws whose factor grows without bound as e goes to 0.
 NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 
@@ -104,3 +131,17 @@ def normal_force(depth: float, rate: float, K: float, chi: float) -> tuple[float
     if force < 0.0:
         force = 0.0
     return force, elastic
+
+
+@inline_kernel
+def friction_coefficient(x, mu, mu_s, law):
+    """Return friction force per normal force, with the sign of the slip.
+
+    For the regularised laws; ``x`` is the slip over v_eps.
+    """
+    if law == BROWN_MCPHEE:
+        shape = 0.25 * x * x + 0.75
+        return mu * hyperbolic_tangent(4.0 * x) + (mu_s - mu) * x / (shape * shape)
+    if law == CLAMP:
+        return mu * min(1.0, max(-1.0, x))
+    return mu * hyperbolic_tangent(x)

@@ -1,0 +1,311 @@
+"""The first event in a step: what an event is, where it may lie, and its place to rounding.
+
+Guaranteed are the events with a distance that has a rate (touch, lift-off, latch, stops): the
+step is kept so short near them that value and rate at its ends, and a cubic through them, show
+every dip.  Conditions without a rate (stick and slip, a vehicle set moving or slowing down) are
+looked for at the quarters and at the end of a step; one that comes and goes within a quarter is
+passed over, and with it a change of force that the error control has found too small to matter.
+"""
+
+from __future__ import annotations
+
+from capture_sim.engine.state import NO_EVENT, NO_WALL
+from capture_sim.engine.steps import distances, state_inside
+from capture_sim.kernels import kernel
+from capture_sim.model.contact import COULOMB
+from capture_sim.model.equations import accelerate_sticking, balance, slip_acceleration, slip_of
+from capture_sim.model.supports import fastest_ball, load_factor
+from capture_sim.model.trig import sine_cosine
+from capture_sim.samples import EventKind
+from capture_sim.solver.roots import cubic_minimum, may_cross
+
+#: Of the size of its changes: how far the cubic of a function over a step may be off.
+_CUBIC_OFF = 0.05
+#: Likewise over a quarter of a step or less.
+_CUBIC_OFF_INSIDE = 0.02
+#: A fall whose slope stays within these shares of its mean has one root, near the chord's.
+_STRAIGHT = (0.7, 1.3)
+#: Rounding of a place in a step.
+_ROUNDING = 4e-16
+#: Newton's last step: below this share of the place the next one is below rounding.
+_NEWTON_DONE = 1e-9
+#: Of the scene's speed: slip below it is rounding's, without direction.
+_SLIP_FLOOR = 1e-10
+#: Of v_eps: below it a vehicle may be put at rest; see docs/model.md, supports.
+_REST_SPEED = 5.0
+_NOWHERE = 2.0  # beyond every place in a step
+
+
+@kernel
+def stop_distance(y, par, side):
+    """Return the probe's way to a stroke stop and its rate; ``side`` -1 compressed, +1."""
+    end = par.stop_compressed if side < 0 else par.stop_extended
+    return side * (end - (y[4] - par.h_0)), -side * y[12]
+
+
+@kernel
+def event_value(y, par, event, which):
+    """Return an event's function and its rate; it goes below zero when the event happens."""
+    if event == EventKind.STOP_HIT:
+        return stop_distance(y, par, which)
+    if event == EventKind.STOP_LEFT:
+        g, d = stop_distance(y, par, which)
+        return -g, -d
+    g0, d0, g1, d1, g2, d2, _ = distances(y, par)
+    if event == EventKind.LATCHED:
+        return g2, d2
+    if which == 1:
+        g0, d0 = g1, d1
+    if event == EventKind.TOUCH:
+        return g0, d0
+    return -g0, -d0
+
+
+@kernel
+def value_inside(w, x, event, which):
+    """Return an event's function and its rate at a place of the present step."""
+    state_inside(w, x)
+    return event_value(w.y_x, w.system.par, event, which)
+
+
+@kernel
+def refine(w, event, which, x_a, x_b, x):
+    """Return where an event's function passes zero between x_a (>= 0) and x_b (< 0).
+
+    Newton's method from ``x``, bisecting where that would leave the bracket; to rounding.
+    """
+    for _ in range(80):
+        g, d = value_inside(w, x, event, which)
+        if g >= 0.0:
+            x_a = x
+        else:
+            x_b = x
+        if x_b - x_a <= _ROUNDING * x_b:
+            break
+        step = 0.0
+        if d != 0.0:
+            step = -g / (d * w.run.h)
+        trial = x + step
+        if d == 0.0 or not (x_a < trial < x_b):
+            trial = 0.5 * (x_a + x_b)
+        elif abs(step) <= _NEWTON_DONE * x:
+            # the error after this step is of the order of its square
+            x = trial
+            break
+        x = trial
+    # rounding may leave it a hair short: what has been left must not be met again at once
+    nudge = 0.5 * _ROUNDING * x
+    for _ in range(40):
+        g, _ = value_inside(w, x, event, which)
+        if g < 0.0 or x + nudge >= x_b:
+            return x
+        x += nudge
+        nudge *= 2.0
+    return x
+
+
+@kernel
+def first_crossing(w, event, which):
+    """Return the first place (0..1) in a step where an event's function goes below zero; 2 if none.
+
+    One that falls nearly straight is followed down at once.  Else the step is looked at in
+    quarters; in each, the cubic through value and slope of both ends points to where a dip
+    would be.
+    """
+    h, par = w.run.h, w.system.par
+    x_a = 0.0
+    g_a, d_a = event_value(w.step.y, par, event, which)
+    if g_a <= 0.0 and d_a < 0.0:
+        return 0.0
+    g_a = max(g_a, 0.0)
+    g_b, d_b = event_value(w.step.y_new, par, event, which)
+    fall = (g_a - g_b) / h
+    least, most = _STRAIGHT
+    if g_a > 0.0 > g_b and least * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < most * fall:
+        return refine(w, event, which, 0.0, 1.0, g_a / (g_a - g_b))
+    for quarter in range(4):
+        x_b = 0.25 * (quarter + 1)
+        g_b, d_b = value_inside(w, x_b, event, which)
+        low_a, low_g, low_d = x_a, g_a, d_a
+        high_b, high_g, high_d = x_b, g_b, d_b
+        for _ in range(6):
+            if high_g < 0.0:
+                break
+            width = high_b - low_a
+            place, low = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
+            slack = _CUBIC_OFF_INSIDE * h * width * (abs(low_d) + abs(high_d))
+            if place < 0.0 or low > slack:
+                break
+            x_m = low_a + place * width
+            g_m, d_m = value_inside(w, x_m, event, which)
+            if g_m >= 0.0 and d_m < 0.0:
+                low_a, low_g, low_d = x_m, g_m, d_m
+            else:
+                high_b, high_g, high_d = x_m, g_m, d_m
+        if high_g < 0.0:
+            # the bracket must start above zero: what has just been left starts at it and rises
+            if low_g == 0.0 or low_d > 0.0:
+                trial = low_a + 0.5 * (high_b - low_a)
+                for _ in range(60):
+                    g_t, _ = value_inside(w, trial, event, which)
+                    if g_t > low_g:
+                        break
+                    high_b = trial
+                    trial = low_a + 0.5 * (trial - low_a)
+                if trial - low_a < 1e-15:
+                    return low_a
+                low_a, low_g = trial, g_t
+            start = 0.5 * (low_a + high_b)
+            if low_d < 0.0:
+                start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
+            return refine(w, event, which, low_a, high_b, start)
+        x_a, g_a, d_a = x_b, g_b, d_b
+    return _NOWHERE
+
+
+@kernel
+def is_slow(y, par, which, times):
+    """Tell whether a vehicle is below ``times`` the speed at which it may be put at rest."""
+    if which == 0:
+        s, c = sine_cosine(y[2])
+        speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
+    else:
+        s, c = sine_cosine(y[7])
+        speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
+    return speed < times * _REST_SPEED * par.v_eps_ball
+
+
+@kernel
+def ratio_of_limit(y, system, which):
+    """Return which share of its supports' limit a vehicle needs to stand still."""
+    sx, sy, sm, tx, ty, tm = balance(y, system.spare[0], system)
+    if which == 0:
+        s, c = sine_cosine(y[2])
+        return load_factor(sx, sy, sm, c, s, system.par.balls_S)
+    s, c = sine_cosine(y[7])
+    return load_factor(tx, ty, tm, c, s, system.par.balls_T)
+
+
+@kernel
+def slip_margin(y, system, i):
+    """Return how far the tip on wall ``i`` is from changing between sticking and sliding.
+
+    Sliding: the slip in its direction, m/s.  Sticking: the force that is left, N.
+    """
+    par, mode, out = system.par, system.mode, system.out
+    if not mode.sticking[i]:
+        return slip_of(y, par, i) * mode.direction[i] + _SLIP_FLOOR * par.speed_scale
+    accelerate_sticking(y, system.spare[0], system)
+    return par.mu_s * out.normal[i] - abs(out.rub[i])
+
+
+@kernel
+def holds(y, system, event, which):
+    """Tell whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
+    if event == EventKind.MOVING:
+        return ratio_of_limit(y, system, which) > 1.0
+    if event == EventKind.AT_REST:
+        return is_slow(y, system.par, which, 1.0)
+    return slip_margin(y, system, which) <= 0.0
+
+
+@kernel
+def first_holding(w, event, which, x_b):
+    """Return the place before ``x_b``, where it holds, at which such a condition comes to hold.
+
+    By bisection: it has just been left (sliding starts at slip zero) as often as not.
+    """
+    x_a = 0.0
+    while x_b - x_a > 1e-15:
+        x = 0.5 * (x_a + x_b)
+        state_inside(w, x)
+        if holds(w.y_x, w.system, event, which):
+            x_b = x
+        else:
+            x_a = x
+    return x_b
+
+
+@kernel
+def where_slip_changes(w, i):
+    """Return a place (0..1) in the step by which the slip margin of wall ``i`` is used up; 2: none.
+
+    A tip may reverse twice within a step, and the force that holds it may swing: it is
+    looked at inside the step too, while sliding only where the slip's rates allow a dip.
+    """
+    system, step = w.system, w.step
+    end = slip_margin(step.y_new, system, i)
+    if end <= 0.0:
+        return 1.0
+    place = -1.0
+    if not system.mode.sticking[i]:
+        width = system.mode.direction[i] * w.run.h
+        start = max(slip_margin(step.y, system, i), 0.0)
+        rate_a = width * slip_acceleration(step.y, step.K[0], system, i)
+        rate_b = width * slip_acceleration(step.y_new, step.K[step.stages], system, i)
+        if not may_cross(start, rate_a, end, rate_b, _CUBIC_OFF):
+            return _NOWHERE
+        place, _ = cubic_minimum(start, rate_a, end, rate_b)
+    found = _NOWHERE
+    for k in range(4):
+        x = 0.25 * (k + 1) if k < 3 else place
+        if 0.0 < x < found:
+            state_inside(w, x)
+            if slip_margin(w.y_x, system, i) <= 0.0:
+                found = x
+    return found
+
+
+@kernel
+def note_event(w, x, event, which):
+    """Keep the earliest event of a step."""
+    if x < w.run.cut:
+        w.run.cut = x
+        w.run.pending = event
+        w.run.pending_wall = which
+
+
+@kernel
+def search_step(w):
+    """Find the first event in the step, ``run.pending`` at the place ``run.cut``; 2 if none."""
+    run, par, mode = w.run, w.system.par, w.system.mode
+    h = run.h
+    run.cut = _NOWHERE
+    run.pending = NO_EVENT
+    if not mode.latched:
+        for i in range(2):
+            event = EventKind.LIFT_OFF if mode.touching[i] else EventKind.TOUCH
+            sign = -1.0 if mode.touching[i] else 1.0
+            start, rate = max(sign * run.gap[i], 0.0), sign * run.gap_rate[i] * h
+            end, end_rate = sign * run.next_gap[i], sign * run.next_gap_rate[i] * h
+            if may_cross(start, rate, end, end_rate, _CUBIC_OFF):
+                note_event(w, first_crossing(w, event, i), event, i)
+        if par.has_latch and may_cross(
+            run.gap[2], run.gap_rate[2] * h, run.next_gap[2], run.next_gap_rate[2] * h, _CUBIC_OFF
+        ):
+            note_event(w, first_crossing(w, EventKind.LATCHED, NO_WALL), EventKind.LATCHED, NO_WALL)
+        if par.friction_law == COULOMB:
+            for i in range(2):
+                if mode.touching[i]:
+                    x = where_slip_changes(w, i)
+                    if x <= 1.0:
+                        x = first_holding(w, EventKind.STICK, i, x)
+                        note_event(w, x, EventKind.STICK, i)
+    if par.has_stops:
+        for side in (-1, 1):
+            if mode.stop == -side:
+                continue
+            event = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
+            g_a, d_a = event_value(w.step.y, par, event, side)
+            g_b, d_b = event_value(w.step.y_new, par, event, side)
+            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_OFF):
+                note_event(w, first_crossing(w, event, side), event, side)
+    if par.has_supports:
+        for which in range(2):
+            resting = mode.rest_S if which == 0 else mode.rest_T
+            if resting and ratio_of_limit(w.step.y_new, w.system, which) > 1.0:
+                x = first_holding(w, EventKind.MOVING, which, 1.0)
+                note_event(w, x, EventKind.MOVING, which)
+            if not (resting or run.slow[which]) and is_slow(w.step.y_new, par, which, 1.0):
+                x = first_holding(w, EventKind.AT_REST, which, 1.0)
+                note_event(w, x, EventKind.AT_REST, which)

@@ -1,0 +1,238 @@
+"""Largest forces, strokes and depths, and the nearest approach, inside the steps where they lie.
+
+A quantity with its rate at both ends of a segment can hold a larger value in between only where
+the cubic through them has a maximum there; that place is then searched on the dense output.  So
+what is found depends neither on where samples are asked for nor, but for the error of the run
+itself, on where the steps end.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from capture_sim.engine.steps import distances, state_inside
+from capture_sim.kernels import kernel
+from capture_sim.model.contact import normal_force
+from capture_sim.model.equations import IMPULSE, N_STATE, tip_in_cone, wall_gap
+from capture_sim.samples import EXTREME_NAMES
+from capture_sim.solver.roots import cubic_minimum
+
+_GOLDEN = 0.6180339887498949
+#: Of the segment: where golden sections give way to parabolas, and how near these go.
+_PARABOLAS, _NEAREST = 0.05, 1e-6
+#: Of the touch's peak so far: a maximum of the cubic below it is not looked for.
+_WORTHWHILE = 0.98
+#: Of the step: a move along the motion that shows the rate of a force.
+_SMALL_MOVE = 1e-4
+#: Of the sum of both slopes: no cubic rises above its ends by more than 4/27 of it; and by how
+#: much what is really there may be above the cubic.
+_CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
+
+
+class Quantity(IntEnum):
+    """What is looked at, with a side where there are two."""
+
+    STROKE = 0  # -1 inwards, +1 outwards
+    TORSION = 1  # either sense
+    NEARNESS = 2  # minus the distance of the tip to the centre of BE
+    PENETRATION = 3  # of the wall on that side
+    NORMAL_FORCE = 4
+
+
+COMPRESSION, EXTENSION, TORSION, TIP_DISTANCE, PENETRATION, NORMAL_FORCE = (
+    np.int64(EXTREME_NAMES.index(name))
+    for name in (
+        *("compression", "extension", "torsion"),
+        *("tip_distance", "penetration", "normal_force"),
+    )
+)
+
+
+@kernel
+def force_at(y, system, i):
+    """Return the normal force on the tip from wall ``i``, N."""
+    par = system.par
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    force, _ = normal_force(-gap, -rate, par.K, system.mode.chi[i])
+    return force
+
+
+@kernel
+def value_at(w, x, quantity, side):
+    """Return a quantity at the fraction ``x`` of the present step."""
+    state_inside(w, x)
+    y, par = w.y_x, w.system.par
+    if quantity == Quantity.STROKE:
+        return side * (y[4] - par.h_0)
+    if quantity == Quantity.TORSION:
+        return side * (y[3] - y[2])
+    i = 0 if side > 0 else 1
+    if quantity == Quantity.NORMAL_FORCE:
+        return force_at(y, w.system, i)
+    g0, _, g1, _, g2, _, _ = distances(y, par)
+    if quantity == Quantity.NEARNESS:
+        return -(g2 + par.latch_radius)
+    return -g0 if i == 0 else -g1
+
+
+@kernel
+def largest_inside(w, quantity, side):
+    """Return place and value of a quantity's largest value within the present segment."""
+    x_end = w.run.x_end
+    a, b = 0.0, x_end
+    x1 = b - _GOLDEN * (b - a)
+    x2 = a + _GOLDEN * (b - a)
+    f1 = value_at(w, x1, quantity, side)
+    f2 = value_at(w, x2, quantity, side)
+    while b - a > _PARABOLAS * x_end:
+        if f1 < f2:
+            a, x1, f1 = x1, x2, f2
+            x2 = a + _GOLDEN * (b - a)
+            f2 = value_at(w, x2, quantity, side)
+        else:
+            b, x2, f2 = x2, x1, f1
+            x1 = b - _GOLDEN * (b - a)
+            f1 = value_at(w, x1, quantity, side)
+    x, f = (x1, f1) if f1 > f2 else (x2, f2)
+    # then parabolas through three places, ever closer
+    width = 0.5 * (b - a)
+    for _ in range(5):
+        width = min(width, x, x_end - x)
+        if width < _NEAREST * x_end:
+            break
+        left = value_at(w, x - width, quantity, side)
+        right = value_at(w, x + width, quantity, side)
+        bend = left - 2.0 * f + right
+        shift = 0.5 * (left - right) / bend if bend < 0.0 else math.copysign(1.0, right - left)
+        trial = x + width * min(1.0, max(-1.0, shift))
+        top = value_at(w, trial, quantity, side)
+        if top > f:
+            x, f = trial, top
+        if abs(shift) < 1.0:
+            width *= 0.1
+            if abs(shift) < 0.1 and width < 1e-3 * x_end:
+                break
+    return x, f
+
+
+@kernel
+def keep(run, row, slot, value, t):
+    """Keep a value that is larger than the largest so far."""
+    if value > run.extreme[row, slot]:
+        run.extreme[row, slot] = value
+        run.extreme_time[row, slot] = t
+
+
+@kernel
+def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
+    """Keep a quantity's largest value over a segment; values and rates are those at its ends."""
+    run, row = w.run, w.system.mode.latched
+    keep(run, row, slot, v_b, run.t1)
+    width = run.x_end * run.h
+    changes = width * (abs(d_a) + abs(d_b))
+    if max(v_a, v_b) + _CUBIC_RISE * changes <= run.extreme[row, slot]:
+        return
+    place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
+    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= run.extreme[row, slot]:
+        return
+    x, value = largest_inside(w, quantity, side)
+    keep(run, row, slot, value, run.t0 + x * run.h)
+
+
+@kernel
+def watch_extremes(w):
+    """Keep strokes, torsion, nearest distance and penetration of the segment that ends."""
+    run, mode, par = w.run, w.system.mode, w.system.par
+    a, b = w.step.y, w.y_end
+    for side in (-1.0, 1.0):
+        slot = COMPRESSION if side < 0.0 else EXTENSION
+        s_a, s_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0)
+        watch(w, Quantity.STROKE, side, slot, s_a, side * a[12], s_b, side * b[12])
+        t_a, t_b = side * (a[3] - a[2]), side * (b[3] - b[2])
+        r_a, r_b = side * (a[11] - a[10]), side * (b[11] - b[10])
+        watch(w, Quantity.TORSION, side, TORSION, t_a, r_a, t_b, r_b)
+    d_a, d_b = run.gap[2] + par.latch_radius, run.next_gap[2] + par.latch_radius
+    watch(
+        w, Quantity.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -run.gap_rate[2], -d_b, -run.next_gap_rate[2]
+    )
+    for i in range(2):
+        if mode.touching[i]:
+            run.touch_rate[i] = max(run.touch_rate[i], -run.next_gap_rate[i])
+            p_a, p_b = -run.gap[i], -run.next_gap[i]
+            r_a, r_b = -run.gap_rate[i], -run.next_gap_rate[i]
+            watch(w, Quantity.PENETRATION, 1.0 - 2.0 * i, PENETRATION, p_a, r_a, p_b, r_b)
+
+
+@kernel
+def watch_rail(w, y):
+    """Keep the distance at the end of a segment on the rail, along which it falls; t1 is there."""
+    _, _, _, _, gap, _, _ = distances(y, w.system.par)
+    keep(w.run, w.system.mode.latched, TIP_DISTANCE, -(gap + w.system.par.latch_radius), w.run.t1)
+
+
+@kernel
+def begin_extremes(w):
+    """Set the extremes of the phase that begins to the present values."""
+    run, y, row = w.run, w.step.y, w.system.mode.latched
+    for slot in range(run.extreme.shape[1]):
+        run.extreme[row, slot] = 0.0
+        run.extreme_time[row, slot] = run.t0
+    stroke = y[4] - w.system.par.h_0
+    run.extreme[row, COMPRESSION] = max(-stroke, 0.0)
+    run.extreme[row, EXTENSION] = max(stroke, 0.0)
+    run.extreme[row, TORSION] = abs(y[3] - y[2])
+    _, _, _, _, gap, _, _ = distances(y, w.system.par)
+    run.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
+
+
+@kernel
+def measure_force(w):
+    """Set force and rate at the start of a segment whose equations have changed; K[0] is known."""
+    run, step = w.run, w.step
+    small = _SMALL_MOVE * run.h_next
+    for i in range(2):
+        # a touch that has just begun has no force yet, but one that rises
+        if w.system.mode.touching[i] and run.t0 > run.touch_start[i]:
+            for k in range(N_STATE):
+                step.y_stage[k] = step.y[k] + small * step.K[0, k]
+            run.force[i] = step.K[0, IMPULSE + i]
+            run.force_rate[i] = (force_at(step.y_stage, w.system, i) - run.force[i]) / small
+
+
+@kernel
+def watch_force(w):
+    """Keep each touch's peak of force, found inside the segment where it lies."""
+    run, step, system = w.run, w.step, w.system
+    whole = run.x_end == 1.0
+    last = step.K[step.stages]
+    small = _SMALL_MOVE * run.h
+    for k in range(N_STATE):
+        step.y_stage[k] = w.y_end[k] + small * last[k]
+    for i in range(2):
+        if not system.mode.touching[i]:
+            continue
+        # a whole step's last evaluation has the force; one cut short ends with the touch, or
+        # is to be looked through anyway
+        force = last[IMPULSE + i] if whole else force_at(w.y_end, system, i)
+        # rate by a small move along the flow: it only decides where to look
+        rate = (force_at(step.y_stage, system, i) - force) / small if whole else -1.0
+        if run.force_rate[i] > 0.0 and rate < 0.0:
+            width = run.x_end * run.h
+            place, low = cubic_minimum(
+                -run.force[i], -run.force_rate[i] * width, -force, -rate * width
+            )
+            if not whole or (place >= 0.0 and -low > _WORTHWHILE * run.touch_peak[i]):
+                x, peak = largest_inside(w, Quantity.NORMAL_FORCE, 1.0 - 2.0 * i)
+                if peak > run.touch_peak[i]:
+                    run.touch_peak[i] = peak
+                    run.touch_peak_time[i] = run.t0 + x * run.h
+        if force > run.touch_peak[i]:
+            run.touch_peak[i] = force
+            run.touch_peak_time[i] = run.t1
+        run.force[i] = force
+        run.force_rate[i] = rate
+        keep(run, system.mode.latched, NORMAL_FORCE, run.touch_peak[i], run.touch_peak_time[i])

@@ -1,0 +1,53 @@
+"""What makes a scene stiff: the shortest time that any of its springs and dampers has."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def stiffest_part(
+    par: np.void, depth: float = 0.0, chi: float = 0.0, force: float = 0.0
+) -> tuple[str, float]:
+    """Return the part of the bench with the shortest time, what sets it, and that time (s).
+
+    A spring k at a mass m has the time sqrt(m / k), a damper c the time m / c: steps of an
+    explicit method cannot be much longer.
+
+    Parameters
+    ----------
+    par
+        Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
+    depth, chi, force
+        Of the contact: penetration (m), hysteresis damping (N s/m^2.5) and normal force (N).
+    """
+    depth = max(depth, 0.0)
+    m = float(par["m_P"])
+    inertia = float(par["hinge_inertia_0"] + m * (par["h_0"] - par["d"]) ** 2)
+    springs = {
+        "contact (probe.density, contact.tip.E, contact.wall.E)": (
+            m,
+            1.5 * par["K"] * math.sqrt(depth),
+        ),
+        "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
+        "torsional spring (probe.density, cylinder.mass, buffer.k_T)": (inertia, par["k_T"]),
+        "stroke stops (probe.density, stops.stiffness)": (m, par["k_stop"]),
+        "latch (probe.density, latch.stiffness)": (m, par["k_L"]),
+    }
+    dampers = {
+        "contact's damping (contact.law, contact.restitution)": (m, chi * depth**1.5),
+        "axial damper (probe.density, buffer.c_A)": (m, par["c_A"]),
+        "torsional damper (probe.density, cylinder.mass, buffer.c_T)": (inertia, par["c_T"]),
+        "stroke stops (probe.density, stops.damping)": (m, par["c_stop"]),
+        "latch (probe.density, latch.damping)": (m, par["c_L"]),
+        "friction of the tip (friction.v_eps)": (m, par["mu"] * force * par["inverse_v_eps"]),
+    }
+    if par["has_supports"]:
+        for name, mass, balls in (("chaser", "m_total", "balls_S"), ("target", "m_T", "balls_T")):
+            limit = par[balls][:, 2].sum() / par["v_eps_ball"]
+            dampers[f"rolling resistance of the {name} (supports.v_eps)"] = float(par[mass]), limit
+    times = {name: math.sqrt(mass / k) for name, (mass, k) in springs.items() if k > 0.0}
+    times |= {name: float(mass / c) for name, (mass, c) in dampers.items() if c > 0.0}
+    part = min(times, key=times.__getitem__)
+    return part, times[part]
