@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from capture_sim.commands import FAILED, OK
-from capture_sim.commands.output import say
-from capture_sim.recording import recover
+from capture_sim.commands.output import say, warn
+from capture_sim.recording.recover import NothingWholeError, recover
 
 DESCRIPTION = (
     "Save all whole chunks of a recording that was cut or damaged into a new file, "
@@ -26,7 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    saved = recover(options.recording, options.out)
+    try:
+        saved = recover(options.recording, options.out)
+    except NothingWholeError as error:
+        warn(str(error))
+        return FAILED
     count = sum(saved.messages.values())
     say(f"saved {count} messages in {saved.chunks} chunks: {saved.path}")
     for topic, number in saved.messages.items():
@@ -37,4 +41,4 @@ def run(options: argparse.Namespace) -> int:
         say(f"unconfirmed: {line}")
     if not saved.losses and not saved.unconfirmed:
         say("nothing was lost")
-    return OK if count else FAILED
+    return OK

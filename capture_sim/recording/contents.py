@@ -275,16 +275,18 @@ class _Reader:
         position = len(MCAP0_MAGIC)
         try:
             for record in reader.records:
-                self._take(record)
+                try:
+                    self._take(record)
+                except DAMAGE as error:
+                    raise self._damaged(position, in_words(error)) from None
                 position = self._file.tell()
-        except InvalidMagic:
-            if position == len(MCAP0_MAGIC):
-                raise RecordingError(f"{self._path}: not an MCAP file") from None
-            raise self._damaged(position, "no end mark") from None
         except DAMAGE as error:
-            if self._file.tell() < len(MCAP0_MAGIC):
+            if position == len(MCAP0_MAGIC) and (
+                isinstance(error, InvalidMagic) or self._file.tell() < position
+            ):
                 raise RecordingError(f"{self._path}: not an MCAP file") from None
-            if self._file.read(1) and not isinstance(error, RecordLengthLimitExceeded):
+            # a length that leads behind the file's end is that of a file that was cut
+            if not isinstance(error, RecordLengthLimitExceeded) and self._file.read(1):
                 raise self._damaged(position, in_words(error)) from None
             self._tell(
                 f"the file ends without its end mark; {position} of {self._size} bytes are "

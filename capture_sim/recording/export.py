@@ -3,99 +3,81 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from capture_sim.errors import RecordingError
+from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import CONTACT_TRACE
+from capture_sim.recording.measured import release_of, stamps_of
 from capture_sim.recording.read import Run
-from capture_sim.samples import TRACE
+from capture_sim.samples import COORDINATES, TRACE
 
+#: Column of the times since the release, s; of the sample, where messages carry one.
+TIME = "t"
 #: Column of the log times.
 LOG_TIME = "log_time_ns"
+#: Kinds of files.
+KINDS = ("csv", "npz", "parquet")
 
 
-def flat_columns(run: Run, topic: str) -> dict[str, np.ndarray]:
-    """Return a topic's fields with the log time first; (n, m) ones as m columns ``name.i``.
+def save_tables(
+    run: Run,
+    folder: Path,
+    to: str,
+    topics: Collection[str] = (),
+    columns: Collection[str] = (),
+) -> list[Path]:
+    """Write a recording as tables.
 
-    Sequences whose length differs stay one column of objects.  The contact's trace has a row
-    for every point.
-    """
-    found: dict[str, np.ndarray] = {}
-    for name, column in _table(run, topic).items():
-        if column.ndim == 1:
-            found[name] = column
-        else:
-            for i in range(column.shape[1]):
-                found[f"{name}.{i}"] = column[:, i]
-    return found
+    Parameters
+    ----------
+    run
+        The recording.
+    folder
+        Where the files go: one for every topic, or for ``npz`` ``<name>.npz`` with all, in
+        arrays named ``topic/field``, texts as Unicode strings, the scene in ``scene``; nothing
+        in it needs pickle.
+    to
+        One of KINDS.  Numbers in CSV are written so that reading gives the same bits.
+    topics
+        Those that are written; all that make tables unless given.
+    columns
+        Those that are written beside the time; all unless given.  ``q`` stands for ``q.x_S``
+        and all others of ``q``.
 
-
-def _table(run: Run, topic: str) -> dict[str, np.ndarray]:
-    """Return the log times and a topic's fields, (n,) or (n, m)."""
-    columns, times = run.columns(topic), run.log_times(topic)
-    if topic.strip("/") == CONTACT_TRACE.name:
-        times = np.repeat(times, [len(t) for t in columns["t"]])
-        columns = {name: run.trace[name] for name in TRACE.names or ()}
-    return {LOG_TIME: times, **columns}
-
-
-def table_name(topic: str) -> str:
-    """Return a topic's name as part of a file's name."""
-    return topic.strip("/").replace("/", "_")
-
-
-def save_csv(run: Run, folder: Path) -> list[Path]:
-    """Write a CSV file for each topic that makes a table; return their paths.
-
-    Numbers are written so that reading gives the same bits.
+    Returns
+    -------
+    list of Path
+        Of the files.
 
     Raises
     ------
     RecordingError
-        A file cannot be written.
+        A topic or column is not there, or a file cannot be written.
     """
-    written = []
-    for topic in exported(run)[0]:
-        columns = flat_columns(run, topic)
-        path = folder / f"{table_name(topic)}.csv"
-        try:
-            with path.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                writer.writerow(columns)
-                writer.writerows(zip(*(_cells(c) for c in columns.values()), strict=True))
-        except OSError as error:
-            raise _failed(path, error) from None
-        written.append(path)
-    return written
-
-
-def save_npz(run: Run, path: Path) -> Path:
-    """Write all topics that make tables into one NumPy file, arrays named ``topic/field``.
-
-    Texts become arrays of Unicode strings; the scene is in ``scene``.  Nothing in the file
-    needs pickle.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
-    """
-    arrays: dict[str, np.ndarray] = {}
-    for topic in exported(run)[0]:
-        for name, column in _table(run, topic).items():
-            arrays[f"{topic.strip('/')}/{name}"] = (
-                np.array([str(_cell(x)) for x in column]) if column.dtype == object else column
-            )
-    if run.has_scene:
-        arrays["scene"] = np.array(run.scene_text)
-    try:
-        with path.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
-    except OSError as error:
-        raise _failed(path, error) from None
-    return path
+    known = exported(run)[0]
+    wanted = ["/" + name.lstrip("/") for name in topics] or known
+    if unknown := [name for name in wanted if name not in known]:
+        raise RecordingError(
+            f"{run.path}: makes no table of {', '.join(unknown)}; allowed are {', '.join(known)}"
+        )
+    tables = {topic: _with(columns, table(run, topic)) for topic in wanted}
+    there = {name for found in tables.values() for name in flat(found)}
+    if missing := [name for name in columns if not any(map(_covers(name), there))]:
+        raise RecordingError(f"{run.path}: no table has a column {', '.join(missing)}")
+    tables = {topic: found for topic, found in tables.items() if found.keys() != {TIME}}
+    if to == "npz":
+        path = folder / f"{file_name(run.path.stem)}.npz"
+        _save_npz(run, tables, path)
+        return [path]
+    paths = _paths(tables, folder, to)
+    for topic, path in paths.items():
+        found = _with(columns, flat(tables[topic]))
+        (_save_csv if to == "csv" else _save_parquet)(found, path)
+    return list(paths.values())
 
 
 def exported(run: Run) -> tuple[list[str], list[str]]:
@@ -112,6 +94,109 @@ def exported(run: Run) -> tuple[list[str], list[str]]:
     return topics, problems
 
 
+def table(run: Run, topic: str) -> dict[str, np.ndarray]:
+    """Return a topic's fields, (n,) or (n, m), times first.
+
+    The contact's trace has a row for every point.
+    """
+    columns, logged = run.columns(topic), run.log_times(topic)
+    if topic.strip("/") == CONTACT_TRACE.name and columns:
+        logged = np.repeat(logged, [len(t) for t in columns["t"]])
+        columns = {name: run.trace[name] for name in TRACE.names or ()}
+    if TIME in columns and columns[TIME].shape == logged.shape:
+        t = columns[TIME]
+    else:
+        stamped = "clock.sec" in columns or "header.stamp.sec" in columns
+        t = ((stamps_of(columns) if stamped else logged) - release_of(run)) / 1e9
+    return {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
+
+
+def flat(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return (n, m) columns as m of them: ``q.x_S`` of coordinates, ``name.i`` of others."""
+    found: dict[str, np.ndarray] = {}
+    for name, column in columns.items():
+        if column.ndim == 1:
+            found[name] = column
+            continue
+        of_coordinates = name in ("q", "v") and column.shape[1] == len(COORDINATES)
+        parts = COORDINATES if of_coordinates else range(column.shape[1])
+        found |= {f"{name}.{part}": column[:, i] for i, part in enumerate(parts)}
+    return found
+
+
+def _covers(wanted: str) -> Callable[[str], bool]:
+    """Return whether a column is meant by a name: itself, or what it is a part of."""
+    return lambda name: name == wanted or name.startswith(f"{wanted}.")
+
+
+def _with(wanted: Collection[str], columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the columns that are wanted in whole or in part, and the time; all if none is."""
+    return {
+        name: column
+        for name, column in columns.items()
+        if name == TIME
+        or not wanted
+        or any(_covers(one)(part) for one in wanted for part in flat({name: column}))
+    }
+
+
+def _paths(topics: Collection[str], folder: Path, suffix: str) -> dict[str, Path]:
+    """Return a file for each topic, no two of one name."""
+    paths: dict[str, Path] = {}
+    for topic in topics:
+        stem = name = file_name(topic.strip("/"))
+        number = 1
+        while folder / f"{name}.{suffix}" in paths.values():
+            number += 1
+            name = f"{stem}_{number}"
+        paths[topic] = folder / f"{name}.{suffix}"
+    return paths
+
+
+def _save_csv(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    try:
+        with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows(zip(*(_cells(c) for c in columns.values()), strict=True))
+    except OSError as error:
+        raise _failed(path, error) from None
+
+
+def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise RecordingError(f"parquet needs pyarrow: {error}") from None
+    arrays = {
+        name: pa.array([_plain(x) for x in column] if column.dtype == object else column)
+        for name, column in columns.items()
+    }
+    try:
+        with whole_file(path) as part:
+            parquet.write_table(pa.table(arrays), part, compression="zstd")
+    except OSError as error:
+        raise _failed(path, error) from None
+
+
+def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Path) -> None:
+    arrays = {
+        f"{topic.strip('/')}/{name}": (
+            np.array([str(_cell(x)) for x in column]) if column.dtype == object else column
+        )
+        for topic, columns in tables.items()
+        for name, column in columns.items()
+    }
+    if run.has_scene:
+        arrays["scene"] = np.array(run.scene_text)
+    try:
+        with whole_file(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
+    except OSError as error:
+        raise _failed(path, error) from None
+
+
 def _cells(column: np.ndarray) -> list[object]:
     if column.dtype == object:
         return [_cell(value) for value in column]
@@ -122,6 +207,10 @@ def _cell(value: object) -> object:
     if isinstance(value, np.ndarray):
         return " ".join(map(str, value.tolist()))
     return " ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def _plain(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _failed(path: Path, error: OSError) -> RecordingError:

@@ -89,6 +89,10 @@ _RECORD_COST = 300
 _CHUNK_HEAD = re.compile(rb"(?=\x06[\s\S]{4}\x00\x00\x00\x00)")
 
 
+class NothingWholeError(RecordingError):
+    """A recording holds nothing that could be saved."""
+
+
 @dataclass(frozen=True)
 class Recovery:
     """What came of recovering a file.
@@ -131,9 +135,10 @@ def recover(
 
     Raises
     ------
+    NothingWholeError
+        No whole chunk with a message is in it.
     RecordingError
-        The file cannot be read, is no MCAP file or holds no whole chunk with a message, or
-        the new one cannot be written.
+        The file cannot be read or is no MCAP file, or the new one cannot be written.
     """
     path = Path(path)
     files = bag_files(path)
@@ -146,7 +151,7 @@ def recover(
                 raise
             lost.append(f"all of {error}")
     if not any(m.channel_id in part.known.channels for part in parts for m in part.messages):
-        raise RecordingError(f"{path}: nothing to recover: no whole chunk in it")
+        raise NothingWholeError(f"{path}: nothing to recover: no whole chunk in it")
     target = free_path(path.with_name(f"{path.stem}_recovered.mcap")) if out is None else Path(out)
     try:
         with whole_file(target, replace=False) as beside:

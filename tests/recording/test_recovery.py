@@ -7,6 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from damage import cuts, expected, flips, saved_rightly
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -17,7 +18,6 @@ import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.recording import LiveRecorder, Split, read_run, recover, write_run
-from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
 
 #: How the stretch is told that lost messages may have been in.
 TIMES = r"any messages between ([\d.]+) s and ([\d.]+) s since the release"

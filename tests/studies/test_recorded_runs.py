@@ -16,7 +16,7 @@ from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
 from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.export import flat_columns, save_npz
+from capture_sim.recording.export import flat, save_tables, table
 from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import first_contact
 
@@ -180,9 +180,9 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
     assert capsys.readouterr().out.count("written: ") == sum(map(bool, run.topics.values()))
     with (tmp_path / "bench_state.csv").open() as file:
         rows = list(csv.DictReader(file))
-    columns = flat_columns(run, "bench/state")
+    columns = flat(table(run, "/bench/state"))
     assert list(rows[0]) == list(columns)
-    for name in ("t", "q.0", "v.7", "energy_residual"):
+    for name in ("t", "q.x_S", "v.theta_T", "penetration.0", "energy_residual"):
         assert [float(row[name]) for row in rows] == columns[name].tolist()
     assert [int(row["log_time_ns"]) for row in rows] == run.log_times("bench/state").tolist()
     with (tmp_path / "bench_event.csv").open() as file:
@@ -192,7 +192,8 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
 
 def test_npz_holds_everything_without_pickle(path, tmp_path):
     run = read_run(path)
-    with np.load(save_npz(run, tmp_path / "x.npz"), allow_pickle=False) as data:
+    (file,) = save_tables(run, tmp_path, "npz")
+    with np.load(file, allow_pickle=False) as data:
         for topic in filter(run.raw, run.topics):
             for name, column in run.columns(topic).items():
                 kept = data[f"{topic.strip('/')}/{name}"]
@@ -202,15 +203,30 @@ def test_npz_holds_everything_without_pickle(path, tmp_path):
         assert data["bench/event/kind"].tolist() == [e.kind.label for e in run.events]
 
 
+def test_topics_and_columns_are_chosen(path, tmp_path, capsys):
+    run, wanted = read_run(path), ["--topics", "bench/state", "/chaser/odom"]
+    command = ["export", str(path), "--out", str(tmp_path), *wanted]
+    assert main([*command, "--columns", "q.x_S", "impulse", "seq"]) == 0
+    (file,) = tmp_path.iterdir()  # the odometry has none of them
+    with file.open() as lines:
+        assert next(csv.reader(lines)) == ["t", "seq", "q.x_S", "impulse.0", "impulse.1"]
+    for wrong in (["--columns", "no"], ["--topics", "no/such"]):
+        assert main(["export", str(path), "--out", str(tmp_path), *wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    for topic in run.topics:
+        if run.topics[topic]:
+            assert table(run, topic)["t"].min() >= 0.0
+
+
 def test_parquet_gives_the_same_bits(path, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     assert main(["export", str(path), "--to", "parquet", "--out", str(tmp_path)]) == 0
     run = read_run(path)
     for topic in filter(run.raw, run.topics):
-        table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
-        for name, column in flat_columns(run, topic).items():
+        found = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
+        for name, column in flat(table(run, topic)).items():
             if column.dtype != object:
-                assert table[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
+                assert found[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
 
 
 def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):
