@@ -26,13 +26,14 @@ import numpy as np
 import yaml
 
 import capture_sim
+from benchmarks.damage import cuts, expected, flips, saved_rightly
 from benchmarks.machine import clock_rate, describe, load
 from benchmarks.noisy_bench import NAMES, noisy_run
-from capture_sim.messages.convert import RunDescription
-from capture_sim.recording import LiveRecorder, RunWriter, read_run, write_run
-from capture_sim.recording.damage import cuts, expected, flips, saved_rightly
-from capture_sim.recording.definitions import typestore
-from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.messages.convert import RunDescription, stamp_ns
+from capture_sim.recording.live import LiveRecorder
+from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
+from capture_sim.recording.read import read_run
+from capture_sim.recording.write import RunWriter
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -62,11 +63,13 @@ def measure_writing(folder: Path) -> str:
     result = capture_sim.simulate(long_scene(20.0, 1000.0))
     path = folder / "long.mcap"
     run = RunDescription.of(result.scene, "x", PUBLISHERS)
+    stream = list(run_stream(result, run))
 
-    def one_by_one() -> None:
-        with RunWriter(folder / "slow.mcap", run, replace=True) as writer:
-            for topic, message in run_stream(result, run):
-                writer.write(topic, message)
+    def write_alone() -> None:
+        (folder / "alone.mcap").unlink(missing_ok=True)
+        with RunWriter(folder / "alone.mcap", run) as writer:
+            for topic, t, data in stream:
+                writer.write(topic, data, stamp_ns(t))
 
     def read_all() -> None:
         found = read_run(path)
@@ -77,22 +80,18 @@ def measure_writing(folder: Path) -> str:
     writing = median_time(lambda: write_run(result, path))
     count = sum(read_run(path).topics.values())
     for what, (seconds, spread) in (
-        ("written by columns (`write_run`)", writing),
-        ("written one by one, as the nodes make them", median_time(one_by_one)),
+        ("made, serialised and written (`write_run`)", writing),
+        ("written alone (`RunWriter`)", median_time(write_alone)),
         ("read, checksums checked (`read_run`)", median_time(lambda: read_run(path))),
         ("read into columns of all topics", median_time(read_all)),
     ):
         rows.append(
             f"| {what} | {count / seconds / 1e3:.0f} k/s | {seconds:.3f} s +- {spread / 2:.3f} |"
         )
-    serialised = [
-        (topic, bytes(typestore().serialize_cdr(message, topic.type_name)))
-        for topic, message in run_stream(result, run)
-    ]
     began = time.process_time()
     with tempfile.TemporaryDirectory(dir=folder) as out:
         recorder = LiveRecorder(out)
-        for topic, data in serialised:
+        for topic, _, data in stream:
             recorder.take(topic, data)
         assert recorder.close().complete
     seconds = time.process_time() - began

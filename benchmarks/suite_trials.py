@@ -17,7 +17,7 @@ from benchmarks.machine import load
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
 from capture_sim.nodes.places import claim_place
-from capture_sim.recording import read_run
+from capture_sim.recording.read import read_run
 
 FOLLOWERS = ("launcher", "capture_detector", "recorder")
 NODES = ("simulator", *FOLLOWERS)

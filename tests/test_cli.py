@@ -136,7 +136,7 @@ def test_a_failed_run_says_why_and_keeps_what_was_computed(tmp_path, capsys):
     assert "paper_designed: stopped at t = 0." in seen.err
     assert "phase contact" in seen.err or "phase free" in seen.err
     assert "run.max_steps" in seen.err
-    from capture_sim.recording import read_run
+    from capture_sim.recording.read import read_run
 
     kept = read_run(tmp_path / "paper_designed.mcap")
     assert kept.samples.size > 5

@@ -42,9 +42,11 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.running import BenchNode
 from capture_sim.nodes.suite import run_suite
-from capture_sim.recording import LiveRecorder, read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.judging import judge_recording
+from capture_sim.recording.live import LiveRecorder
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 from capture_sim.scene.parts import Detector
 
 SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]

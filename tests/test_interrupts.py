@@ -15,7 +15,8 @@ from capture_sim import load_scene
 from capture_sim.interrupts import do_apart
 from capture_sim.nodes.suite import run_suite
 from capture_sim.nodes.uninterrupted import uninterrupted
-from capture_sim.recording import read_run, write_run
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 
 
 @pytest.mark.parametrize("gap", [0.0003, 0.001, 0.004])

@@ -23,8 +23,9 @@ from capture_sim.nodes.flow_control import Followers, samples_between_acks
 from capture_sim.nodes.receiving import StampMatcher, observation_of
 from capture_sim.nodes.running import message_class
 from capture_sim.nodes.suite import run_suite
-from capture_sim.recording import read_run, write_run
 from capture_sim.recording.judging import judge_recording
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 
 NAMES = ("tilt_0", "tilt_p10")
 # These carry the run's id, or what was computed from odometry instead of the state.

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.recording import read_run
+from capture_sim.recording.read import read_run
 from capture_sim.scene.parts import Detector
 
 NODES = ("simulator", "launcher", "capture_detector", "recorder")

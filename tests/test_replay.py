@@ -19,9 +19,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.messages.topics import RECORDED, topic_named
-from capture_sim.recording import LiveRecorder, Split, read_run, write_run
 from capture_sim.recording.definitions import typestore
+from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, Rewritten
+from capture_sim.recording.read import read_run
 
 NAME = "tilt_m10"
 

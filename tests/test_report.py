@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.recording import write_run
+from capture_sim.recording.offline import write_run
 from capture_sim.results import rows
 
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")

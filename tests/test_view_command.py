@@ -12,7 +12,8 @@ from test_viewing_bag import STANDARD, of_a_bench
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.commands.inputs import load
-from capture_sim.recording import read_run, write_run
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 from capture_sim.viewing.plots import draw_overview
 from capture_sim.viewing.source import distinct_names
 

@@ -15,7 +15,8 @@ from matplotlib.text import Text
 
 import capture_sim
 from capture_sim.errors import RecordingError
-from capture_sim.recording import read_run, write_run
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import palette, plots
 from capture_sim.viewing.bench_drawing import draw_bench

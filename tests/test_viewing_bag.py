@@ -13,9 +13,10 @@ from mcap.writer import Writer
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.recording import read_run, write_run
 from capture_sim.recording.measured_run import run_from_bag
+from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
+from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots
 from capture_sim.viewing.source import decided_at, first_touch, verdict

@@ -15,7 +15,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 import capture_sim
-from capture_sim.recording import read_run, write_run
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import palette
 from capture_sim.viewing.geometry import tip_in_cone

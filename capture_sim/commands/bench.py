@@ -9,7 +9,7 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import FACTORS, add_experiments, load_all, number, prepare_folder
 from capture_sim.commands.output import draw, report, summary_of, warn
 from capture_sim.nodes.suite import run_suite
-from capture_sim.recording import read_run
+from capture_sim.recording.read import read_run
 
 DESCRIPTION = (
     "Run experiments with the ROS 2 nodes, each in a process of its own; "

@@ -23,7 +23,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
 
 if TYPE_CHECKING:
-    from capture_sim.recording import Run
+    from capture_sim.recording.read import Run
     from capture_sim.viewing.source import ViewableRun
 
 #: Simulated (or recorded) seconds per second; 0 does not wait at all.
@@ -200,7 +200,7 @@ def load(source: str, overrides: Sequence[str] = ()) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     if not is_recording(source):
         return load_scene(source, overrides)
-    from capture_sim.recording import read_run
+    from capture_sim.recording.read import read_run
 
     return load_scene_text(read_run(source).scene_text, overrides)
 
@@ -248,7 +248,7 @@ def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:
     RecordingError
         It cannot be read, or holds several runs where that is not allowed.
     """
-    from capture_sim.recording import read_run
+    from capture_sim.recording.read import read_run
 
     run = read_run(path)
     if len(run.run_ids) > 1 and not several:

@@ -24,7 +24,7 @@ from capture_sim.files import whole_file
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from capture_sim.recording import Run
+    from capture_sim.recording.read import Run
     from capture_sim.viewing.source import ViewableRun
 
 #: Drawn of several runs side by side.

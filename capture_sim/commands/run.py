@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         results.append(result)
         if not options.no_record:
             # loaded here: writing recordings takes longer to import than a run without takes
-            from capture_sim.recording import write_run
+            from capture_sim.recording.offline import write_run
 
             path = write_run(result, options.out / f"{scene.name}.mcap")
             recordings.append(path.stem)

@@ -16,9 +16,9 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     STREAM_COUNTS,
 )
-from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
+from capture_sim.recording.read import read_run
 from capture_sim.samples import TRACE
 from capture_sim.viewing.source import normal_force_with_peaks
 

@@ -41,15 +41,6 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     STREAM_COUNTS,
 )
-from capture_sim.recording import (
-    LiveRecorder,
-    RunWriter,
-    Split,
-    Tally,
-    read_run,
-    recover,
-    write_run,
-)
 from capture_sim.recording import live as live_module
 from capture_sim.recording.cdr import columns, sequence_of, stamp_of
 from capture_sim.recording.definitions import (
@@ -57,7 +48,12 @@ from capture_sim.recording.definitions import (
     schema_text,
     typestore,
 )
-from capture_sim.recording.offline import PUBLISHERS, run_stream
+from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
+from capture_sim.recording.read import read_run
+from capture_sim.recording.recover import recover
+from capture_sim.recording.tally import Tally
+from capture_sim.recording.write import RunWriter
 from capture_sim.samples import SAMPLE
 
 NAME = "tilt_m10"

@@ -7,7 +7,6 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from damage import cuts, expected, flips, saved_rightly
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -15,9 +14,13 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
 import capture_sim
+from benchmarks.damage import cuts, expected, flips, saved_rightly
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.recording import LiveRecorder, Split, read_run, recover, write_run
+from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
+from capture_sim.recording.recover import recover
 
 #: How the stretch is told that lost messages may have been in.
 TIMES = r"any messages between ([\d.]+) s and ([\d.]+) s since the release"

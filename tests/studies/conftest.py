@@ -4,7 +4,7 @@ import pytest
 from recorded_bags import rewritten
 
 import capture_sim
-from capture_sim.recording import write_run
+from capture_sim.recording.offline import write_run
 
 
 @pytest.fixture(scope="session")

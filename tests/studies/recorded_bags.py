@@ -2,8 +2,8 @@
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from capture_sim.recording import read_run
 from capture_sim.recording.definitions import typestore
+from capture_sim.recording.read import read_run
 
 #: What a real bench records at least.
 BENCH_TOPICS = (

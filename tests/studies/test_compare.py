@@ -9,9 +9,10 @@ from recorded_bags import BENCH_TOPICS, rewritten
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.recording import read_run, write_run
 from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
 from capture_sim.recording.measured import first_contact, measurements
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 from capture_sim.studies.compare import gaps
 from capture_sim.studies.measurements import Measurements, Series
 from capture_sim.viewing.comparison import draw_touches, impulse_so_far

@@ -7,8 +7,8 @@ import pytest
 from recorded_bags import BENCH_TOPICS, rewritten
 
 from capture_sim.cli import main
-from capture_sim.recording import read_run
 from capture_sim.recording.measured import measurements
+from capture_sim.recording.read import read_run
 from capture_sim.studies.measurements import measured_in
 
 

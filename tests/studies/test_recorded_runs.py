@@ -14,11 +14,12 @@ from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
-from capture_sim.recording import read_run, write_run
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.export import flat, save_tables, table
 from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import first_contact
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
 
 TF = "tf2_msgs/msg/TFMessage"
 

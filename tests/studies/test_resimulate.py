@@ -8,8 +8,9 @@ from recorded_bags import rewritten
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED, topic_named
-from capture_sim.recording import LiveRecorder, read_run
+from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.measured import first_contact
+from capture_sim.recording.read import read_run
 from capture_sim.studies.resimulate import agreement
 
 
