@@ -31,7 +31,6 @@ from capture_sim.studies.design import (
     Design,
     DesignTarget,
     design_buffer,
-    trade_off,
     with_buffer,
 )
 from capture_sim.studies.first_contact import run_first_contact
@@ -212,7 +211,10 @@ def paper_row() -> list[str]:
     assert design.capturing is not None
     assert design.energy is not None
     save_design(design, DOCS / "design" / "design.png")
-    strokes = trade_off(scene, design.target, np.geomspace(0.3, 3.0, 9).tolist())
+    strokes = [
+        design_buffer(scene, replace(design.target, axial_stroke=factor * own.axial_stroke))
+        for factor in np.geomspace(0.3, 3.0, 9).tolist()
+    ]
     save_trade_off(strokes, DOCS / "design" / "trade_off.png")
     b, low, high, energy = design.scene.buffer, *design.capturing, design.energy
     springs = sum(trial.step == 5 for trial in design.history)

@@ -6,7 +6,6 @@ import argparse
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,12 @@ from capture_sim.studies.design import (
     DesignTarget,
     Trial,
     design_buffer,
-    trade_off,
     with_buffer,
 )
 from capture_sim.studies.first_contact import run_first_contact
 
 DESCRIPTION = (
-    "The paper's design flow: strokes wished for in, k_A, k_T and c_A out, or the reason why no "
+    "The paper's design flow: target strokes in, k_A, k_T and c_A out, or the reason why no "
     "buffer meets the target (exit status 1). Without strokes those of the scene's own springs are "
     "taken."
 )
@@ -82,11 +80,11 @@ def run(options: argparse.Namespace) -> int:
     design = design_buffer(scene, target, _say_trial)
     _report(design)
     _keep(design, options.out)
-    designs: Sequence[Design] = ()
-    if factors:
-        designs = trade_off(scene, target, factors)
-        for one in designs:
-            say(_line(one))
+    designs = []
+    for factor in factors:
+        stroke = factor * target.axial_stroke
+        designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
+        say(_line(designs[-1]))
     try:
         from capture_sim.viewing.design_plots import save_design, save_trade_off
 

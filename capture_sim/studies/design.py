@@ -514,23 +514,6 @@ def _choose(
     return best
 
 
-def trade_off(
-    scene: Scene,
-    target: DesignTarget,
-    factors: Sequence[float],
-    report: Callable[[Trial], None] | None = None,
-) -> list[Design]:
-    """Design for several axial strokes, ``factors`` of the target's: the force that stroke saves.
-
-    Returns
-    -------
-    list of Design
-        One for each factor, refusals among them.
-    """
-    targets = [replace(target, axial_stroke=factor * target.axial_stroke) for factor in factors]
-    return [design_buffer(scene, one, report) for one in targets]
-
-
 def _refused(flow: _Flow, why: str, springs: Springs, nearest: _Damper | None) -> Design:
     history = tuple(flow.history)
     if nearest is not None:

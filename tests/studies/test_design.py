@@ -18,7 +18,6 @@ from capture_sim.studies.design import (
     design_buffer,
     energy_of,
     find_springs,
-    trade_off,
     with_buffer,
 )
 from capture_sim.studies.first_contact import run_first_contact
@@ -162,12 +161,6 @@ def test_margin_is_where_the_first_capture_is_lost(design):
     assert all(captures(design.scene, spread, s) for s in (0.25, margin))
     weak = replace(design.scene, buffer=replace(design.scene.buffer, c_A=design.capturing[0]))
     assert margin_of(weak, spread) < margin
-
-
-def test_trade_off_has_a_design_or_a_reason_for_each_stroke(paper):
-    designs = trade_off(paper, DesignTarget(7.678e-3, 2.0e-3), [0.3, 1.0])
-    assert [d.met for d in designs] == [False, True]
-    assert designs[1].target.axial_stroke == pytest.approx(7.678e-3)
 
 
 def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
