@@ -186,8 +186,10 @@ def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
         One line that names the file.
     """
     place = path.resolve()
-    if place in readers or len(readers) >= MAX_FILES:
+    if place in readers:
         raise SceneError(f"{path.name}: extends itself by way of {readers[-1].name}")
+    if len(readers) >= MAX_FILES:
+        raise SceneError(f"{readers[0].name}: more than {MAX_FILES} files extend each other")
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_TEXT + 1)
