@@ -1,40 +1,91 @@
 """Emulates a ground test bench for docking and capture: chaser, buffer, probe, cone, target.
 
 >>> import capture_sim
->>> result = capture_sim.simulate(capture_sim.load_scene("tilt_0"))
->>> result.summary["verdict"]
-'captured'
+>>> result = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
+>>> result.verdict
+<CaptureState.CAPTURED: 3>
 """
 
 from __future__ import annotations
 
 import importlib
 from pkgutil import extend_path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from capture_sim.bench import Bench, drive
+    from capture_sim.errors import (
+        CaptureSimError,
+        MissingPackageError,
+        RecordingError,
+        SceneError,
+        SimulationError,
+    )
+    from capture_sim.launch.scenes import load_scene
+    from capture_sim.samples import EventKind, Phase
+    from capture_sim.scene.files import scene_names
+    from capture_sim.scene.parts import Scene
+    from capture_sim.simulation import Result, simulate
+    from capture_sim.viewing.plots import draw_run as plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
 
 __version__ = "0.1.0"
 
-# loaded when first used: nodes and tools that need no kernels do not pay for the compiler
-_EXPORTS = {
-    "Bench": "bench",
-    "CaptureSimError": "errors",
-    "RecordingError": "errors",
-    "Result": "simulation",
-    "Scene": "scene.parts",
-    "SceneError": "errors",
-    "SimulationError": "errors",
-    "load_scene": "launch.scenes",
-    "scene_names": "scene.files",
-    "simulate": "simulation",
-}
+__all__ = [
+    "Bench",
+    "CaptureSimError",
+    "EventKind",
+    "MissingPackageError",
+    "Phase",
+    "RecordingError",
+    "Result",
+    "Scene",
+    "SceneError",
+    "SimulationError",
+    "drive",
+    "load_scene",
+    "plot",
+    "scene_names",
+    "simulate",
+]
 
-__all__ = sorted(_EXPORTS)
+# loaded when first used: what needs no kernels does not pay for the compiler
+_MODULES = {
+    "bench": ("Bench", "drive"),
+    "errors": (
+        "CaptureSimError",
+        "MissingPackageError",
+        "RecordingError",
+        "SceneError",
+        "SimulationError",
+    ),
+    "launch.scenes": ("load_scene",),
+    "samples": ("EventKind", "Phase"),
+    "scene.files": ("scene_names",),
+    "scene.parts": ("Scene",),
+    "simulation": ("Result", "simulate"),
+    "viewing.plots": ("plot",),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+_NAMED = {"plot": "draw_run"}
 
 
 def __getattr__(name: str) -> Any:
-    if name in _EXPORTS:
-        return getattr(importlib.import_module(f"{__name__}.{_EXPORTS[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
+        errors = importlib.import_module(f"{__name__}.errors")
+        raise errors.MissingPackageError(
+            f"{name}() needs matplotlib: pip install 'capture_sim[view]'"
+        ) from None
+    return getattr(module, _NAMED.get(name, name))
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

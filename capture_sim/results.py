@@ -12,15 +12,14 @@ import numpy as np
 from capture_sim.samples import Event, EventKind
 from capture_sim.scene.parts import Scene
 
-#: A cluster of touches ends when none follows for this long, s.
-CLUSTER_GAP = 0.05
-
 
 def first_cluster(touches: np.ndarray) -> np.ndarray:
     """Return the touches of the first contact.
 
-    A light tip chatters before it slides: touches that follow each other within 50 ms
-    are one contact.
+    A light tip chatters on the wall before it slides.  The first contact is with the wall met
+    first and ends when the other wall is met, or when the tip stays off for longer than it has
+    chattered (from the first touch's start to the last one's).  Of a single touch so far that
+    cannot be said: it bounced if the pause behind it is shorter than the contact that follows.
 
     Parameters
     ----------
@@ -28,11 +27,49 @@ def first_cluster(touches: np.ndarray) -> np.ndarray:
         (n,) of dtype TOUCH, in order of their ends.
     """
     ordered = touches[np.argsort(touches["start"], kind="stable")]
-    if ordered.size == 0:
-        return ordered
-    end = np.maximum.accumulate(ordered["end"])
-    breaks = np.flatnonzero(ordered["start"][1:] - end[:-1] > CLUSTER_GAP)
-    return ordered[: breaks[0] + 1] if breaks.size else ordered
+    start, end = ordered["start"], ordered["end"]
+    return ordered[: _bounced(start, end, _chatter(start, end, ordered["wall"]))]
+
+
+def first_contact_end(events: Iterable[Event], now: float) -> float | None:
+    """Return when the first contact of a run ended, s; None if it has not, so far as known.
+
+    Parameters
+    ----------
+    events
+        Of the run so far.
+    now
+        How far it is, s.
+    """
+    begun = [event for event in events if event.kind is EventKind.TOUCH]
+    start = np.array([event.t for event in begun])
+    end = np.full(start.size, math.inf)
+    for touch in (event.touch for event in events if event.touch is not None):
+        end[start == touch["start"]] = touch["end"]
+    behind = _chatter(start, end, np.array([event.wall for event in begun]))
+    if behind == 0:
+        return None
+    still = behind < 2 or now - end[behind - 1] <= start[behind - 1] - start[0]
+    if still and behind == start.size:
+        return None
+    last = float(end[_bounced(start, end, behind) - 1])
+    return last if math.isfinite(last) else None
+
+
+def _chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
+    """Return how many touches, in order of their starts, chatter on from the first."""
+    other = np.flatnonzero(wall != wall[:1])
+    size = int(other[0]) if other.size else start.size
+    for behind in range(2, size):
+        if start[behind] - end[behind - 1] > start[behind - 1] - start[0]:
+            return behind
+    return size
+
+
+def _bounced(start: np.ndarray, end: np.ndarray, behind: int) -> int:
+    """Return how many of the chatter's touches are the first contact: one, or all."""
+    alone = behind > 1 and start[1] - end[0] > end[behind - 1] - start[1]
+    return 1 if alone else behind
 
 
 def impact_speed(events: Iterable[Event]) -> float | None:
@@ -110,7 +147,7 @@ _COLUMNS = (
 
 #: What the heads of the table mean.
 LEGEND = (
-    f"n: touches. First contact: touches that follow each other within {CLUSTER_GAP * 1e3:g} ms.",
+    "n: touches. First contact: of the wall met first, until the tip has done with chattering.",
     "To BE: smallest distance of the tip's centre to that of BE. Energy error: of the ledger.",
 )
 

@@ -13,7 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Phase(IntEnum):
+class Named(IntEnum):
+    """Numbers of a message's constants; printed by name."""
+
+    @property
+    def label(self) -> str:
+        """The name used in messages and tables."""
+        return self.name.lower()
+
+    def __str__(self) -> str:
+        return self.label
+
+
+class Phase(Named):
     """Phase of a run; each integrates only the freedoms it has."""
 
     HELD = 0
@@ -24,7 +36,7 @@ class Phase(IntEnum):
     LATCHED = 5
 
 
-class EventKind(IntEnum):
+class EventKind(Named):
     """What happened at a located instant."""
 
     RELEASE = 0
@@ -40,11 +52,6 @@ class EventKind(IntEnum):
     STOP_LEFT = 10
     STICK = 11
     SLIP = 12
-
-    @property
-    def label(self) -> str:
-        """The name used in messages and tables."""
-        return self.name.lower()
 
 
 #: Order of ``q`` and ``v``.
@@ -96,6 +103,27 @@ SAMPLE = np.dtype(
         ("energy_residual", "f8"),
     ]
 )
+
+#: What belongs to each number of a field that holds several.
+_MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
+_PLANAR = ("contact_force", "latch_force")
+
+
+def columns_of(samples: np.ndarray) -> dict[str, np.ndarray]:
+    """Return every number of some samples (n,) by a name of its own, as ``q.x_S``.
+
+    Of two numbers they are the walls' (``penetration.+y``), of forces in the world x and y.
+    """
+    columns = {}
+    for name in samples.dtype.names or ():
+        values = samples[name]
+        if values.ndim == 1:
+            columns[name] = values
+            continue
+        members = ("x", "y") if name in _PLANAR else _MEMBERS[values.shape[1]]
+        columns.update({f"{name}.{member}": values[:, k] for k, member in enumerate(members)})
+    return columns
+
 
 #: The contact at the end of one of the integrator's steps; as in msg/ContactTrace.msg.
 TRACE = np.dtype(

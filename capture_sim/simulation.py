@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
+import html
+import importlib
 import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from capture_sim.bench import Bench, Statistics, check_times, compile_kernels, drive
 from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureState, CaptureStatus, ExactDetector
 from capture_sim.detection.noisy import NoisyDetector
+from capture_sim.errors import MissingPackageError, SceneError, SimulationError
 from capture_sim.launch.plan import LaunchPlan
-from capture_sim.results import summarize
-from capture_sim.samples import ENERGIES, Event, EventKind
-from capture_sim.scene.parts import Scene
+from capture_sim.launch.scenes import change_scene, load_scene
+from capture_sim.results import heads, summarize
+from capture_sim.results import rows as rows_of
+from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, columns_of
+from capture_sim.scene.files import Overrides
+from capture_sim.scene.parts import Run, Scene
 from capture_sim.sensors import Sensors
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @dataclass(frozen=True)
@@ -37,13 +48,16 @@ class Check:
         Both have the same walls touched in the same order.  If not, the sequence of touches
         hangs on the tolerance, and what follows the first difference is one of several
         possible courses.
+    failure : str
+        Why the finer run had to stop, if it did: from there on the error is infinite.
     """
 
     error: np.ndarray
     same_touches: bool
+    failure: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class Result:
     """What a run gave.
 
@@ -57,13 +71,12 @@ class Result:
         Every touch of a wall, from located start to located end.
     events : list of Event
         In order, each with time and state.
-    statuses : list of CaptureStatus
-        The detector's view at ``run.rate`` (with motion capture: of every pose that it sees),
-        the final verdict last.
+    watched : ndarray (k,) of dtype SAMPLE
+        What the detector judges by: the run on the grid of ``run.state_rate``.
     statistics : Statistics
         Steps, rejected steps and evaluations of the equations of motion.
     wall_time : float
-        s, for the integration and the detector.
+        s, for the integration.
     failure : str
         Why the run had to stop; empty if it did not.
     check : Check or None
@@ -71,6 +84,12 @@ class Result:
     trace : ndarray (k,) of dtype SAMPLE or None
         The contact at the integrator's own resolution, if that was asked for: samples at the
         ends of its steps while a wall is touched.  It is recorded with the run.
+
+    Examples
+    --------
+    >>> from capture_sim import simulate
+    >>> simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
+    Result(paper_designed: stuck after 0.5 s, 6 touches, peak 131.6 N, 501 samples)
     """
 
     scene: Scene
@@ -78,7 +97,7 @@ class Result:
     samples: np.ndarray
     touches: np.ndarray
     events: list[Event]
-    statuses: list[CaptureStatus]
+    watched: np.ndarray
     statistics: Statistics
     wall_time: float
     failure: str = ""
@@ -105,6 +124,14 @@ class Result:
         """The ledger by name, each (n,), J."""
         return {name: np.asarray(self.samples[name]) for name in ENERGIES}
 
+    @cached_property
+    def statuses(self) -> list[CaptureStatus]:
+        """The detector's view at ``run.rate``, the final verdict last.
+
+        With motion capture: of every pose that it sees.
+        """
+        return _judge(self.scene, self.watched, cut=bool(self.failure))
+
     @property
     def verdict(self) -> CaptureState:
         """The detector's last word."""
@@ -117,11 +144,62 @@ class Result:
             self.scene, self.samples, self.touches, self.events, self.verdict.label, self.wall_time
         )
 
+    def __repr__(self) -> str:
+        end = self.events[-1].t
+        peak = self.touches["peak_force"].max(initial=0.0)
+        text = (
+            f"{self.scene.name}: {self.verdict.label} after {end:.6g} s, "
+            f"{self.touches.size} touches, peak {peak:.1f} N, {self.samples.size} samples"
+        )
+        return f"Result({text}{'; ' + self.failure if self.failure else ''})"
+
+    def _repr_html_(self) -> str:
+        """The summary as a table, for a notebook."""
+        head = f"<caption>{html.escape(self.scene.title)}</caption>"
+        rows = (
+            f"<tr><th>{' '.join(filter(None, (group, name)))}</th><td>{html.escape(cell)}</td>"
+            f"<td>{unit}</td></tr>"
+            for (group, name, unit), cell in zip(heads(), *rows_of([self.summary]), strict=True)
+        )
+        return f"<table>{head}{''.join(rows)}</table>"
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the samples as a table of pandas: a row for each, a column for each number.
+
+        Columns of more than one number carry what it belongs to, as ``q.x_S``, ``v.theta_P``,
+        ``penetration.+y``; units as in msg/BenchState.msg.
+
+        Raises
+        ------
+        MissingPackageError
+            pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingPackageError(
+                "to_dataframe() needs pandas: pip install 'capture_sim[study]'"
+            ) from None
+        return pandas.DataFrame(columns_of(self.samples))
+
+    def plot(self) -> Any:
+        """Return a figure (matplotlib) of the run: see :func:`capture_sim.plot`.
+
+        Raises
+        ------
+        MissingPackageError
+            matplotlib is not installed.
+        """
+        # looked up by name, as pandas looks up its plotting backend: drawing stands above
+        return importlib.import_module("capture_sim").plot(self)
+
 
 def simulate(
-    scene: Scene,
+    scene: Scene | str | Path,
+    overrides: Overrides = (),
+    *,
     t_end: float | None = None,
-    t_eval: np.ndarray | None = None,
+    t_eval: ArrayLike | None = None,
     rtol: float | None = None,
     check: bool = False,
     trace: bool = False,
@@ -131,15 +209,18 @@ def simulate(
     Parameters
     ----------
     scene
-        From :func:`capture_sim.load_scene`.
+        From :func:`capture_sim.load_scene`, or what that takes: a name or a path.
+    overrides
+        As for :func:`capture_sim.load_scene`: ``{"buffer.c_A": 20}`` or ``["buffer.c_A=20"]``.
     t_end
         s; None takes ``scene.run.t_end``.
     t_eval
-        (n,) ascending sample times, s; None takes the grid of ``scene.run.state_rate``.
+        (n,) sample times, s: finite, ascending, from 0 to ``t_end``; None takes the grid of
+        ``scene.run.state_rate``.  After the run's own end (behind a latch) there are no samples.
     rtol
         None takes ``scene.run.rtol``.
     check
-        Run a second time, finer (see :class:`Check`), and tell how far the two agree.
+        Run a second time, finer (see :class:`Check`), and say how far the two agree.
     trace
         Keep the contact at the integrator's own resolution, as with ``scene.run.trace``.
 
@@ -150,11 +231,15 @@ def simulate(
     Raises
     ------
     SceneError
-        If a value is out of its range.
+        If a value is out of its range, or the samples need more than :data:`MOST_MEMORY`.
     SimulationError
         If the integration has to stop; names time, phase and cause, and holds the run up to
         there in ``result``.
     """
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene, overrides)
+    elif overrides:
+        scene = change_scene(scene, overrides)
     run = scene.run
     if t_end is not None:
         run = dataclasses.replace(run, t_end=t_end)
@@ -163,26 +248,26 @@ def simulate(
     if trace:
         run = dataclasses.replace(run, trace=True)
     scene = dataclasses.replace(scene, run=run)
+    bench = Bench(scene)
+    wanted = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
+    _check_memory(run, 0 if wanted is None else wanted.size)
     compile_kernels()
     began = time.perf_counter()
-    bench = Bench(scene)
     grid = times = bench.times(0, math.floor(run.t_end * run.state_rate) + 2)
-    if t_eval is not None:
-        wanted = check_times(t_eval, t_end=run.t_end)
+    if wanted is not None:
         times = np.union1d(grid, wanted)
     pieces = list(drive(bench, times))
     failure = pieces[-1].failure
-    samples = np.concatenate([piece.samples for piece in pieces])
-    statuses = _judge(
-        scene, samples if t_eval is None else _at(samples, grid), cut=failure is not None
-    )
+    samples = pieces[0].samples
+    if len(pieces) > 1:
+        samples = np.concatenate([piece.samples for piece in pieces])
     result = Result(
         scene=scene,
         plan=bench.plan,
-        samples=samples if t_eval is None else _at(samples, wanted),
+        samples=samples if wanted is None else _at(samples, wanted),
         touches=bench.touches,
         events=bench.events,
-        statuses=statuses,
+        watched=samples if wanted is None else _at(samples, grid),
         statistics=bench.statistics,
         wall_time=time.perf_counter() - began,
         failure="" if failure is None else str(failure),
@@ -193,8 +278,29 @@ def simulate(
         raise failure
     if not check:
         return result
-    finer = simulate(_finer(scene), t_eval=result.t)
+    try:
+        finer = simulate(_finer(scene), t_eval=result.t)
+    except SimulationError as error:
+        if error.result is None:
+            raise
+        finer = error.result
     return dataclasses.replace(result, check=_compare(result, finer))
+
+
+#: Most memory that the samples of one run may take, bytes.
+MOST_MEMORY = 4_000_000_000
+
+
+def _check_memory(run: Run, beside: int) -> None:
+    """Refuse a run whose samples, on the grid and beside it, would fill the memory."""
+    count = run.t_end * run.state_rate + beside
+    # once as they are computed, once in a row
+    needed = 2.0 * count * SAMPLE.itemsize
+    if needed > MOST_MEMORY:
+        raise SceneError(
+            f"run.t_end = {run.t_end:g} s at run.state_rate = {run.state_rate:g} Hz: {count:.3g} "
+            f"samples need {needed / 1e9:.3g} GB of memory: allowed are {MOST_MEMORY / 1e9:g} GB"
+        )
 
 
 #: Smallest tolerance that rounding leaves room for.
@@ -224,7 +330,7 @@ def _compare(coarse: Result, fine: Result) -> Check:
     worst = np.maximum.accumulate(difference.max(axis=1, initial=0.0))
     error = np.full(coarse.t.size, np.inf)
     error[:n] = worst
-    return Check(error, _touch_sequence(coarse) == _touch_sequence(fine))
+    return Check(error, _touch_sequence(coarse) == _touch_sequence(fine), fine.failure)
 
 
 def _touch_sequence(result: Result) -> list[tuple[str, int]]:

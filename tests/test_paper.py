@@ -103,16 +103,6 @@ def test_mirrored_experiment_gives_the_mirrored_run():
     assert left.summary["peak_force"] == pytest.approx(right.summary["peak_force"], rel=1e-5)
 
 
-def test_first_cluster_ends_after_fifty_milliseconds():
-    from capture_sim.samples import TOUCH
-
-    touches = np.zeros(4, TOUCH)
-    touches["start"] = [0.0, 0.04, 0.2, 0.26]
-    touches["end"] = [0.01, 0.16, 0.21, 0.27]
-    assert first_cluster(touches).size == 3
-    assert first_cluster(touches[:0]).size == 0
-
-
 def test_table_has_a_row_for_each_run(runs):
     text = table([run.summary for run in runs.values()])
     lines = text.splitlines()

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 from capture_sim.errors import SceneError
 from capture_sim.model.geometry import travel_to_wall
+from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
 
 #: A first touch may always be late by this much, s.
@@ -197,7 +197,7 @@ def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     return math.sqrt(max(left, 0.0))
 
 
-class LauncherPhase(IntEnum):
+class LauncherPhase(Named):
     """State of the launcher, as in msg/LauncherState.msg."""
 
     IDLE = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from capture_sim.bench import Bench
 from capture_sim.errors import SimulationError
 from capture_sim.kernels import plain
-from capture_sim.results import CLUSTER_GAP, first_cluster
-from capture_sim.samples import Event, EventKind
+from capture_sim.results import first_cluster, first_contact_end
+from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.solver.roots import cubic_minimum
 
@@ -54,7 +53,7 @@ class FirstContact:
 def run_first_contact(scene: Scene) -> FirstContact:
     """Run a scene until its first contact is over.
 
-    It is over when no touch follows within 50 ms, or with the run.
+    It is over as :func:`capture_sim.results.first_cluster` has it, or with the run.
 
     Raises
     ------
@@ -72,7 +71,7 @@ def run_first_contact(scene: Scene) -> FirstContact:
         except SimulationError as error:
             pieces.append(error.partial)
             failure = str(error)
-        end = _end(bench.events, t)
+        end = first_contact_end(bench.events, t)
     samples = np.concatenate(pieces)
     began = next((e.t for e in bench.events if e.kind is EventKind.TOUCH), None)
     if began is None or samples.size == 0:
@@ -92,20 +91,6 @@ def run_first_contact(scene: Scene) -> FirstContact:
         touches=int(touches.size),
         failure=failure,
     )
-
-
-def _end(events: Sequence[Event], now: float) -> float | None:
-    """Return when the first contact ended, s; None if it has not, as far as ``now`` tells."""
-    on, free_since = 0, math.inf
-    for event in events:
-        if event.kind is EventKind.TOUCH:
-            if event.t - free_since > CLUSTER_GAP:
-                return free_since
-            on, free_since = on + 1, math.inf
-        elif event.kind is EventKind.LIFT_OFF:
-            on -= 1
-            free_since = event.t if on == 0 else math.inf
-    return free_since if now - free_since > CLUSTER_GAP else None
 
 
 def largest(t: np.ndarray, values: np.ndarray, rates: np.ndarray) -> float:

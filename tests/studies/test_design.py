@@ -116,7 +116,7 @@ def test_target_strokes_are_met(paper, damped):
 
 
 def test_a_stroke_longer_than_the_approach_has_energy_for_is_refused(paper):
-    found = design_buffer(paper, DesignTarget(0.1, 2e-3))
+    found = design_buffer(paper, DesignTarget(0.2, 2e-3))
     assert not found.met
     assert found.refusal.startswith("no springs give")
     strokes = [
@@ -124,7 +124,7 @@ def test_a_stroke_longer_than_the_approach_has_energy_for_is_refused(paper):
         for k_A in np.geomspace(20.0, 5000.0, 12)
         for k_T in np.geomspace(5.0, 2e4, 6)
     ]
-    assert max(strokes) < 0.1
+    assert max(strokes) < 0.2
 
 
 def test_too_short_a_stroke_is_refused_as_no_damper_captures(paper):

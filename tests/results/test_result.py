@@ -1,0 +1,94 @@
+"""What simulate() takes and hands out, as one meets it in a notebook."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+import capture_sim
+from capture_sim import MissingPackageError, SceneError, SimulationError, load_scene, simulate
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
+
+
+def test_a_name_and_overrides_are_the_loaded_scene(run):
+    listed = simulate(load_scene("paper_designed"), ["buffer.c_A=20"], t_end=0.5)
+    assert run.scene.buffer.c_A == 20.0
+    assert run.scene.title == load_scene("paper_designed", {"buffer.c_A": 20}).title
+    assert listed.samples.tobytes() == run.samples.tobytes()
+    changes = {"latch": None, "friction.law": "coulomb", "contact.tip": {"E": np.float64(7e10)}}
+    changed = load_scene("tilt_0", changes)
+    assert changed.latch is None
+    assert changed.friction.law == "coulomb"
+    assert (changed.contact.tip.E, changed.contact.tip.nu) == (7e10, 0.3)
+
+
+def test_a_result_is_shown_in_a_line_and_in_a_table(run):
+    assert repr(run) == (
+        "Result(paper_designed: stuck after 0.5 s, 6 touches, peak 131.6 N, 501 samples)"
+    )
+    page = run._repr_html_()
+    assert page.startswith("<table>")
+    assert len(page) < 3000
+    assert f"{run.summary['impact_speed']:.4f}" in page
+
+
+def test_text_of_a_scene_is_escaped_in_the_table():
+    title = {"title": "<script>alert(1)</script>"}
+    assert "<script>" not in simulate("paper_designed", title, t_end=0.01)._repr_html_()
+
+
+def test_a_dataframe_has_a_named_column_for_every_number(run):
+    frame = run.to_dataframe()
+    numbers = sum(int(np.prod(run.samples.dtype[name].shape)) for name in run.samples.dtype.names)
+    assert frame.shape == (501, numbers)
+    assert np.array_equal(frame["q.theta_P"], run.q[:, 3])
+    assert np.array_equal(frame["penetration.-y"], run.samples["penetration"][:, 1])
+    assert np.array_equal(frame["contact_force.y"], run.samples["contact_force"][:, 1])
+
+
+@pytest.mark.parametrize("package, method", [("pandas", "to_dataframe"), ("matplotlib", "plot")])
+def test_a_missing_package_is_named_in_one_line(run, monkeypatch, package, method):
+    for name in [n for n in sys.modules if n.startswith((package, "capture_sim.viewing"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingPackageError, match=rf"{package}: pip install 'capture_sim\["):
+        getattr(run, method)()
+
+
+def test_enumerations_print_their_name(run):
+    assert [str(event.kind) for event in run.events[:2]] == ["release", "touch"]
+    assert f"{capture_sim.Phase.FREE}" == "free"
+
+
+def test_public_names_are_all_there():
+    assert set(capture_sim.__all__) <= set(dir(capture_sim))
+    for name in capture_sim.__all__:
+        assert getattr(capture_sim, name) is not None
+    with pytest.raises(AttributeError):
+        importlib.import_module("capture_sim").nothing  # noqa: B018
+
+
+def test_a_run_that_would_fill_the_memory_is_refused_before_it_starts():
+    with pytest.raises(
+        SceneError, match=r"run.t_end = 20000 s at .* GB of memory: allowed are 4 GB"
+    ):
+        simulate("tilt_0", {"run.t_end": 20000})
+
+
+def test_a_finished_run_is_kept_where_the_finer_one_fails():
+    """The steps that suffice for the run do not for the finer one."""
+    steps = simulate("paper_designed").statistics.steps
+    with pytest.raises(SimulationError):
+        simulate("paper_designed", {"run.max_steps": steps, "run.rtol": 1e-10})
+    run = simulate("paper_designed", {"run.max_steps": steps + 1}, check=True)
+    assert "max_steps" in run.check.failure
+    assert run.verdict.label == "captured"
+    known = np.isfinite(run.check.error)
+    assert run.t[known][-1] == pytest.approx(0.938, abs=1e-3), "where the finer run stops"
+    assert run.check.error[100] < 1e-8
+    assert np.all(run.check.error[~known] == np.inf)
