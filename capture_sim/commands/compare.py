@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import not_negative, open_run, prepare_folder
-from capture_sim.commands.output import say
+from capture_sim.commands.output import say, say_table
 from capture_sim.errors import RecordingError
 from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
 from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
@@ -71,8 +71,11 @@ def run(options: argparse.Namespace) -> int:
             else ":"
         )
     )
-    for gap in gaps(*measured, a.contact, b.contact, options.window):
-        _say_gap(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
+    rows = [
+        _gap_row(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
+        for gap in gaps(*measured, a.contact, b.contact, options.window)
+    ]
+    say_table(["", "rms", "largest", "at s", "from"], rows)
     try:
         from capture_sim.viewing.comparison import save_comparison
     except ImportError as error:
@@ -120,39 +123,36 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     return float(ended)
 
 
-def _say_gap(gap: Gap, over: float, source: str) -> None:
-    """Print by how much a measured number differs over time."""
+def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
+    """Return by how much a measured number differs over time, as a row of the table."""
     unit, factor = gap.part.unit, gap.part.factor
     name = f"{gap.series}.{gap.part.label}".rstrip(".")
-    if gap.largest == 0.0:
-        text = f"{IDENTICAL:56}"
-    else:
-        text = (
-            f"rms {gap.rms * factor:9.4f} {unit:4} largest {gap.largest * factor:+9.4f} {unit:4} "
-            f"at {gap.at:.3f} s  "
-        )
     whole = gap.begin < 0.02 * over and gap.end > 0.98 * over
-    say(f"  {name:13} {text}{source}" + ("" if whole else f", {gap.begin:.4g} to {gap.end:.4g} s"))
+    note = source + ("" if whole else f", {gap.begin:.4g} to {gap.end:.4g} s")
+    if gap.largest == 0.0:
+        return [f"{name} {unit}", IDENTICAL, "", "", note]
+    rms, largest = f"{gap.rms * factor:.4f}", f"{gap.largest * factor:+.4f}"
+    return [f"{name} {unit}", rms, largest, f"{gap.at:.3f}", note]
 
 
 def _say_characteristics(a: Comparable, b: Comparable) -> None:
-
     sampled = a.touches is None or b.touches is None
     mine, theirs = (characteristics(of, sampled=sampled) for of in (a, b))
-    say(f"{'':31} {'A':>10} {'B':>10} {'B - A':>10} {'%':>8}  from")
+    rows = []
     for name in [*mine, *(name for name in theirs if name not in mine)]:
         here, there = mine.get(name), theirs.get(name)
         form = ".0f" if name == "touches" else ".4f"
         cells = ["-" if x is None else f"{x.value:{form}}" for x in (here, there)]
         gap = share = "-"
         if here is not None and there is not None:
-            gap, share = f"{there.value - here.value:+.4f}", "-"
+            gap = f"{there.value - here.value:+.4f}"
             if there.value == here.value:
                 gap = IDENTICAL
             elif here.value:
                 share = f"{(there.value - here.value) / here.value:+.2%}"
         source = _source(*("" if x is None else x.source for x in (here, there)))
-        say(f"{name:31} {cells[0]:>10} {cells[1]:>10} {gap:>10} {share:>8}  {source}")
+        rows.append([name, *cells, gap, share, source])
+    say_table(["", "A", "B", "B - A", "%", "from"], rows)
 
 
 def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
@@ -170,30 +170,37 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
         f"\ntouches within {window:g} s, paired in their order, by "
         f"{_source(a.touch_source, b.touch_source)}; +- the wall:"
     )
-    say(f"{'':8} {'start, ms':^28} {'peak, N':^24} {'lasts, ms':^15} {'impulse, mN s':^24}")
-    numbers = f"{'A':>8} {'B':>8} {'%':>6}"
-    say(f"{'':4}{'A B':4} {'A':>9} {'B':>9} {'B - A':>8} {numbers} {'A':>7} {'B':>7} {numbers}")
-    rows = max(len(mine.start), len(theirs.start))
-    for i in range(min(rows, SHOWN)):
+    count = max(len(mine.start), len(theirs.start))
+    rows = []
+    for i in range(min(count, SHOWN)):
         here, there = (_Row.of(table, i) for table in tables)
-        say(
-            f"{i + 1:3} {here.wall:1} {there.wall:2} "
-            f"{_number(here.start, 9, 3)} {_number(there.start, 9, 3)} "
-            f"{_number(there.start - here.start, 8, 3, '+')} "
-            f"{_number(here.peak, 8, 2)} {_number(there.peak, 8, 2)} "
-            f"{_percent(here.peak, there.peak)} "
-            f"{_number(here.lasted, 7, 3)} {_number(there.lasted, 7, 3)} "
-            f"{_number(here.impulse, 8, 3)} {_number(there.impulse, 8, 3)} "
-            f"{_percent(here.impulse, there.impulse)}"
+        rows.append(
+            [
+                f"{i + 1}",
+                f"{here.wall} {there.wall}",
+                _number(here.start, 3),
+                _number(there.start, 3),
+                _number(there.start - here.start, 3, "+"),
+                _number(here.peak, 2),
+                _number(there.peak, 2),
+                _percent(here.peak, there.peak),
+                _number(here.lasted, 3),
+                _number(there.lasted, 3),
+                _number(here.impulse, 3),
+                _number(there.impulse, 3),
+                _percent(here.impulse, there.impulse),
+            ]
         )
-    if rows > SHOWN:
-        say(f"    and {rows - SHOWN} more in the diagram")
+    head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
+    say_table([*head, "impulse A, mN s", "B", "%"], rows)
+    if count > SHOWN:
+        say(f"    and {count - SHOWN} more in the diagram")
     for label, table in zip("AB", tables, strict=True):
         if table.start.size:
             impulse = float(table.impulse.sum())
-            count = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
+            number = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
             say(
-                f"  {label}: {count}, largest {table.peak.max():.2f} N"
+                f"  {label}: {number}, largest {table.peak.max():.2f} N"
                 + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
             )
 
@@ -220,13 +227,13 @@ class _Row(NamedTuple):
         )
 
 
-def _number(value: float, width: int, digits: int, sign: str = "") -> str:
-    return f"{value:{sign}{width}.{digits}f}" if math.isfinite(value) else f"{'-':>{width}}"
+def _number(value: float, digits: int, sign: str = "") -> str:
+    return f"{value:{sign}.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _percent(mine: float, theirs: float) -> str:
     share = (theirs - mine) / mine if mine else math.nan
-    return f"{share:+6.1%}" if math.isfinite(share) else f"{'-':>6}"
+    return f"{share:+.1%}" if math.isfinite(share) else "-"
 
 
 def _source(mine: str, theirs: str) -> str:

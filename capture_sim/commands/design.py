@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_overrides, load, prepare_folder
-from capture_sim.commands.output import say
-from capture_sim.errors import RecordingError, SceneError
+from capture_sim.commands.inputs import add_overrides, in_unit, load, prepare_folder, quantity
+from capture_sim.commands.output import say, write_json, write_text
+from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.capture_margin import Spread
 from capture_sim.studies.design import (
@@ -36,17 +35,28 @@ EXAMPLE = "  capture-sim design paper_designed --stroke 7.5 --torsion 2"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "scene", nargs="?", default="paper_designed", help="default: paper_designed"
+        "scene",
+        nargs="?",
+        default="paper_designed",
+        metavar="SCENE",
+        help="default: paper_designed",
     )
-    parser.add_argument("--stroke", type=float, metavar="MM", help="axial stroke, mm")
-    parser.add_argument("--torsion", type=float, metavar="MRAD", help="torsional stroke, mrad")
+    parser.add_argument(
+        "--stroke", type=in_unit("mm"), metavar="MM", help="axial stroke, mm or with a unit"
+    )
+    parser.add_argument(
+        "--torsion",
+        type=in_unit("mrad"),
+        metavar="MRAD",
+        help="torsional stroke, mrad or with a unit, as '0.2 deg'",
+    )
     parser.add_argument(
         "--damped",
         action="store_true",
         help="the strokes are those with the damper in (the paper's are without)",
     )
     parser.add_argument(
-        "--peak-force", type=float, metavar="N", help="most that a touch may push with, N"
+        "--peak-force", type=in_unit("N"), metavar="N", help="most that a touch may push with, N"
     )
     parser.add_argument(
         "--spread",
@@ -97,30 +107,27 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> DesignTarget:
-
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):
         raise SceneError("--stroke (mm), --torsion (mrad): allowed is both or none")
     if stroke is None:
         b = scene.buffer
         own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))
-        stroke, torsion = own.axial_stroke * 1e3, own.torsion * 1e3
-    return DesignTarget(stroke * 1e-3, torsion * 1e-3, options.damped, options.peak_force, spread)
+        stroke, torsion = own.axial_stroke, own.torsion
+    return DesignTarget(stroke, torsion, options.damped, options.peak_force, spread)
 
 
 def _spread(text: str | None) -> Spread | None:
-
     if text is None:
         return None
     try:
-        speed, offset, angle = (float(part) for part in text.split(","))
+        speed, offset, angle = text.split(",")
+        return Spread(quantity(speed, "%"), quantity(offset, "mm"), quantity(angle, "deg"))
     except ValueError:
         raise SceneError(f"--spread {text}: allowed is %,mm,deg, as 10,2,1") from None
-    return Spread(speed / 100.0, offset * 1e-3, math.radians(angle))
 
 
 def _factors(text: str | None) -> list[float]:
-
     if text is None:
         return []
     try:
@@ -136,7 +143,6 @@ def _factors(text: str | None) -> list[float]:
 
 
 def _say_trial(trial: Trial) -> None:
-
     buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
     if trial.step == 5:
         strokes = f"{trial.axial_stroke * 1e3:.4f} mm  {trial.torsion * 1e3:.4f} mrad"
@@ -147,7 +153,6 @@ def _say_trial(trial: Trial) -> None:
 
 
 def _report(design: Design) -> None:
-
     say("")
     if not design.met:
         say(f"no buffer meets the target: {design.refusal}")
@@ -202,13 +207,7 @@ def _keep(design: Design, folder: Path) -> None:
     kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
     kept["target"] = dataclasses.asdict(design.target)
     kept["history"] = [plain(trial) for trial in design.history]
-    try:
-        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
-        (folder / "design.json").write_text(text, encoding="utf-8")
-        say(f"every run in {folder / 'design.json'}")
-        if design.met and design.scene is not None:
-            scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")
-            (folder / "design.yaml").write_text(scene.to_yaml(), encoding="utf-8")
-            say(f"scene in {folder / 'design.yaml'}")
-    except OSError as error:
-        raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from None
+    say(f"every run in {write_json(folder / 'design.json', kept)}")
+    if design.met and design.scene is not None:
+        scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")
+        say(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")

@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import prepare_folder
-from capture_sim.commands.output import say
-from capture_sim.errors import MissingPackageError, RecordingError, SceneError
-
-if TYPE_CHECKING:
-    from capture_sim.studies.paper import Claim, Evidence, Scan
+from capture_sim.commands.inputs import add_workers, prepare_folder
+from capture_sim.commands.output import say, write_text
+from capture_sim.errors import SceneError
+from capture_sim.studies.executors import default_workers, open_executor
+from capture_sim.studies.paper import CASES, OPEN, Claim, Evidence, Scan, claims
+from capture_sim.viewing.canvas import save
+from capture_sim.viewing.paper_figures import FIGURES
 
 DESCRIPTION = (
     "Run the paper's numerical section and its experiments, in about a minute; write a page with "
@@ -96,25 +96,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only", metavar="FIGURE", help="draw one figure, as figure_6, into the folder"
     )
-    parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes (default: one per core)"
-    )
+    add_workers(parser, scheduler=False)
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    from capture_sim.studies.executors import default_workers, open_executor
-    from capture_sim.studies.paper import Evidence, claims
-
-    try:
-        from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.paper_figures import FIGURES
-    except ImportError as error:
-        raise MissingPackageError(f"the figures cannot be drawn: {error}") from None
     if options.only is not None and options.only not in FIGURES:
         raise SceneError(f"--only {options.only}: allowed are {', '.join(FIGURES)}")
-    if not 0 <= options.workers <= 1024:
-        raise SceneError(f"--workers {options.workers}: allowed is >= 1 and <= 1024")
     folder = options.out / NAME
     prepare_folder(folder)
     compile_first()
@@ -131,19 +119,13 @@ def run(options: argparse.Namespace) -> int:
     say("")
     say(terminal_table(found))
     say("")
-    target = options.out / f"{NAME}.md"
-    try:
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror}") from None
+    target = write_text(options.out / f"{NAME}.md", text)
     say(f"page in {target}, figures in {folder}")
     return OK
 
 
 def page(claims: Sequence[Claim], evidence: Evidence, titles: dict[str, str]) -> str:
     """Return the page as Markdown; ``titles`` of the figures by name."""
-    from capture_sim.studies.paper import CASES, OPEN
-
     agreed = [claim.agrees for claim in claims]
     names = [case.removeprefix("paper_") for case in CASES]
     together = evidence.together

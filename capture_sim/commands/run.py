@@ -30,6 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     scenes = load_all(options.experiments, options.overrides)
+    if not options.no_record:
+        # loaded here: to import it takes longer than a run without
+        from capture_sim.recording.offline import write_run
     prepare_folder(options.out)
     compile_first()
     results: list[Result] = []
@@ -46,9 +49,6 @@ def run(options: argparse.Namespace) -> int:
             result = error.result
         results.append(result)
         if not options.no_record:
-            # loaded here: writing recordings takes longer to import than a run without takes
-            from capture_sim.recording.offline import write_run
-
             path = write_run(result, options.out / f"{scene.name}.mcap")
             recordings.append(path.stem)
             say(f"{scene.name}: recorded in {path}")

@@ -1,0 +1,174 @@
+"""Whatever is written behind a command: a documented status, a line or three, nothing elsewhere.
+
+The arguments are drawn by hypothesis with a fixed seed: from each command's own options, with
+values that fit none of them.  ``CAPTURE_SIM_EXAMPLES=2000`` tries that many in place of 25 for
+each command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from capture_sim.cli import main
+from capture_sim.commands import BAD_INPUT, COMMANDS, GROUPS
+
+EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "25"))
+#: Values that no option and no argument takes.
+WRONG = st.sampled_from(
+    [
+        *("", " ", "nan", "-inf", "1e400", "9" * 401, "9" * 5000, "0x1", "1_0", "½", "None"),
+        *("\x00", "\ud800", "\n", "\x1b[31m", "%s", "-", "--", "a" * 300),
+        *("../../elsewhere", "/dev/full", "/nowhere/x.mcap"),
+        *("5 deg:", ":::", "1,2,3,4", "[1, 2", "{a: [", "!!python/object:os.system x"),
+    ]
+)
+#: Scenes and recordings that are not.
+NOT_THERE = ["nosuch", "nosuch.mcap", "/", "/dev/null", "/dev/zero", "a" * 5000, "\x00.mcap"]
+
+
+def options_of(command: str) -> list[argparse.Action]:
+    """Return what a command takes, but for its positional arguments."""
+    parser = argparse.ArgumentParser(add_help=False)
+    import_module(f"capture_sim.commands.{command}").add_arguments(parser)
+    return [action for action in parser._actions if action.option_strings]
+
+
+def lines(command: str) -> st.SearchStrategy[list[str]]:
+    """Return arguments of a command of which one at least is wrong."""
+    taking = [a.option_strings[0] for a in options_of(command) if a.nargs != 0]
+    wrong_value = st.tuples(st.sampled_from(taking or ["--no-such"]), WRONG)
+    unknown = st.sampled_from([["--no-such"], ["--out"], ["--set", "a.b=1"], ["--set", "x"]])
+    options = st.lists(st.one_of(wrong_value.map(list), unknown), max_size=3)
+    return st.tuples(st.lists(st.sampled_from(NOT_THERE), min_size=1, max_size=3), options).map(
+        lambda parts: [*parts[0], *(word for option in parts[1] for word in option)]
+    )
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "scenes"])
+def test_wrong_arguments_end_in_a_line(command, tmp_path, capfd, monkeypatch):
+    pytest.importorskip("rclpy" if command in ("bench", "replay") else "numpy")
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    monkeypatch.chdir(inside)
+
+    @settings(
+        max_examples=EXAMPLES,
+        derandomize=True,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(lines(command))
+    def try_one(arguments: list[str]) -> None:
+        status = main([command, *arguments])
+        said = capfd.readouterr().err
+        assert status == BAD_INPUT, (arguments, said)
+        assert 1 <= said.count("\n") <= 3, (arguments, said)
+        assert "Traceback" not in said
+        assert "\x1b" not in said
+        assert len(said) < 3000
+
+    try_one()
+    assert [path.name for path in tmp_path.iterdir()] == ["inside"]
+    left = [path for path in inside.rglob("*") if path.is_file()]
+    assert left == []
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["sensitivity", "--seed", "nan"], "whole number"),
+        (["sensitivity", "--seed", "-1"], "whole number"),
+        (["sensitivity", "--samples", "9" * 5000], "whole number"),
+        (["design", "--stroke", "inf", "--torsion", "2"], "in mm"),
+        (["design", "--stroke", "5 deg", "--torsion", "2"], "in mm"),
+        (["design", "--spread", "1,2,nan"], "%,mm,deg"),
+        (["envelope", "--angle", "-5 mm:5 mm:3"], "in deg"),
+        (["view", "tilt_0", "--window", "nan", "1"], "a number"),
+        (["resimulate", "x.mcap", "--tolerance", "nan"], "a number >= 0"),
+        (["identify", "x.mcap", "mu", "--starts", "0x10"], "whole number"),
+    ],
+)
+def test_a_number_that_is_none_is_refused_with_its_range(arguments, said, capsys):
+    assert main(arguments) == 2
+    answer = capsys.readouterr().err
+    assert said in answer
+    assert answer.count("\n") == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        ["run", "--help"],
+        ["scenes"],
+        ["show", "tilt_0"],
+        ["run", "paper_designed", "--no-record"],
+        ["run", "nosuch"],
+    ],
+)
+@pytest.mark.parametrize("buffered", [True, False])
+def test_a_full_device_is_a_line(arguments, buffered, tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    if not buffered:
+        environment["PYTHONUNBUFFERED"] = "1"
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "capture_sim.cli", *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=tmp_path,
+        )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("capture-sim: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path):
+    command = f"{sys.executable} -m capture_sim.cli scenes | true"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stderr == ""
+
+
+def test_help_lists_every_command_in_its_group_with_an_example(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for group, commands in GROUPS.items():
+        assert f"\n{group}:\n" in text
+        for name, line in commands.items():
+            assert f"  {name}" in text
+            assert line in text
+    for name in COMMANDS:
+        assert import_module(f"capture_sim.commands.{name}").EXAMPLE.startswith(
+            f"  capture-sim {name}"
+        )
+
+
+def test_help_loads_no_library():
+    script = (
+        "import sys\nfrom capture_sim.cli import main\nmain(['--help'])\n"
+        "print([m for m in ('numpy', 'numba', 'rich', 'yaml') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.endswith("[]\n"), done.stdout[-200:]
+
+
+def test_results_without_recordings_do_not_lie_beside_older_ones(tmp_path, capsys):
+    command = ["run", "paper_designed", "--out", str(tmp_path)]
+    assert main(command) == 0
+    made = {path.name for path in tmp_path.iterdir()}
+    assert {"paper_designed.mcap", "paper_designed.png"} <= made
+    assert main([*command, "--no-record", "--set", "buffer.c_A=30"]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"results.json", "results.txt"}
+    assert "removed" in capsys.readouterr().out
