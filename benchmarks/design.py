@@ -34,7 +34,8 @@ from capture_sim.studies.design import (
     with_buffer,
 )
 from capture_sim.studies.first_contact import run_first_contact
-from capture_sim.viewing.design_plots import save_design, save_trade_off
+from capture_sim.viewing.canvas import save
+from capture_sim.viewing.studies import draw_design, draw_trade_off
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = DOCS / "design.md"
@@ -210,12 +211,12 @@ def paper_row() -> list[str]:
     assert design.scene is not None
     assert design.capturing is not None
     assert design.energy is not None
-    save_design(design, DOCS / "design" / "design.png")
+    save(draw_design(design), DOCS / "design" / "design.png")
     strokes = [
         design_buffer(scene, replace(design.target, axial_stroke=factor * own.axial_stroke))
         for factor in np.geomspace(0.3, 3.0, 9).tolist()
     ]
-    save_trade_off(strokes, DOCS / "design" / "trade_off.png")
+    save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
     b, low, high, energy = design.scene.buffer, *design.capturing, design.energy
     springs = sum(trial.step == 5 for trial in design.history)
     return [

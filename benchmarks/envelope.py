@@ -32,7 +32,8 @@ from capture_sim.recording.envelope_file import write_envelope
 from capture_sim.studies.envelope import ROW, Envelope, Plan, evaluate
 from capture_sim.studies.envelope_runs import map_envelope
 from capture_sim.studies.executors import InProcess, open_executor, ordered
-from capture_sim.viewing.envelope_map import save_envelope
+from capture_sim.viewing.canvas import save
+from capture_sim.viewing.studies import draw_envelope
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 ANGLE, OFFSET, SPEED = "-30:30:12", "-50:50:10", "0.05,0.1,0.2"
@@ -186,7 +187,7 @@ def main() -> None:
     print(f"killed with {kept} points kept, resumed", flush=True)
     envelope = two.envelope
     marks = [simulate(load_scene(name)) for name in ("tilt_0", "tilt_p10", "tilt_m10")]
-    save_envelope(envelope, DOCS / "envelope" / "map.png", marks)
+    save(draw_envelope(envelope, marks), DOCS / "envelope" / "map.png")
     (_, across), (_, up) = plan.plane
     grid = len(plan.slices) * ((across.cells << LEVELS) + 1) * ((up.cells << LEVELS) + 1)
     command = (

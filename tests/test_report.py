@@ -138,7 +138,7 @@ def test_altered_recording_is_not_said_to_be_reproduced(runs):
 def test_change_of_the_simulator_is_drawn_as_sampled(runs):
     import dataclasses
 
-    from capture_sim.viewing.resolving import resolved_or_not
+    from capture_sim.viewing.source import resolved_or_not
 
     assert len(resolved_or_not(runs[0]).samples) > len(runs[0].samples)
     altered = runs[0].touches.copy()

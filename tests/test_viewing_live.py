@@ -20,7 +20,7 @@ import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import Phase
-from capture_sim.viewing.geometry import tip_in_cone
+from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")
 

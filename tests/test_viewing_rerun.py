@@ -18,10 +18,9 @@ import capture_sim
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
-from capture_sim.viewing import palette
-from capture_sim.viewing.geometry import tip_in_cone
-from capture_sim.viewing.resolving import resolved
-from capture_sim.viewing.source import in_contact
+from capture_sim.viewing import style
+from capture_sim.viewing.shapes import tip_in_cone
+from capture_sim.viewing.source import in_contact, resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -271,7 +270,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
     viewer.set_time("since_first_touch", duration=SHOWN, play_state="paused")
     settle(viewer)
     lateral, opening, touching = [], [], []
-    for run, colour in zip(runs, palette.RUNS, strict=False):
+    for run, colour in zip(runs, style.RUNS, strict=False):
         name = run.scene.name
         bench = picture(
             viewer, next(v for t, v in by_title.items() if t.startswith(f"{name}: cap"))
@@ -280,12 +279,12 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         assert grey_area(bench) > 0.12 * bench.shape[0] * bench.shape[1]
         # the tip is drawn shaded: count by hue
         assert hue_area(bench, to_rgb(colour)) > 60
-        rows, columns = np.nonzero(hue_mask(bench, to_rgb(palette.SKY)))
+        rows, columns = np.nonzero(hue_mask(bench, to_rgb(style.SKY)))
         opening.append(rows.mean() / bench.shape[0])
         assert 0.4 < columns.mean() / bench.shape[1] < 0.8
         cone = picture(viewer, by_title[f"{name}: in the cone, mm"])
         touches = in_contact(run)[round((first_touch_of(run) + SHOWN) * 1000)]
-        shown = palette.rgb(colour) if touches else palette.light(palette.rgb(colour))
+        shown = style.rgb(colour) if touches else style.light(style.rgb(colour))
         mask = hue_mask(cone, np.array(shown) / 255)
         assert mask.sum() > 0.01 * mask.size
         lateral.append(np.nonzero(mask)[0].mean() / mask.shape[0])
@@ -300,13 +299,13 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
     for plot in PLOTS:
         diagram = picture(viewer, by_title[plot.title])
         hidden = 0
-        for colour in palette.RUNS[:3]:
+        for colour in style.RUNS[:3]:
             found = hue_area(diagram, to_rgb(colour))
             hidden += found < 40
         # without tension the curves lie over each other: the last one hides the others
         assert hidden == (2 if plot.entity == "string_tension" else 0), plot.title
     states = picture(viewer, by_title["phase and verdict"])
-    for colour in (palette.SKY, palette.VERMILION, palette.GREEN):
+    for colour in (style.SKY, style.VERMILION, style.GREEN):
         assert hue_area(states, to_rgb(colour)) > 300
 
 

@@ -16,7 +16,7 @@ from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
 from capture_sim.studies.touches import Touches
 
 if TYPE_CHECKING:
-    from capture_sim.viewing.comparison import Drawn
+    from capture_sim.viewing.studies import Drawn
 
 DESCRIPTION = (
     "Compare two recordings, as measured and simulated, aligned at their first "
@@ -77,13 +77,14 @@ def run(options: argparse.Namespace) -> int:
     ]
     say_table(["", "rms", "largest", "at s", "from"], rows)
     try:
-        from capture_sim.viewing.comparison import save_comparison
+        from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.studies import draw_comparison
     except ImportError as error:
         say(f"no diagram: {error}")
         return OK
     path = options.out / f"{a.run.name}_compared.png"
     drawn = [_drawn(of, label, options.window) for of, label in zip((a, b), labels, strict=True)]
-    say(f"diagram in {save_comparison(drawn, over, path)}")
+    say(f"diagram in {save(draw_comparison(drawn, over), path)}")
     return OK
 
 
@@ -243,7 +244,7 @@ def _source(mine: str, theirs: str) -> str:
 
 
 def _drawn(of: Comparable, label: str, window: float) -> Drawn:
-    from capture_sim.viewing.comparison import Drawn
+    from capture_sim.viewing.studies import Drawn
 
     touches = None if of.touches is None else of.touches.within(of.contact, window)
     shifted = of.measured(force=True).shifted(-of.contact)

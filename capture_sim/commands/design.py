@@ -96,11 +96,12 @@ def run(options: argparse.Namespace) -> int:
         designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
         say(_line(designs[-1]))
     try:
-        from capture_sim.viewing.design_plots import save_design, save_trade_off
+        from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.studies import draw_design, draw_trade_off
 
-        say(f"picture in {save_design(design, options.out / 'design.png')}")
+        say(f"picture in {save(draw_design(design), options.out / 'design.png')}")
         if designs:
-            say(f"trade-off in {save_trade_off(designs, options.out / 'trade_off.png')}")
+            say(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     except ImportError as error:
         say(f"no picture: {error}")
     return OK if design.met else FAILED

@@ -100,10 +100,12 @@ def run(options: argparse.Namespace) -> int:
     report(envelope)
     try:
         from capture_sim.simulation import simulate
-        from capture_sim.viewing.envelope_map import save_envelope
+        from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.studies import draw_envelope
 
         results = [simulate(scene) for scene in marks]
-        say(f"picture in {save_envelope(envelope, options.out.with_suffix('.png'), results)}")
+        path = options.out.with_suffix(".png")
+        say(f"picture in {save(draw_envelope(envelope, results), path)}")
     except ImportError as error:
         say(f"no picture: {error}")
     return OK

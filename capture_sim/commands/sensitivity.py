@@ -118,12 +118,13 @@ def run(options: argparse.Namespace) -> int:
     say(f"numbers in {kept}, page in {page}")
     try:
         # loaded here: without matplotlib there are numbers still
-        from capture_sim.viewing.tornado import save_indices, save_tornado
+        from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.studies import draw_indices, draw_tornado
 
-        say(f"tornado in {save_tornado(near, options.out / 'tornado.png')}")
+        say(f"tornado in {save(draw_tornado(near), options.out / 'tornado.png')}")
         if all_at_once is not None:
             path = options.out / f"{all_at_once.method}.png"
-            say(f"indices in {save_indices(all_at_once, path)}")
+            say(f"indices in {save(draw_indices(all_at_once), path)}")
     except ImportError as error:
         say(f"no picture: {error}")
     return OK

@@ -11,9 +11,8 @@ from capture_sim.commands.inputs import Opened, add_runs, number, open_runs, pre
 from capture_sim.commands.output import draw, say
 from capture_sim.errors import RecordingError
 from capture_sim.viewing.canvas import save_both
-from capture_sim.viewing.figures import FIGURES, OVER_TIME
-from capture_sim.viewing.resolving import cut, resolved, resolved_or_not
-from capture_sim.viewing.snapshots import snapshots
+from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
+from capture_sim.viewing.source import cut, resolved, resolved_or_not
 
 DESCRIPTION = (
     "Draw recorded runs: a picture of each, all side by side, and a recording for rerun. "

@@ -1,27 +1,25 @@
-"""Sheets to draw on, and how they are saved: no screen needed, the same file every time."""
+"""Sheets for matplotlib to draw on, and how they are saved: no screen needed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from capture_sim.errors import RecordingError
+from capture_sim.files import whole_file
+from capture_sim.viewing import style
+from capture_sim.viewing.shapes import Shape
 
-#: Of axes' labels, in points; chosen to be read when a figure is shown at half its size.
-FONT = 14.0
-#: Of everything else.
-SMALL = 12.5
-#: Pixels per inch of PNG files.
-DPI = 110
-
-# the same figure gives the same bytes; letters stay letters of a font that every system has
+# the same figure gives the same bytes; letters are drawn, so that they need no font
 _SAVING: Any = {"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}
 
 
@@ -32,12 +30,38 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def set_fonts(all_axes: Iterable[Axes], size: float = FONT) -> None:
+def set_fonts(all_axes: Iterable[Axes], size: float = style.FONT) -> None:
     """Give labels and numbers of axes their size, in points."""
     for axes in all_axes:
         axes.tick_params(labelsize=size - 1.5)
         axes.xaxis.label.set_fontsize(size)
         axes.yaxis.label.set_fontsize(size)
+
+
+def grid(axes: Axes, axis: Any = "both") -> None:
+    """Draw a light grid behind everything."""
+    axes.grid(axis=axis, color=style.LIGHT, lw=0.6)
+    axes.set_axisbelow(True)
+
+
+def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> None:
+    """Draw shapes, their coordinates times ``factor``."""
+    several = sorted(shapes, key=lambda shape: shape.order)
+    for order, group in itertools.groupby(several, key=lambda shape: shape.order):
+        same = list(group)
+        axes.add_collection(
+            PolyCollection(
+                [shape.points * factor for shape in same],
+                closed=False,
+                facecolors=[shape.fill or "none" for shape in same],
+                edgecolors=[shape.line or "none" for shape in same],
+                linewidths=[shape.width for shape in same],
+                linestyles=[style.FREE_LINE if shape.dashed else "solid" for shape in same],
+                capstyle="round",
+                zorder=order,
+            )
+        )
+    axes.autoscale_view()
 
 
 def save(figure: Figure, path: Path | str) -> Path:
@@ -53,15 +77,7 @@ def save(figure: Figure, path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    path = Path(path)
-    metadata = {"Date": None} if path.suffix == ".svg" else None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with mpl.rc_context(_SAVING):
-            figure.savefig(path, dpi=DPI, metadata=metadata)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
-    return path
+    return save_as(figure, [path])[0]
 
 
 def save_both(figure: Figure, stem: Path | str) -> list[Path]:
@@ -77,4 +93,28 @@ def save_both(figure: Figure, stem: Path | str) -> list[Path]:
     RecordingError
         A file cannot be written.
     """
-    return [save(figure, Path(f"{stem}{ending}")) for ending in (".svg", ".png")]
+    return save_as(figure, [f"{stem}{ending}" for ending in (".svg", ".png")])
+
+
+def save_as(figure: Figure, paths: Sequence[Path | str]) -> list[Path]:
+    """Save a figure under several names; it is laid out once.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be written.
+    """
+    for axes in figure.axes:
+        for artist in (*axes.lines, *axes.collections, *axes.patches):
+            artist.set_in_layout(False)  # within the axes: no need to measure them
+    done = []
+    for path in map(Path, paths):
+        metadata = {"Date": None} if path.suffix == ".svg" else None
+        try:
+            with whole_file(path) as part, mpl.rc_context(_SAVING):
+                figure.savefig(part, dpi=style.DPI, metadata=metadata)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+        figure.set_layout_engine("none")  # arranged by the first
+        done.append(path)
+    return done

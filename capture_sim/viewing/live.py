@@ -13,7 +13,7 @@ import rerun as rr
 
 from capture_sim.samples import Phase
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing import palette
+from capture_sim.viewing import style
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PlotLog, event_text
@@ -76,8 +76,8 @@ class LiveView:
         self._recording.connect_grpc(self.address, default_blueprint=layout)
         stream = RunStream(self._recording, name)
         self._stream = stream
-        self._bench = BenchLog(stream, scene, palette.BLUE)
-        self._plots = PlotLog(stream, palette.BLUE)
+        self._bench = BenchLog(stream, scene, style.BLUE)
+        self._plots = PlotLog(stream, style.BLUE)
         self._bench.shapes()
         self._plots.styles()
         stream.document(f"{name}/scene", f"# {name}, live\n\n```yaml\n{scene.to_yaml()}\n```\n")

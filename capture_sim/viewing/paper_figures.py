@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from capture_sim.studies.paper import CASES, DOCKING, Evidence, Scan
-from capture_sim.viewing import figures, palette
+from capture_sim.viewing import figures, style
 from capture_sim.viewing.canvas import new_figure
-from capture_sim.viewing.resolving import resolved
-from capture_sim.viewing.series import Trace
-from capture_sim.viewing.snapshots import snapshots
+from capture_sim.viewing.curves import Trace
+from capture_sim.viewing.figures import snapshots
+from capture_sim.viewing.source import resolved
 
 _COLUMNS = 3
 
@@ -103,13 +103,13 @@ def draw_assumptions(scans: Sequence[Scan]) -> Figure:
     marks = [
         Line2D([], [], ls="", marker=m, color=c, ms=9, label=t)
         for m, c, t in (
-            ("o", palette.GREEN, "captured, as the paper says"),
-            ("x", palette.GREEN, "captured, the paper says not"),
-            ("o", palette.ORANGE, "not captured, as the paper says"),
-            ("x", palette.ORANGE, "not captured, the paper says captured"),
+            ("o", style.GREEN, "captured, as the paper says"),
+            ("x", style.GREEN, "captured, the paper says not"),
+            ("o", style.GREY, "not captured, as the paper says"),
+            ("x", style.GREY, "not captured, the paper says captured"),
         )
     ]
-    marks.append(Line2D([], [], color=palette.GREY, lw=6, alpha=0.4, label="assumed here"))
+    marks.append(Line2D([], [], color=style.GREY, lw=6, alpha=0.4, label="assumed here"))
     figure.legend(handles=marks, loc="outside lower center", ncols=5, fontsize=13)
     return figure
 
@@ -120,7 +120,7 @@ def _draw_scan(axes: Axes, scan: Scan) -> None:
     x = np.arange(len(of.values)) if named else np.array(of.values) * of.factor
     for row, (case, says) in enumerate(CASES.items()):
         captured = np.array([point.captured for point in scan.points[case]])
-        for got, colour in ((True, palette.GREEN), (False, palette.ORANGE)):
+        for got, colour in ((True, style.GREEN), (False, style.GREY)):
             at = x[captured == got]
             mark = "o" if got == says else "x"
             axes.plot(at, np.full(at.size, row), mark, color=colour, ms=7, mew=2)
@@ -133,10 +133,10 @@ def _draw_scan(axes: Axes, scan: Scan) -> None:
         assumed = float(of.assumed) * of.factor
         if x.min() > 0.0 and x.max() / x.min() > 20.0:
             axes.set_xscale("log")
-    axes.axvline(assumed, color=palette.GREY, lw=6, alpha=0.4, zorder=0)
+    axes.axvline(assumed, color=style.GREY, lw=6, alpha=0.4, zorder=0)
     axes.set_yticks(range(len(CASES)), [case.removeprefix("paper_") for case in CASES])
     axes.set_ylim(len(CASES) - 0.5, -0.5)
     axes.set_title(of.name + (f"  [{of.unit}]" if of.unit else ""), fontsize=14)
     axes.tick_params(labelsize=11.5 if not named or len(x) <= 6 else 9)
     axes.tick_params(axis="y", labelsize=12)
-    axes.grid(axis="y", color=palette.LIGHT, lw=0.6)
+    axes.grid(axis="y", color=style.LIGHT, lw=0.6)

@@ -1,20 +1,21 @@
-"""Figures: one for each experiment, and several experiments side by side."""
+"""Pictures: one for each experiment, and several experiments side by side, a colour each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from capture_sim.samples import EventKind
-from capture_sim.viewing import palette
-from capture_sim.viewing.bench_drawing import draw_bench
-from capture_sim.viewing.canvas import new_figure, save, set_fonts
-from capture_sim.viewing.cone_drawing import (
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import grid, new_figure, save, set_fonts
+from capture_sim.viewing.drawing import (
     LETTERS,
+    draw_bench,
     draw_cone,
     draw_path,
     draw_tip,
@@ -35,7 +36,6 @@ from capture_sim.viewing.source import (
     verdict,
 )
 
-_MM = 1e3
 _FONT = 13.5
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
@@ -98,12 +98,13 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     force, stroke, torsion, distance = right.subplots(
         4, 1, sharex=True, height_ratios=[1.6, 1, 1, 1]
     )
-    _draw_bench(bench, run)
-    _draw_trajectory(cone, run)
-    _draw_force(force, run)
-    _draw_stroke(stroke, run)
-    _draw_torsion(torsion, run)
-    _draw_distance(distance, run)
+    seen = draw_bench(bench, run)
+    bench.set_title(f"From above, {seen}", fontsize=_FONT + 1)
+    _draw_trajectory(cone, run, style.BLUE)
+    _draw_force(force, run, style.BLUE)
+    _draw_buffer(stroke, run, style.STROKE, "Buffer, axial")
+    _draw_buffer(torsion, run, style.TORSION, "Buffer, torsion")
+    _draw_distance(distance, run, style.BLUE)
     _finish_time_axes(run, force, stroke, torsion, distance)
     set_fonts(figure.axes, _FONT)
     return figure
@@ -116,15 +117,17 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
     titles = [headline(run, label, _COLUMN) for run, label in zip(runs, labels, strict=True)]
     figure = new_figure(6.0 * len(runs), 14.0)
     rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
-    for (bench, cone, force, distance), run, title in zip(rows.T, runs, titles, strict=True):
-        seen = draw_bench(bench, run)
+    for i, (run, title) in enumerate(zip(runs, titles, strict=True)):
+        bench, cone, force, distance = rows[:, i]
+        colour = style.run_colour(i)
+        seen = draw_bench(bench, run, colour)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12)
         dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
-        _draw_trajectory(cone, run)
+        _draw_trajectory(cone, run, colour)
         cone.set_title("The tip in the cone", fontsize=_FONT + 1)  # as wide as the column allows
-        _draw_force(force, run)
-        _draw_distance(distance, run, "zone:")
+        _draw_force(force, run, colour)
+        _draw_distance(distance, run, colour, "zone:")
         _finish_time_axes(run, force, distance)
         force.tick_params(labelbottom=False)
     _give_common_limits(rows[0])
@@ -140,17 +143,12 @@ def _give_common_limits(row: Sequence[Axes]) -> None:
             getattr(axes, put)(ends[:, 0].min(), ends[:, 1].max())
 
 
-def _draw_bench(axes: Axes, run: ViewableRun) -> None:
-    seen = draw_bench(axes, run)
-    axes.set_title(f"From above, {seen}", fontsize=_FONT + 1)
-
-
-def _draw_trajectory(axes: Axes, run: ViewableRun) -> None:
+def _draw_trajectory(axes: Axes, run: ViewableRun, colour: str) -> None:
     moments = key_moments(run)
     draw_cone(axes, run.scene)
-    draw_path(axes, run)
-    label_path(axes)
-    draw_tip(axes, run.scene, moments)
+    draw_path(axes, run, colour)
+    label_path(axes, colour)
+    draw_tip(axes, run.scene, moments, colour)
     frame_cone(axes, run.scene)
     axes.set_title("The tip in the cone, the chaser comes from the left", fontsize=_FONT + 1)
     axes.legend(loc="upper right", fontsize=_FONT - 1, framealpha=1.0).set_zorder(10)
@@ -165,15 +163,14 @@ def _draw_trajectory(axes: Axes, run: ViewableRun) -> None:
         ha="right",
         va="bottom",
         fontsize=_FONT,
-        bbox={"facecolor": "white", "edgecolor": palette.LIGHT, "pad": 5},
+        bbox={"facecolor": "white", "edgecolor": style.LIGHT, "pad": 5},
         zorder=10,
     )
 
 
-def _draw_force(axes: Axes, run: ViewableRun) -> None:
+def _draw_force(axes: Axes, run: ViewableRun, colour: str) -> None:
     t = run.samples["t"]
-    walls = ((1, palette.PLUS_WALL, "o", "+y wall"), (-1, palette.MINUS_WALL, "s", "-y wall"))
-    for column, (side, colour, marker, name) in enumerate(walls):
+    for column, (side, (marker, _, name)) in enumerate(style.WALLS.items()):
         force = run.samples["normal_force"][:, column]
         axes.plot(t, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
         touches = run.touches[run.touches["wall"] == side]
@@ -181,7 +178,8 @@ def _draw_force(axes: Axes, run: ViewableRun) -> None:
         axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
         count = len(touches) + [wall for _, wall in open_touches(run)].count(side)
         label = f"{name}: {count} touches"
-        axes.plot(when, peak, marker, color=colour, ms=5, label=label)
+        look: dict[str, Any] = {"color": colour, "mfc": colour if side > 0 else "white", "ms": 6}
+        axes.plot(when, peak, marker, label=label, **look)
     _, highest = strongest(run)
     axes.set_yscale("log")
     axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
@@ -190,27 +188,22 @@ def _draw_force(axes: Axes, run: ViewableRun) -> None:
     axes.set_title(f"Contact force: up to {highest:.0f} N (markers: peaks)", fontsize=_FONT + 1)
 
 
-def _draw_stroke(axes: Axes, run: ViewableRun) -> None:
-    stroke = run.samples["axial_stroke"] * _MM
-    _plot_shown(axes, run, stroke)
-    axes.axhline(0.0, color=palette.GREY, lw=0.8)
-    axes.set_ylabel("axial stroke\n[mm]")
-    axes.set_title(f"Buffer, axial: down to {stroke.min():.3g} mm", fontsize=_FONT + 1)
+def _draw_buffer(axes: Axes, run: ViewableRun, quantity: style.Quantity, title: str) -> None:
+    values = quantity.of(run.samples)
+    shown = _plot_shown(axes, run, values, style.BLUE)
+    axes.axhline(0.0, color=style.GREY, lw=0.8)
+    axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
+    spread = f"{shown.min():.3g} to {shown.max():.3g} {quantity.unit}"
+    axes.set_title(f"{title} ({quantity.sign}): {spread}", fontsize=_FONT + 1)
 
 
-def _draw_torsion(axes: Axes, run: ViewableRun) -> None:
-    torsion = np.rad2deg(run.samples["torsion"])
-    _plot_shown(axes, run, torsion)
-    axes.axhline(0.0, color=palette.GREY, lw=0.8)
-    axes.set_ylabel("torsion\n[deg]")
-    axes.set_title(f"Buffer, torsion: up to {np.abs(torsion).max():.2g} deg", fontsize=_FONT + 1)
-
-
-def _draw_distance(axes: Axes, run: ViewableRun, zone: str = "green: capture zone,") -> None:
-    distance = run.samples["tip_distance"] * _MM
-    radius = run.scene.detector.radius * _MM
-    _plot_shown(axes, run, distance)
-    axes.axhspan(0.0, radius, color=palette.GREEN, alpha=0.25, lw=0)
+def _draw_distance(
+    axes: Axes, run: ViewableRun, colour: str, zone: str = "green: capture zone,"
+) -> None:
+    distance = style.DISTANCE.of(run.samples)
+    radius = run.scene.detector.radius * style.DISTANCE.factor
+    _plot_shown(axes, run, distance, colour)
+    axes.axhspan(0.0, radius, color=style.ZONE, alpha=0.25, lw=0)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("distance\n[mm]")
     # within the axes, the zone's name would lie under the curve or the verdict
@@ -219,19 +212,26 @@ def _draw_distance(axes: Axes, run: ViewableRun, zone: str = "green: capture zon
     start, end = time_window(run)
     for event in run.events:
         if event.kind is EventKind.LATCHED and start <= event.t <= end:
-            _mark(axes, run, event.t, "latched", palette.PURPLE, 0.95)
+            _mark(axes, run, event.t, "latched", style.GREY, 0.95)
     decided = decided_at(run)
     # of a run that is cut, it may lie outside
     if decided is not None and start <= decided <= end:
-        _mark(axes, run, decided, verdict(run), palette.BLUE, 0.72)
+        look = _verdict_colour(run)
+        _mark(axes, run, decided, verdict(run), look, 0.72)
 
 
-def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray) -> None:
-    """Plot what lies in the window of time, so that the axis fits it."""
+def _verdict_colour(run: ViewableRun) -> str:
+    look = style.VERDICTS.get(run.statuses[-1].state)
+    return style.BLACK if look is None else look.colour
+
+
+def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray, colour: str) -> np.ndarray:
+    """Plot and return what lies in the window of time, so that the axis fits it."""
     t = run.samples["t"]
     start, end = time_window(run)
     shown = (t >= start) & (t <= end)
-    axes.plot(t[shown], values[shown], color=palette.BLACK, lw=1.7)
+    axes.plot(t[shown], values[shown], color=colour, lw=1.7)
+    return np.asarray(values[shown])
 
 
 def _mark(axes: Axes, run: ViewableRun, t: float, text: str, colour: str, height: float) -> None:
@@ -261,13 +261,12 @@ def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
             touching,
             (0.0, 1.0),
             transform=axes.get_xaxis_transform(),
-            facecolor=palette.YELLOW,
-            edgecolor=palette.YELLOW,  # so that the shortest touch is a visible line
+            facecolor=style.CONTACT,
+            edgecolor=style.CONTACT,  # so that the shortest touch is a visible line
             lw=0.6,
             alpha=0.4,
             zorder=0,
         )
         axes.set_xlim(time_window(run))
-        axes.grid(color=palette.LIGHT, lw=0.6)
-        axes.set_axisbelow(True)
+        grid(axes)
     all_axes[-1].set_xlabel(f"time since the {start_word(run.scene)}  [s]   (shaded: in contact)")

@@ -17,7 +17,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.results import LEGEND, heads, rows
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import figures
-from capture_sim.viewing.energy_drawing import energy, has_ledger
+from capture_sim.viewing.curves import has_ledger
 from capture_sim.viewing.report_parts import (
     STYLE,
     ErrorStatement,
@@ -25,9 +25,14 @@ from capture_sim.viewing.report_parts import (
     parameter_rows,
     table,
 )
-from capture_sim.viewing.resolving import resolved_or_not
-from capture_sim.viewing.snapshots import snapshots
-from capture_sim.viewing.source import ViewableRun, decided_at, distinct_names, headline, start_word
+from capture_sim.viewing.source import (
+    ViewableRun,
+    decided_at,
+    distinct_names,
+    headline,
+    resolved_or_not,
+    start_word,
+)
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,7 @@ def _figures(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]
         ]
     found.append((figures.velocities(runs, **timed), f"Velocities{when}", "medium"))
     for name, run in zip(names, runs, strict=True):
-        found.append((snapshots(run, labels=[name]), f"{name}, from above", "medium"))
+        found.append((figures.snapshots(run, labels=[name]), f"{name}, from above", "medium"))
     return [_picture(figure, caption, kind) for figure, caption, kind in found]
 
 
@@ -198,7 +203,9 @@ def _energy(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]:
         labels, runs = [name for name, _ in known], [run for _, run in known]
         caption = "Where the energy is and goes: the layers' sum against what was put in"
         parts.append(
-            _picture(energy(runs, labels=labels), caption, "wide" if len(runs) > 2 else "medium")
+            _picture(
+                figures.energy(runs, labels=labels), caption, "wide" if len(runs) > 2 else "medium"
+            )
         )
         parts.append(
             table(("at the end of the run [mJ]", *labels), energy_rows(runs), kind="numbers")

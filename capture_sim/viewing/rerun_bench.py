@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing import bench_model, palette
-from capture_sim.viewing.geometry import (
+from capture_sim.viewing import bench_model, style
+from capture_sim.viewing.rerun_stream import RunStream
+from capture_sim.viewing.shapes import (
     CHASER,
     TARGET,
     Box,
@@ -22,7 +23,6 @@ from capture_sim.viewing.geometry import (
     tip_in_world,
     wall,
 )
-from capture_sim.viewing.rerun_stream import RunStream
 
 _MM = 1e3
 #: Length of the force's arrow, m for 1 N, and where it ends.
@@ -30,10 +30,10 @@ FORCE_SCALE = 3e-3
 _LONGEST_ARROW = 0.12
 _STRING_PERIOD = 0.01  # s, between two positions of the string
 
-_BLACK = palette.rgb(palette.BLACK)
-_DARK = palette.rgb(palette.DARK)
-_GREY = palette.rgb(palette.GREY)
-_ORANGE = palette.rgb(palette.ORANGE)
+_BLACK = style.rgb(style.BLACK)
+_DARK = style.rgb(style.DARK)
+_GREY = style.rgb(style.GREY)
+_ORANGE = style.rgb(style.ORANGE)
 _SIDES = (("plus", 1, "+y wall"), ("minus", -1, "-y wall"))
 _X_AXIS = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])  # turns z to x
 _Y_AXIS = rr.Quaternion(xyzw=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # turns z to -y
@@ -55,7 +55,7 @@ class BenchLog:
     def __init__(self, stream: RunStream, scene: Scene, colour: str) -> None:
         self._stream = stream
         self._scene = scene
-        self._colour = palette.rgb(colour)
+        self._colour = style.rgb(colour)
         self._world = f"{stream.name}/world"
         self._map = f"{stream.name}/close_up"
 
@@ -148,7 +148,7 @@ class BenchLog:
             rr.Mesh3D(
                 vertex_positions=vertices,
                 triangle_indices=triangles,
-                albedo_factor=(*palette.rgb(palette.SKY), 255),
+                albedo_factor=(*style.rgb(style.SKY), 255),
             ),
         )
         for name, side, _ in _SIDES:
@@ -188,7 +188,7 @@ class BenchLog:
                 x = rest + stroke
                 self._shape(
                     f"chaser/cylinder/stop_{name}",
-                    _rod(x - 0.001, x + 0.001, 2.4 * radius, palette.rgb(palette.VERMILION)),
+                    _rod(x - 0.001, x + 0.001, 2.4 * radius, style.rgb(style.VERMILION)),
                 )
 
     def _log_surroundings(self) -> None:
@@ -245,7 +245,7 @@ class BenchLog:
         zone = circle(np.zeros(2), scene.detector.radius) * _MM
         stream.static(
             f"{self._map}/capture_zone",
-            rr.LineStrips2D([zone], radii=0.5, colors=palette.rgb(palette.GREEN)),
+            rr.LineStrips2D([zone], radii=0.5, colors=style.rgb(style.GREEN)),
         )
         stream.static(
             f"{self._map}/trail",
@@ -296,7 +296,7 @@ class BenchLog:
             f"{self._world}/contact_force", t, rr.Arrows3D, vectors=_level(force), origins=origin
         )
         places = tip_in_cone(samples) * _MM
-        tint = np.where(touching[:, None], self._colour, palette.light(self._colour))
+        tint = np.where(touching[:, None], self._colour, style.light(self._colour))
         self._stream.columns(
             f"{self._map}/tip", t, rr.Points2D, positions=places, colors=tint.astype(np.uint8)
         )

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import rerun.blueprint as rrb
 
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing.geometry import wall
 from capture_sim.viewing.rerun_plots import PLOTS
 from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME
+from capture_sim.viewing.shapes import wall
 
 _MM = 1e3
 _WHITE = rrb.Background(color=(255, 255, 255), kind=rrb.BackgroundKind.SolidColor)

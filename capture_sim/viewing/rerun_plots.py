@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.samples import Phase
-from capture_sim.viewing import palette
+from capture_sim.viewing import style
 from capture_sim.viewing.rerun_stream import RunStream
 from capture_sim.viewing.source import ViewableRun, normal_force_with_peaks
 
@@ -37,24 +37,6 @@ PLOTS = (
     ),
 )
 
-#: Of the lanes.
-PHASE_COLOURS = {
-    "held": palette.LIGHT,
-    "taut": palette.ORANGE,
-    "coast": palette.YELLOW,
-    "free": palette.SKY,
-    "contact": palette.VERMILION,
-    "latched": palette.GREEN,
-}
-VERDICT_COLOURS = {
-    "approach": palette.SKY,
-    "contact": palette.VERMILION,
-    "captured": palette.GREEN,
-    "rebound": palette.PURPLE,
-    "missed": palette.ORANGE,
-    "stuck": palette.LIGHT,
-}
-
 
 class PlotLog:
     """Logs a run's curves, by the entities of :data:`PLOTS`.
@@ -69,11 +51,11 @@ class PlotLog:
 
     def __init__(self, stream: RunStream, colour: str) -> None:
         self._stream = stream
-        self._colour = palette.rgb(colour)
+        self._colour = style.rgb(colour)
 
     def styles(self) -> None:
         """Log colours, widths and names of the curves."""
-        light = palette.light(self._colour)
+        light = style.light(self._colour)
         for plot in PLOTS:
             names = [f"{self._stream.name} {curve}".strip() for curve in plot.curves]
             colours = [self._colour, light, self._colour][: len(names)]
@@ -96,13 +78,13 @@ class PlotLog:
                 names=f"{self._stream.name} touches",
             ),
         )
-        for lane, colours_of in (("phase", PHASE_COLOURS), ("verdict", VERDICT_COLOURS)):
+        for lane, colours_of in (("phase", style.PHASES), ("verdict", style.STATES)):
             self._stream.static(
                 self._lane(lane),
                 rr.StateConfiguration(
                     values=list(colours_of),
                     labels=list(colours_of),
-                    colors=[palette.rgb(colour) for colour in colours_of.values()],
+                    colors=[style.rgb(colour) for colour in colours_of.values()],
                 ),
             )
 

@@ -14,8 +14,9 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.errors import RecordingError
+from capture_sim.results import impact_speed
 from capture_sim.scene.parts import as_name
-from capture_sim.viewing import palette
+from capture_sim.viewing import style
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PlotLog, phases, verdicts
@@ -24,7 +25,6 @@ from capture_sim.viewing.source import (
     ViewableRun,
     distinct_names,
     headline,
-    impact_speed,
     in_contact,
     verdict,
 )
@@ -80,7 +80,7 @@ def save_rrd(
         recording = rr.RecordingStream("capture_sim", recording_id=None)
         recording.save(path, default_blueprint=layout)
         for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
-            colour = palette.RUNS[i % len(palette.RUNS)]
+            colour = style.RUNS[i % len(style.RUNS)]
             _log_run(RunStream(recording, name, span), run, titles[i], colour)
         _log_limits(recording, runs)
         recording.flush()
@@ -106,7 +106,10 @@ def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> No
     text = run.scene.to_yaml()
     stream.document(f"{stream.name}/scene", f"# {title}\n\n```yaml\n{text}\n```\n")
     stream.property(
-        title=run.scene.title, verdict=verdict(run), impact_speed=impact_speed(run), scene=text
+        title=run.scene.title,
+        verdict=verdict(run),
+        impact_speed=impact_speed(run.events),
+        scene=text,
     )
 
 
@@ -115,17 +118,17 @@ def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> N
     limits: list[tuple[str, str, str, float]] = []
     radii = {run.scene.detector.radius for run in runs}
     if len(radii) == 1:
-        limits.append(("distance", "capture radius", palette.YELLOW, radii.pop()))
+        limits.append(("distance", "capture radius", style.YELLOW, radii.pop()))
     all_stops = {run.scene.stops for run in runs}
     stops = all_stops.pop() if len(all_stops) == 1 else None
     if stops is not None:
-        limits.append(("axial_stroke", "stop, inwards", palette.YELLOW, -stops.compression))
-        limits.append(("axial_stroke", "stop, outwards", palette.YELLOW, stops.extension))
+        limits.append(("axial_stroke", "stop, inwards", style.YELLOW, -stops.compression))
+        limits.append(("axial_stroke", "stop, outwards", style.YELLOW, stops.extension))
     # as long as the longest run on either timeline
     longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest))
     for plot, name, colour, value in limits:
         path = f"plots/{plot}/{name.replace(', ', '_').replace(' ', '_')}"
-        stream.static(path, rr.SeriesLines(colors=palette.rgb(colour), names=name, widths=1.2))
+        stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))
         few = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
         stream.scalars(path, few, np.full(len(few), value * _MM))

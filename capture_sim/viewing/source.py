@@ -5,13 +5,21 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from capture_sim.detection.exact import CaptureStatus
+from capture_sim.errors import CaptureSimError, SimulationError
+from capture_sim.results import impact_speed
 from capture_sim.samples import Event, EventKind
 from capture_sim.scene.parts import Scene, as_name
+from capture_sim.simulation import Result, simulate
+
+#: Samples over the length of each touch, and over a window that is asked for.
+PER_TOUCH = 40
+PER_WINDOW = 4000
 
 
 class ViewableRun(Protocol):
@@ -52,15 +60,6 @@ def verdict(run: ViewableRun) -> str:
 def first_touch(run: ViewableRun) -> Event | None:
     """Return the event of the first touch."""
     return next((event for event in run.events if event.kind is EventKind.TOUCH), None)
-
-
-def impact_speed(run: ViewableRun) -> float | None:
-    """Return the speed of the vehicles to each other at the first touch, m/s."""
-    touch = first_touch(run)
-    if touch is None:
-        return None
-    v = touch.v
-    return math.hypot(float(v[0] - v[5]), float(v[1] - v[6]))
 
 
 def start_word(scene: Scene) -> str:
@@ -174,7 +173,7 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
     name = scene if label is None else label
     if not as_name(name).startswith(scene) and f"-{scene}" not in name:
         name += f" ({scene})"
-    speed = impact_speed(run)
+    speed = impact_speed(run.events)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
     lines = [f"{name}: {verdict(run)}, {impact}"]
     if len(lines[0]) > width:
@@ -203,3 +202,104 @@ def in_contact(run: ViewableRun) -> np.ndarray:
 def decided_at(run: ViewableRun) -> float | None:
     """Return when the detector's verdict became final, s since the release."""
     return next((status.t for status in run.statuses if status.final), None)
+
+
+def resolved(
+    run: ViewableRun, window: tuple[float, float] | None = None, per_touch: int = PER_TOUCH
+) -> Result:
+    """Run a run's scene again and sample every touch by the integrator's dense output.
+
+    Parameters
+    ----------
+    run
+        With the scene that made it.
+    window
+        From when to when, s since the start: only this is returned, in some 4000 samples more.
+        None keeps the whole run.
+    per_touch
+        Samples from the start to the end of each touch.
+
+    Returns
+    -------
+    Result
+        The same motion, touches and events as the run's.
+
+    Raises
+    ------
+    CaptureSimError
+        This version of the simulator gives other touches than the run has.
+    """
+    grid, touches = np.asarray(run.samples["t"]), run.touches
+    start, end = (float(grid[0]), float(grid[-1])) if window is None else window
+    times = [grid[(grid >= start) & (grid <= end)]]
+    for touch in touches[(touches["end"] >= start) & (touches["start"] <= end)]:
+        times.append(np.linspace(touch["start"], touch["end"], per_touch))
+        times.append(touch["peak_time"][None])
+    if window is not None:
+        times.append(np.linspace(start, end, PER_WINDOW))
+    wanted = np.unique(np.concatenate(times))
+    wanted = wanted[(wanted >= start) & (wanted <= min(end, grid[-1]))]
+    if not wanted.size:
+        raise CaptureSimError(
+            f"{run.scene.name}: no motion from {start:g} to {end:g} s; it lasts to {grid[-1]:g} s"
+        )
+    try:
+        again = simulate(run.scene, t_eval=wanted)
+    except SimulationError as error:
+        if error.result is None:
+            raise
+        again = error.result
+    if not _same(again.touches, touches):
+        raise CaptureSimError(
+            f"{run.scene.name}: this version of the simulator gives other touches than the run "
+            "has; it can only be drawn as it was sampled"
+        )
+    return again
+
+
+def resolved_or_not(run: ViewableRun) -> ViewableRun:
+    """Return the run resolved, or as it is where it cannot be run again as it was."""
+    if not np.isfinite(run.samples["kinetic"]).any():
+        return run  # measured
+    try:
+        return resolved(run)
+    except CaptureSimError:
+        return run
+
+
+@dataclass(frozen=True)
+class CutRun:
+    """A part of a run: some of its samples, the rest as it was."""
+
+    scene: Scene
+    samples: np.ndarray
+    touches: np.ndarray
+    events: Sequence[Event]
+    statuses: Sequence[CaptureStatus]
+    trace: np.ndarray | None = None
+
+
+def cut(run: ViewableRun, window: tuple[float, float]) -> CutRun:
+    """Return a run that cannot be run again with its samples in a window, s, alone.
+
+    Raises
+    ------
+    CaptureSimError
+        It has none there.
+    """
+    t = run.samples["t"]
+    inside = run.samples[(t >= window[0]) & (t <= window[1])]
+    if not inside.size:
+        raise CaptureSimError(
+            f"{run.scene.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples "
+            f"from {t[0]:g} to {t[-1]:g} s"
+        )
+    return CutRun(run.scene, inside, run.touches, run.events, run.statuses)
+
+
+def _same(touches: np.ndarray, others: np.ndarray) -> bool:
+    """Tell whether two runs have the same touches, to 1 us."""
+    return len(touches) == len(others) and bool(
+        np.array_equal(touches["wall"], others["wall"])
+        and np.allclose(touches["start"], others["start"], rtol=0.0, atol=1e-6)
+    )

@@ -15,7 +15,7 @@ from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.studies.compare import gaps
 from capture_sim.studies.measurements import Measurements, Series
-from capture_sim.viewing.comparison import draw_touches, impulse_so_far
+from capture_sim.viewing.studies import draw_touches, impulse_so_far
 
 
 def test_comparison_with_itself_and_with_another_run(path, other):

@@ -1,4 +1,4 @@
-"""The tip's way through the cone, drawn with matplotlib in the cone's frame."""
+"""The bench from above and the tip's way through the cone, drawn with matplotlib."""
 
 from __future__ import annotations
 
@@ -7,22 +7,36 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle
 
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing import palette
-from capture_sim.viewing.geometry import circle, tip_bound, tip_in_cone, wall
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import draw_shapes
+from capture_sim.viewing.shapes import (
+    CHASER,
+    TARGET,
+    Box,
+    chaser_box,
+    cone_shapes,
+    placed,
+    rail_shapes,
+    state_shapes,
+    target_box,
+    tip_in_cone,
+    wall,
+    wall_name_place,
+)
 from capture_sim.viewing.source import (
     ViewableRun,
     contacts,
     first_touch,
     in_contact,
+    start_word,
     strongest,
 )
 
 _MM = 1e3
-_WALL_THICKNESS = 0.006  # m, for the eye only
 LETTERS = "abcdefgh"
 _ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
 # of a letter from its dot, points, the best first: above, below, beside, then farther away
@@ -30,7 +44,49 @@ _LETTER_PLACES = (
     *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
     *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
 )
-FREE_LINE = (0, (4, 3))  # dashes
+
+
+def draw_bench(axes: Axes, run: ViewableRun, colour: str = style.BLUE) -> str:
+    """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
+
+    Returns
+    -------
+    str
+        What is seen, in words.
+    """
+    scene, start = run.scene, run.samples["q"][0]
+    touch = first_touch(run)
+    then = run.samples["q"][-1] if touch is None else touch.q
+    moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
+    shapes = rail_shapes(scene) + state_shapes(scene, then, colour)
+    if moved:
+        shapes += state_shapes(scene, start, colour, ghost=True, both=False)
+    draw_shapes(axes, shapes)
+    degrees = round(float(np.rad2deg(then[TARGET[2]])))
+    _name(axes, "chaser", chaser_box(scene), then[list(CHASER)])
+    _name(axes, f"target\n{degrees:+d}°" if degrees else "target\n0°", target_box(scene), then[5:])
+    axes.set_aspect("equal")
+    axes.margins(0.03)
+    axes.set_xlabel("x in the world  [m]")
+    axes.set_ylabel("y  [m]")
+    when = "end of the run" if touch is None else "first touch"
+    return f"at the {start_word(scene)} and at the {when}" if moved else f"at the {when}"
+
+
+def _name(axes: Axes, text: str, box: Box, pose: np.ndarray) -> None:
+    """Write along a body's front-to-rear axis, in its middle."""
+    middle = placed(np.array([[(box.back + box.front) / 2, 0.0]]), *pose)[0]
+    axes.text(
+        float(middle[0]),
+        float(middle[1]),
+        text,
+        ha="center",
+        va="center",
+        fontsize=style.SMALL,
+        rotation=float(np.rad2deg(pose[2])),
+        zorder=4,  # over the ghost and the balls
+        bbox={"facecolor": style.LIGHT, "edgecolor": "none", "pad": 2.0},
+    )
 
 
 class Moment(NamedTuple):
@@ -80,71 +136,51 @@ def key_moments(run: ViewableRun) -> list[Moment]:
     return sorted(found, key=lambda moment: moment.t)
 
 
-def draw_cone(axes: Axes, scene: Scene, *, coloured: bool = True) -> None:
-    """Draw both walls, the bound of the tip's centre and the capture zone.
-
-    Parameters
-    ----------
-    axes, scene
-        Where and what.
-    coloured
-        Whether the walls have colours of their own; not where the runs have.
-    """
-    cone, radius = scene.cone, scene.probe.tip_radius
+def draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw walls, bound of the tip's centre and capture zone, and explain them."""
     explained = bool(axes.get_legend_handles_labels()[1])
-    for side, own in ((1, palette.PLUS_WALL), (-1, palette.MINUS_WALL)):
-        colour = own if coloured else palette.DARK
-        face = wall(cone, side) * _MM
-        # the wall's body lies on the far side of its face
-        out = np.array([np.sin(cone.beta), side * np.cos(cone.beta)]) * _WALL_THICKNESS * _MM
-        body = np.concatenate([face, (face + out)[::-1]])
-        axes.add_patch(Polygon(body, facecolor=palette.LIGHT, edgecolor="none", zorder=1))
-        axes.plot(*face.T, color=colour, lw=4.0, zorder=2, solid_capstyle="round")
-        axes.plot(
-            *(tip_bound(cone, radius, side) * _MM).T,
-            color=palette.GREY,
-            lw=1.2,
-            ls=":",
-            zorder=2,
-            label="centre when touching" if side > 0 and not explained else None,
-        )
-        # where neither legend nor list of moments is
-        share = 0.6 if side > 0 else 0.15
-        middle = (1.0 - share) * face[0] + share * face[1] + 1.9 * out
+    draw_shapes(axes, cone_shapes(scene).values(), _MM)
+    axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
+    if not explained:
+        axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
+        axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
+    for side, (*_, name) in style.WALLS.items():
+        x, y = wall_name_place(scene.cone, side) * _MM
         axes.text(
-            middle[0],
-            middle[1],
-            f"{'+' if side > 0 else '-'}y wall",
-            color=colour,
+            x,
+            y,
+            name,
+            color=style.DARK,
             fontsize=13,
             fontweight="bold",
-            rotation=-side * np.rad2deg(cone.beta),
+            rotation=-side * np.rad2deg(scene.cone.beta),
             rotation_mode="anchor",
             ha="center",
             va="center",
         )
-    zone = circle(np.zeros(2), scene.detector.radius) * _MM
-    label = None if explained else "capture zone"
-    axes.plot(*zone.T, color=palette.GREEN, lw=2.3, zorder=4, label=label)
-    axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=palette.GREEN, zorder=4)
 
 
-def draw_path(axes: Axes, run: ViewableRun, colour: str = palette.BLACK) -> None:
+def draw_path(axes: Axes, run: ViewableRun, colour: str = style.BLUE) -> None:
     """Draw the way of the tip's centre: solid while it touches, dashed while it does not."""
+    (left, right), (low, high) = frame_bounds(run.scene)
     way = tip_in_cone(run.samples) * _MM
     touching = in_contact(run)
     touching[1:] |= touching[:-1]  # a stretch belongs to the sample before it
-    axes.plot(*way.T, color=colour, lw=1.3, ls=FREE_LINE, zorder=5)
+    # what lies far outside of the frame needs no line
+    near = (way > (left - 50.0, low - 50.0)).all(axis=1)
+    near &= (way < (right + 50.0, high + 50.0)).all(axis=1)
+    way, touching = way[near], touching[near]
+    axes.plot(*way.T, color=colour, lw=1.3, ls=style.FREE_LINE, zorder=5)
     axes.plot(*np.where(touching[:, None], way, np.nan).T, color=colour, lw=3.2, zorder=5)
 
 
-def label_path(axes: Axes, colour: str = palette.BLACK) -> None:
+def label_path(axes: Axes, colour: str = style.BLUE) -> None:
     """Explain the way's dashes in the legend."""
-    axes.plot([], [], color=colour, lw=1.3, ls=FREE_LINE, label="centre, free")
+    axes.plot([], [], color=colour, lw=1.3, ls=style.FREE_LINE, label="centre, free")
     axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
 
 
-def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
+def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str = style.BLUE) -> None:
     """Draw the tip as a circle at each moment, marked a, b, c..."""
     radius = scene.probe.tip_radius * _MM
     halo = [patheffects.withStroke(linewidth=3, foreground="white")]
@@ -152,12 +188,12 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment]) -> None:
     for i, moment in enumerate(moments):
         x, y = moment.place * _MM
         axes.add_patch(
-            Circle((x, y), radius, facecolor=palette.SKY, alpha=0.14, edgecolor="none", zorder=3)
+            Circle((x, y), radius, facecolor=colour, alpha=0.14, edgecolor="none", zorder=3)
         )
         axes.add_patch(
-            Circle((x, y), radius, facecolor="none", edgecolor=palette.GREY, lw=1.1, zorder=3)
+            Circle((x, y), radius, facecolor="none", edgecolor=style.GREY, lw=1.1, zorder=3)
         )
-        axes.plot(x, y, "o", ms=6.5, color=palette.BLACK, mec="white", zorder=7)
+        axes.plot(x, y, "o", ms=6.5, color=style.BLACK, mec="white", zorder=7)
         axes.annotate(
             LETTERS[i],
             (x, y),

@@ -1,0 +1,222 @@
+"""Shapes of the bench and the cone from above, m: what pictures, report and rerun draw.
+
+Bodies are boxes: the scene gives their masses, not their sizes.  Cone's frame here: x from the
+centre of BE along the target's +x, y along its +y.  The chaser comes from -x; the walls open
+towards it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.scene.parts import Cone, Scene
+from capture_sim.viewing import style
+
+#: Where the parts of q and v stand, see samples.COORDINATES.
+CHASER = (0, 1, 2)
+TARGET = (5, 6, 7)
+THETA_P, H = 3, 4
+
+# for the eye only, m
+_HALF_WIDTH = 0.11
+_REAR = 0.13  # centre of mass to the rear
+_BALL_RADIUS = 0.009
+_HALF_GAUGE = 0.03
+_WALL_THICKNESS = 0.006
+
+
+class Shape(NamedTuple):
+    """A line, or an outline that is filled.
+
+    Attributes
+    ----------
+    points
+        (n, 2), m.
+    line
+        Its colour; empty for none.
+    width
+        Points.
+    fill
+        Colour inside; empty for none.
+    dashed
+        Whether the line is.
+    order
+        What is drawn over what.
+    """
+
+    points: np.ndarray
+    line: str = style.BLACK
+    width: float = 1.5
+    fill: str = ""
+    dashed: bool = False
+    order: float = 2.0
+
+
+class Box(NamedTuple):
+    """Extent of a vehicle's body in its own frame, m."""
+
+    back: float
+    front: float
+    half_width: float
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Closed outline, (5, 2), m."""
+        x0, x1, y = self.back, self.front, self.half_width
+        return np.array([[x0, -y], [x1, -y], [x1, y], [x0, y], [x0, -y]])
+
+
+def chaser_box(scene: Scene) -> Box:
+    """Return the chaser's body: up to just behind the hinge."""
+    return Box(-_REAR, 0.9 * scene.buffer.a, _HALF_WIDTH)
+
+
+def target_box(scene: Scene) -> Box:
+    """Return the target's body: from just behind BE."""
+    return Box(-0.9 * scene.cone.L_T, _REAR, _HALF_WIDTH)
+
+
+def placed(points: np.ndarray, x: float, y: float, theta: float) -> np.ndarray:
+    """Return points of a body's frame, (n, 2), in the world, m."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.asarray(points @ np.array([[c, s], [-s, c]]) + (x, y))
+
+
+def hinge_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
+    """Return the hinge in the world, (n, 2), m, from q (n, 8)."""
+    heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
+    return np.asarray(q[:, :2] + scene.buffer.a * heading)
+
+
+def tip_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
+    """Return the tip's centre in the world, (n, 2), m, from q (n, 8)."""
+    probe = np.stack([np.cos(q[:, THETA_P]), np.sin(q[:, THETA_P])], axis=-1)
+    return np.asarray(hinge_in_world(scene, q) + q[:, H, None] * probe)
+
+
+def wall(cone: Cone, side: int) -> np.ndarray:
+    """Return the wall on side +1 or -1 in the cone's frame: inner edge and lip, (2, 2), m."""
+    inner = np.array([0.0, side * cone.R_c])
+    along = np.array([-np.cos(cone.beta), side * np.sin(cone.beta)])
+    return np.stack([inner, inner + cone.L_c * along])
+
+
+def circle(centre: np.ndarray, radius: float, count: int = 73) -> np.ndarray:
+    """Return a closed circle, (count, 2), m."""
+    angle = np.linspace(0.0, 2 * np.pi, count)
+    return np.asarray(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+
+def rail_shapes(scene: Scene) -> list[Shape]:
+    """Return the rail as far as it guides the chaser's centre."""
+    if scene.rail is None:
+        return []
+    start = scene.initial.chaser
+    ends = np.array([[0.0, 1.0], [scene.rail.length, 1.0]])
+    return [
+        Shape(placed(ends * (1.0, y), start.x, start.y, start.theta), style.GREY, 2.0, order=0.5)
+        for y in (_HALF_GAUGE, -_HALF_GAUGE)
+    ]
+
+
+def state_shapes(
+    scene: Scene, q: np.ndarray, colour: str, *, ghost: bool = False, both: bool = True
+) -> list[Shape]:
+    """Return the vehicles at the coordinates q (8,).
+
+    Parameters
+    ----------
+    scene, q
+        What, and where.
+    colour
+        Of the run: its tip bears it.
+    ghost
+        Dashed, without fill.
+    both
+        The target too, not the chaser alone.
+    """
+    pose = q[list(CHASER)]
+    line = style.GREY if ghost else style.BLACK
+    width, fill = (1.0, "") if ghost else (1.5, style.LIGHT)
+    hinge, tip = hinge_in_world(scene, q[None])[0], tip_in_world(scene, q[None])[0]
+    body = placed(chaser_box(scene).corners, *pose)
+    shapes = [
+        Shape(body, line, width, fill, ghost, 1.0),
+        Shape(np.stack([hinge, tip]), line, 1.0 if ghost else 3.0, dashed=ghost),
+        Shape(
+            circle(tip, scene.probe.tip_radius, 37), line, 1.0, "" if ghost else colour, ghost, 3.0
+        ),
+    ]
+    if scene.supports is not None and not ghost:
+        shapes += _balls(scene.supports.chaser.balls, pose)
+    if not both:
+        return shapes
+    pose = q[list(TARGET)]
+    shapes.append(Shape(placed(target_box(scene).corners, *pose), line, width, fill, ghost, 1.0))
+    for side in style.WALLS:
+        face = wall(scene.cone, side) - (scene.cone.L_T, 0.0)
+        shapes.append(Shape(placed(face, *pose), style.DARK, 3.0, dashed=ghost))
+    if scene.supports is not None and not ghost:
+        shapes += _balls(scene.supports.target.balls, pose)
+    return shapes
+
+
+def _balls(balls: Iterable[Sequence[float]], pose: np.ndarray) -> list[Shape]:
+    centres = placed(np.array(list(balls)), *pose)
+    return [
+        Shape(circle(centre, _BALL_RADIUS, 25), style.GREY, 0.9, "#FFFFFF") for centre in centres
+    ]
+
+
+def tip_in_cone(samples: np.ndarray) -> np.ndarray:
+    """Return the tip's centre in the cone's frame, (n, 2), m."""
+    return np.stack([-samples["tip_axial"], samples["tip_lateral"]], axis=-1)
+
+
+def tip_bound(cone: Cone, tip_radius: float, side: int, count: int = 40) -> np.ndarray:
+    """Return where the tip's centre is when the tip just touches a wall, (k, 2), m.
+
+    A line along the wall's face, and an arc round each of its ends.
+    """
+    inner, lip = wall(cone, side)
+    # the face looks to the axis and to the chaser: against side * y, turned by the half-angle
+    facing = -side * (np.pi / 2 + cone.beta)
+    at_edge = np.linspace(-side * np.pi / 2, facing, count)  # from the throat on
+    at_lip = np.linspace(facing, facing - side * np.pi / 2, count)
+    arcs = [
+        centre + tip_radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        for centre, angle in ((inner, at_edge), (lip, at_lip))
+    ]
+    return np.concatenate(arcs)
+
+
+def cone_shapes(scene: Scene) -> dict[str, Shape]:
+    """Return walls, bounds of the tip's centre and capture zone by name, in the cone's frame."""
+    cone = scene.cone
+    shapes = {}
+    for side, (*_, name) in style.WALLS.items():
+        face = wall(cone, side)
+        body = np.concatenate([face, (face + _outwards(cone, side) * _WALL_THICKNESS)[::-1]])
+        shapes[f"body of the {name}"] = Shape(body, "", 0.0, style.LIGHT, order=1.0)
+        shapes[name] = Shape(face, style.DARK, 4.0)
+        bound = tip_bound(cone, scene.probe.tip_radius, side)
+        shapes[f"centre when touching the {name}"] = Shape(bound, style.GREY, 1.0, dashed=True)
+    zone = circle(np.zeros(2), scene.detector.radius)
+    shapes["capture zone"] = Shape(zone, style.ZONE, 2.3, order=4.0)
+    return shapes
+
+
+def _outwards(cone: Cone, side: int) -> np.ndarray:
+    """Return the direction from a wall's face into its body."""
+    return np.array([np.sin(cone.beta), side * np.cos(cone.beta)])
+
+
+def wall_name_place(cone: Cone, side: int) -> np.ndarray:
+    """Return where a wall's name stands, (2,), m: where neither legend nor moments are."""
+    share = 0.6 if side > 0 else 0.15
+    inner, lip = wall(cone, side)
+    middle = (1.0 - share) * inner + share * lip
+    return np.asarray(middle + 1.9 * _WALL_THICKNESS * _outwards(cone, side))

@@ -1,0 +1,483 @@
+"""Studies in pictures: design, sensitivities, the envelope of capture, two runs compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from capture_sim.detection.exact import CaptureState
+from capture_sim.studies.approach import approach_of
+from capture_sim.studies.design import Design
+from capture_sim.studies.envelope import Cell, Envelope
+from capture_sim.studies.measurements import Measurements
+from capture_sim.studies.sensitivity import (
+    QUANTITIES,
+    SMOOTH,
+    Global,
+    Local,
+    Parameter,
+    Quantity,
+)
+from capture_sim.studies.touches import Touches
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import grid, new_figure, set_fonts
+from capture_sim.viewing.source import ViewableRun, verdict
+
+# a parameter below and above by its spread
+_BELOW, _ABOVE = "#9DBFD3", "#3E5F73"
+
+
+def draw_design(design: Design) -> Figure:
+    """Return a figure of the flow: the strokes run by run, and the verdict over the damper."""
+    figure = new_figure(13.0, 5.6)
+    strokes, dampers = figure.subplots(1, 2)
+    _draw_strokes(strokes, design)
+    _draw_dampers(dampers, design)
+    set_fonts(figure.axes)
+    return figure
+
+
+def _draw_strokes(axes: Axes, design: Design) -> None:
+    trials = [trial for trial in design.history if trial.step == 5]
+    number = np.arange(1, len(trials) + 1)
+    target = design.target
+    for values, name, colour in (
+        ([t.axial_stroke / target.axial_stroke for t in trials], "axial", style.BLUE),
+        ([t.torsion / target.torsion for t in trials], "torsional", style.VERMILION),
+    ):
+        off = np.maximum(np.abs(np.array(values) - 1.0), 1e-6)
+        axes.plot(number, off, "o-", color=colour, label=f"{name} stroke")
+    axes.set_yscale("log")
+    axes.set_xlabel("run")
+    axes.set_ylabel("off the target, relative")
+    axes.set_title("Steps 1 to 5: springs for the strokes", fontsize=15)
+    grid(axes)
+    axes.legend(fontsize=12.5)
+
+
+def _draw_dampers(axes: Axes, design: Design) -> None:
+    trials = [trial for trial in design.history if trial.step == 7]
+    for state, (colour, marker) in style.VERDICTS.items():
+        those = [trial for trial in trials if trial.verdict is state]
+        if those:
+            axes.plot(
+                [trial.c_A for trial in those],
+                [trial.nearest * 1e3 for trial in those],
+                marker,
+                color=colour,
+                label=state.label,
+                ms=7,
+            )
+    if trials:
+        lowest = min((trial.c_A for trial in trials if trial.c_A > 0.0), default=1.0)
+        axes.set_xscale("symlog", linthresh=lowest)
+        axes.set_xlim(left=-0.3 * lowest)
+        highest = max(trial.c_A for trial in trials)
+        top = math.floor(math.log10(max(highest, lowest)))
+        first = math.floor(math.log10(lowest)) + 1  # a decade nearer to 0 would lie on its tick
+        axes.set_xticks([0.0, *(10.0**n for n in range(first, top + 1))])
+    if design.capturing is not None:
+        axes.axvspan(*design.capturing, color=style.GREEN, alpha=0.15, lw=0)
+    if design.met and design.scene is not None:
+        c_A = design.scene.buffer.c_A
+        axes.axvline(c_A, color=style.BLACK, lw=2.0, label=f"chosen: {c_A:.3g} N s/m")
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("axial damping  [N s/m]")
+    axes.set_ylabel("nearest to the centre of BE  [mm]")
+    title = "Step 7: damper by the verdict" if design.met else "Step 7: no damper meets the target"
+    axes.set_title(title, fontsize=15)
+    grid(axes)
+    if trials:
+        axes.legend(fontsize=12.5)
+
+
+def draw_trade_off(designs: Sequence[Design]) -> Figure:
+    """Return a figure of peak force over axial stroke, and of the springs that it takes."""
+    figure = new_figure(13.0, 5.6)
+    force, buffer = figure.subplots(1, 2)
+    good = [d for d in designs if d.met]
+    stroke = [d.target.axial_stroke * 1e3 for d in good]
+    curves = (
+        ("largest touch until the verdict", "outcome", "peak_force", style.VERMILION, "o-"),
+        ("largest touch of the first contact", "damped", "peak_force", style.ORANGE, "s-"),
+        (
+            "largest force of the buffer, first contact",
+            "damped",
+            "buffer_force",
+            style.BLUE,
+            "^-",
+        ),
+    )
+    for label, part, name, colour, line in curves:
+        values = [getattr(getattr(d, part), name) for d in good]
+        force.plot(stroke, values, line, color=colour, label=label)
+    force.set_ylabel("force  [N]")
+    force.set_title("Force against stroke", fontsize=15)
+    for name, unit, colour in (
+        ("k_A", "N/m", style.BLUE),
+        ("k_T", "N m/rad", style.VERMILION),
+        ("c_A", "N s/m", style.GREEN),
+    ):
+        values = [getattr(d.scene.buffer, name) for d in good if d.scene is not None]
+        buffer.plot(stroke, values, "o-", color=colour, label=f"{name}  [{unit}]")
+    low = [d.capturing[0] if d.capturing else math.nan for d in good]
+    high = [d.capturing[1] if d.capturing else math.nan for d in good]
+    buffer.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
+    buffer.set_yscale("log")
+    buffer.set_title("The buffer (shaded: dampers that capture)", fontsize=15)
+    refused = [d for d in designs if not d.met]
+    for axes in (force, buffer):
+        for design in designs:
+            if not design.met:
+                note = "no buffer meets the target" if design is refused[0] else None
+                place = design.target.axial_stroke * 1e3
+                axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=note)
+        axes.set_xlabel("target axial stroke  [mm]")
+        grid(axes)
+        axes.legend(fontsize=12, loc="upper left", framealpha=1.0)
+    force.set_ylim(0.0, 1.45 * force.get_ylim()[1])
+    low_end, high_end = buffer.get_ylim()
+    buffer.set_ylim(low_end, high_end * 8.0)
+    set_fonts(figure.axes)
+    return figure
+
+
+_BOUNDARY = style.BLACK
+# of the axes, as a person reads them: title, unit, how many to the SI unit
+_SHOWN = (
+    ("angle of the target", "deg", math.degrees(1.0)),
+    ("lateral offset", "mm", 1e3),
+    ("speed at the touch", "m/s", 1.0),
+)
+
+
+def draw_envelope(envelope: Envelope, marks: Sequence[ViewableRun] = ()) -> Figure:
+    """Return the figure of a map: a panel for each slice.
+
+    ``marks`` are runs of experiments; each is marked in the slice it belongs to (where it
+    does not belong to one, in none), with what came of it.
+    """
+    slices = envelope.plan.slices
+    columns = min(len(slices), 3)
+    rows = math.ceil(len(slices) / columns)
+    figure = new_figure(1.5 + 5.6 * columns, 1.6 + 5.0 * rows)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel in panels[len(slices) :]:
+        panel.set_axis_off()
+    for number, panel in enumerate(panels[: len(slices)]):
+        _draw_slice(panel, envelope, number)
+        _mark(panel, envelope, number, marks)
+    patches = [
+        Patch(color=look.colour, label=state.label) for state, look in style.VERDICTS.items()
+    ]
+    patches.append(Patch(color=_BOUNDARY, label="holds the boundary"))
+    # no wider than one panel, where there is no more
+    across = 5 if columns > 1 else 2
+    figure.legend(handles=patches, loc="outside lower center", ncols=across, fontsize=12)
+    title = f"Capture envelope of {envelope.plan.scene.name}: {len(envelope.rows)} runs"
+    figure.suptitle(title, fontsize=16 if columns > 1 else 13)
+    set_fonts(figure.axes, 12.0)
+    return figure
+
+
+def _draw_slice(axes: Axes, envelope: Envelope, number: int) -> None:
+    plan = envelope.plan
+    (across, _), (up, _) = plan.plane
+    cells = [cell for cell in envelope.cells if cell.slice == number]
+    corners = np.array([[plan.values(key) for key in plan.points(cell)] for cell in cells])
+    # points() goes up first: 0 low left, 1 high left, 2 low right, 3 high right
+    outline = corners[:, [0, 2, 3, 1]][:, :, [across, up]]
+    outline *= [_SHOWN[across][2], _SHOWN[up][2]]
+    colours = [_colour(envelope, cell) for cell in cells]
+    axes.add_collection(
+        PolyCollection(list(outline), facecolors=colours, edgecolors=colours, linewidths=0.3)
+    )
+    axes.set_xlim(outline[:, :, 0].min(), outline[:, :, 0].max())
+    axes.set_ylim(outline[:, :, 1].min(), outline[:, :, 1].max())
+    doubtful = [
+        square.mean(axis=0)
+        for cell, square in zip(cells, outline, strict=True)
+        if envelope.is_boundary(cell) and _hangs_on_tolerance(envelope, cell)
+    ]
+    if doubtful:
+        x, y = np.array(doubtful).T
+        axes.plot(x, y, "x", color=style.VERMILION, ms=6, mew=1.6, label="ill-conditioned")
+        axes.legend(loc="lower right", fontsize=11, framealpha=1.0)
+    axes.set_xlabel(f"{_SHOWN[across][0]} [{_SHOWN[across][1]}]")
+    axes.set_ylabel(f"{_SHOWN[up][0]} [{_SHOWN[up][1]}]")
+    title, unit, factor = _SHOWN[plan.sliced]
+    share = envelope.shares[number]
+    axes.set_title(
+        f"{title} {plan.slices[number] * factor:.3g} {unit}\n"
+        f"captured {100 * share['surely']:.1f} to {100 * share['perhaps']:.1f} %",
+        fontsize=13,
+    )
+
+
+def _hangs_on_tolerance(envelope: Envelope, cell: Cell) -> bool:
+    rows = envelope.corner_rows(cell)
+    return bool(np.any(rows["verdict"] != rows["finer_verdict"]))
+
+
+def _colour(envelope: Envelope, cell: Cell) -> str:
+    if envelope.is_boundary(cell):
+        return _BOUNDARY
+    verdicts, counts = np.unique(envelope.corner_rows(cell)["verdict"], return_counts=True)
+    return style.VERDICTS[CaptureState(verdicts[counts.argmax()])].colour
+
+
+def _mark(axes: Axes, envelope: Envelope, number: int, marks: Sequence[ViewableRun]) -> None:
+    plan = envelope.plan
+    (across, _), (up, _) = plan.plane
+    for run in marks:
+        approach = approach_of(run.scene)
+        if not math.isclose(approach[plan.sliced], plan.slices[number], rel_tol=1e-6, abs_tol=1e-9):
+            continue
+        x, y = (approach[axis] * _SHOWN[axis][2] for axis in (across, up))
+        axes.plot(x, y, "o", mfc="white", mec=style.BLACK, ms=8, mew=1.8)
+        axes.annotate(
+            f"{run.scene.name}\n{verdict(run)}",
+            (x, y),
+            xytext=(0, 9),
+            textcoords="offset points",
+            ha="center",
+            fontsize=10.5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1},
+        )
+
+
+def draw_tornado(found: Local) -> Figure:
+    """Return a figure with a panel for each quantity: bars over each parameter's spread.
+
+    A tick on a bar is what the derivative promises; a cross, that the derivative is
+    ill-conditioned; a ring, that the verdict is another one at that end.
+    """
+    figure = new_figure(19.0, 12.0)
+    panels = figure.subplots(2, 3).ravel()
+    for q, (panel, quantity) in enumerate(zip(panels, SMOOTH, strict=False)):
+        _draw_bars(panel, found, q, quantity)
+    panels[-1].set_axis_off()
+    panels[-1].legend(
+        handles=[
+            Patch(color=_BELOW, label="parameter below by its spread"),
+            Patch(color=_ABOVE, label="parameter above by its spread"),
+            Line2D([], [], ls="", marker="|", color="k", ms=14, mew=2, label="by the derivative"),
+            Line2D([], [], ls="", marker="x", color="k", ms=9, mew=2, label="ill-conditioned"),
+            Line2D(
+                [],
+                [],
+                ls="",
+                marker="o",
+                mfc="none",
+                color="k",
+                ms=11,
+                mew=2,
+                label="verdict flips",
+            ),
+        ],
+        loc="center",
+        fontsize=15,
+    )
+    set_fonts(figure.axes, 13.0)
+    return figure
+
+
+def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
+    _, title, unit, factor = quantity
+    low = (found.low[:, q] - found.base[q]) * factor
+    high = (found.high[:, q] - found.base[q]) * factor
+    order = np.argsort(np.maximum(np.abs(low), np.abs(high)))
+    for place, p in enumerate(order):
+        axes.barh(place, low[p], color=_BELOW, height=0.75)
+        axes.barh(place, high[p], color=_ABOVE, height=0.75)
+        derivative = found.derivatives[p][q]
+        promised = derivative.value * factor
+        if derivative.converged:
+            axes.plot([-promised, promised], [place, place], "|", color="k", ms=12, mew=2)
+        else:
+            axes.plot(0.0, place, "x", color="k", ms=8, mew=2, zorder=3)
+        for end, values in ((low[p], found.low), (high[p], found.high)):
+            if values[p, -1] != found.base[-1]:
+                axes.plot(end, place, "o", mfc="none", color="k", ms=10, mew=1.8, zorder=3)
+    axes.set_yticks(range(len(order)), [_label(found.parameters[p]) for p in order])
+    axes.axvline(0.0, color=style.BLACK, lw=0.8)
+    reach = max(float(np.abs([low, high]).max()), 1e-12) * 1.15
+    axes.set_xlim(-reach, reach)
+    axes.set_xlabel(f"change  [{unit}]")
+    axes.set_title(f"{title}: {found.base[q] * factor:.4g} {unit}", fontsize=14)
+    grid(axes, "x")
+
+
+def _label(parameter: Parameter) -> str:
+    return f"{parameter.name} ±{parameter.displayed_spread}"
+
+
+def draw_indices(found: Global) -> Figure:
+    """Return a figure of Morris' or Sobol's indices: a panel for each quantity."""
+    figure = new_figure(19.0, 12.0)
+    panels = figure.subplots(2, 3).ravel()
+    morris = found.method == "morris"
+    for q, (panel, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
+        _, title, unit, factor = quantity
+        if not morris:
+            factor = 1.0
+        total, first = found.total[:, q] * factor, found.first[:, q] * factor
+        spread = found.confidence[:, q] * factor
+        if np.isnan(total).all():
+            panel.set_axis_off()
+            panel.set_title(f"{title}: the same in every run", fontsize=14)
+            continue
+        order = np.argsort(total)
+        places = np.arange(len(order))
+        panel.barh(places, total[order], color=_BELOW, height=0.75, xerr=spread[order])
+        panel.plot(first[order], places, "D", color=style.BLACK, ms=6)
+        panel.set_yticks(places, [_label(found.parameters[p]) for p in order])
+        panel.set_xlim(left=min(0.0, float(np.nanmin(first)) * 1.1))
+        panel.set_xlabel(f"effect  [{unit}]" if morris else "share of the variance")
+        panel.set_title(title, fontsize=14)
+        grid(panel, "x")
+    set_fonts(figure.axes, 13.0)
+    what = (
+        "bars: mean magnitude of the elementary effects, over the whole spread (95 %); "
+        "diamonds: their scatter"
+        if morris
+        else "bars: total index (95 %); diamonds: first-order index"
+    )
+    figure.suptitle(f"{found.method.capitalize()}, {found.runs} runs; {what}", fontsize=15)
+    return figure
+
+
+_STYLES = ("-", "--")
+_MARKS = ("o", "D")
+_SERIES = (("stroke", "axial stroke\n[mm]", 1e3), ("torsion", "torsion\n[mrad]", 1e3))
+_BEFORE = 0.05  # share of the window that is shown before the first contact
+
+
+class Drawn(NamedTuple):
+    """A run in the diagram.
+
+    Attributes
+    ----------
+    label
+        In words.
+    measured
+        First contact at t = 0.
+    sources
+        Topic and rate of each series.
+    touches
+        Those in the window, first contact at t = 0; None where they are not known.
+    """
+
+    label: str
+    measured: Measurements
+    sources: Mapping[str, str]
+    touches: Touches | None
+
+
+def draw_comparison(runs: Sequence[Drawn], window: float) -> Figure:
+    """Draw what was measured in two runs over each other, and where the vehicles went.
+
+    A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
+    peak, with a bar under it that is as wide as the touch and whose area is its impulse.  Only
+    where touches are not known the sampled force is drawn, with its samples.
+
+    Parameters
+    ----------
+    runs
+        Two.
+    window
+        s that are shown.
+    """
+    figure = new_figure(9.0, 11.5)
+    force, impulse, *axes, relative = figure.subplots(len(_SERIES) + 3, 1, sharex=True)
+    first = -_BEFORE * window
+    looks = list(zip(runs, style.RUNS, _STYLES, _MARKS, strict=False))
+    for run, colour, line, mark in looks:
+        if run.touches is None:
+            _draw_sampled_force(force, run, (first, window), colour)
+        else:
+            draw_touches(force, run.touches, run.label, colour, mark)
+            t, total = impulse_so_far(run.touches, window)
+            if np.isfinite(total).all():
+                impulse.plot(t, total * 1e3, line, color=colour, linewidth=1.6)
+    force.set_ylabel("peak of each touch\n[N]")
+    force.set_ylim(bottom=0.0)
+    impulse.set_ylabel("impulse so far\n[mN s]")
+    if not impulse.lines:
+        impulse.text(0.5, 0.5, "not known of either", ha="center", transform=impulse.transAxes)
+    for ax, (name, label, factor) in zip(axes, _SERIES, strict=True):
+        for run, colour, line, _ in looks:
+            series = getattr(run.measured, name)
+            shown = (series.t >= first) & (series.t <= window)
+            t, values = series.t[shown], series.values[shown] * factor
+            ax.plot(t, values, line, color=colour, linewidth=1.6)
+        ax.set_ylabel(label)
+        ax.set_title(_sources_of(runs, name), loc="right", fontsize="small", color=style.DARK)
+    for run, colour, line, _ in looks:
+        chaser, target = run.measured.chaser, run.measured.target
+        if not chaser.t.size or not target.t.size:
+            continue
+        t = chaser.t[(chaser.t >= first) & (chaser.t <= window)]
+        gap = _x(target.t, target.values, t) - _x(chaser.t, chaser.values, t)
+        zero = np.zeros(1)
+        at_contact = _x(target.t, target.values, zero) - _x(chaser.t, chaser.values, zero)
+        relative.plot(t, (gap - at_contact) * 1e3, line, color=colour, linewidth=1.6)
+    relative.set_title(_sources_of(runs, "chaser"), loc="right", fontsize="small", color=style.DARK)
+    relative.set_ylabel("gap of the vehicles\nsince contact  [mm]")
+    relative.set_xlabel("time after the first contact  [s]")
+    relative.set_xlim(first, window)
+    for ax in (force, impulse, *axes, relative):
+        ax.axvline(0.0, color=style.GREY, linewidth=0.8)
+        grid(ax)
+    force.legend(loc="upper right", frameon=False)
+    figure.align_ylabels()
+    return figure
+
+
+def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str) -> None:
+    """Draw each touch as a stem up to its peak, and a bar whose area is its impulse."""
+    ax.vlines(touches.peak_time, 0.0, touches.peak, color=colour, linewidth=1.2)
+    look: dict[str, Any] = {"color": colour, "fillstyle": "none", "linestyle": "none"}
+    ax.plot(touches.peak_time, touches.peak, mark, label=label, **look)
+    known = touches.lasted > 0.0
+    ax.bar(
+        touches.start[known],
+        touches.impulse[known] / touches.lasted[known],
+        width=touches.lasted[known],
+        align="edge",
+        color=colour,
+        alpha=0.25,
+    )
+
+
+def _draw_sampled_force(ax: Axes, run: Drawn, shown: tuple[float, float], colour: str) -> None:
+    series = run.measured.force
+    inside = (series.t >= shown[0]) & (series.t <= shown[1])
+    label = f"{run.label}: no touches known"
+    if inside.any():
+        label = f"{run.label}: samples, {run.sources['force']}; touches between them do not show"
+    ax.plot(series.t[inside], series.values[inside], ".", color=colour, label=label)
+
+
+def impulse_so_far(touches: Touches, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and the impulse until then, N s; over a touch it grows evenly."""
+    start, lasted = touches.start, np.maximum(touches.lasted, 1e-9)
+    t = np.sort(np.concatenate([[0.0, window], start, start + lasted]))
+    share = np.clip((t[:, None] - start) / lasted, 0.0, 1.0)
+    return t, np.asarray(share @ touches.impulse)
+
+
+def _sources_of(runs: Sequence[Drawn], name: str) -> str:
+    return " and ".join(dict.fromkeys(run.sources[name] for run in runs if name in run.sources))
+
+
+def _x(t: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return np.interp(at, t, poses[:, 0])

@@ -1,0 +1,116 @@
+"""One look for everything that is drawn: colours, marks, units, sizes.
+
+Colours are those of Okabe and Ito (2008), told apart by people with any common colour vision.
+Each means one thing in pictures, report and rerun: a run keeps its colour, a wall its marker, a
+verdict its colour and marker.  The bench itself is drawn in greys.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.detection.exact import CaptureState
+
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+YELLOW = "#F0E442"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+BROWN = "#8C510A"
+WINE = "#882255"
+DARK = "#404040"
+GREY = "#7F7F7F"
+LIGHT = "#D9D9D9"
+PALE = "#DCEAF3"
+
+#: One for each run, in order; they repeat after that.
+RUNS = (BLUE, VERMILION, PURPLE, SKY, BROWN)
+#: The tip touches the cone.
+CONTACT = YELLOW
+#: The zone of capture, and what lies in it.
+ZONE = GREEN
+#: Walls by their side: marker of matplotlib, of plotly, name.
+WALLS = {1: ("^", "triangle-up", "+y wall"), -1: ("v", "triangle-down", "-y wall")}
+
+
+class Look(NamedTuple):
+    """Colour and marker of a verdict."""
+
+    colour: str
+    marker: str
+
+
+VERDICTS = {
+    CaptureState.CAPTURED: Look(GREEN, "o"),
+    CaptureState.REBOUND: Look(ORANGE, "D"),
+    CaptureState.STUCK: Look(WINE, "s"),
+    CaptureState.MISSED: Look(LIGHT, "X"),
+}
+#: Of the lanes over time; what comes before any contact is pale.
+PHASES = {
+    "held": LIGHT,
+    "taut": "#B8CFDD",
+    "coast": "#CBDDE8",
+    "free": PALE,
+    "contact": CONTACT,
+    "latched": ZONE,
+}
+STATES = {
+    "approach": PALE,
+    "contact": CONTACT,
+    **{state.label: look.colour for state, look in VERDICTS.items()},
+}
+
+#: Of axes' labels, in points; chosen to be read when a figure is shown at half its size.
+FONT = 14.0
+#: Of everything else.
+SMALL = 12.5
+#: Pixels per inch of PNG files.
+DPI = 110
+#: Dashes of a line while the tip does not touch.
+FREE_LINE = (0, (4.0, 2.4))
+
+
+class Quantity(NamedTuple):
+    """A quantity over time: field of a sample, label, unit, how many of it to the SI unit, sign."""
+
+    field: str
+    label: str
+    unit: str
+    factor: float
+    sign: str = ""
+
+    @property
+    def axis(self) -> str:
+        """The axis' label."""
+        return f"{self.label}{self.sign and f' ({self.sign})'}  [{self.unit}]"
+
+    def of(self, samples: np.ndarray) -> np.ndarray:
+        """Return its values in samples, (n,), in its unit."""
+        return np.asarray(samples[self.field] * self.factor)
+
+
+STROKE = Quantity("axial_stroke", "axial stroke", "mm", 1e3, "compression < 0")
+TORSION = Quantity("torsion", "torsion", "mrad", 1e3, "counterclockwise > 0")
+DISTANCE = Quantity("tip_distance", "tip to the centre of BE", "mm", 1e3)
+
+
+def run_colour(i: int) -> str:
+    """Return the colour of the i-th run."""
+    return RUNS[i % len(RUNS)]
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of ``#RRGGBB``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def light(colour: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return a colour mixed with twice as much white."""
+    red, green, blue = ((part + 2 * 255) // 3 for part in colour)
+    return red, green, blue
