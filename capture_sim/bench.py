@@ -116,7 +116,8 @@ class Bench:
         self._workspace = np.zeros(1, WORKSPACE)
         w = self._workspace[0]
         self._run, self._step, self._system = w["run"], w["step"], w["system"]
-        self._system["par"] = pack(scene, self.plan.hanging_mass, self.plan.drop_height)[0]
+        launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
+        self._system["par"] = pack(scene, *launch)[0]
         set_pair(self._step, PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
         self._step["y"][:16] = *q, *v
@@ -190,7 +191,10 @@ class Bench:
 
     @property
     def extremes(self) -> Extremes:
-        """Largest strokes, torsion, depths and forces and the nearest approach so far."""
+        """Largest strokes, torsion, depths and forces and the nearest approach so far.
+
+        Before the end of the run: up to the start of the integrator's step that is under way.
+        """
         found = np.stack([np.abs(self._run["extreme"]), self._run["extreme_time"]], axis=-1)
         before, after = found.reshape(2, -1).view(EXTREMES)[:, 0]
         return Extremes(before, after if self._system["mode"]["latched"] else None)

@@ -49,7 +49,7 @@ class Problem(Protocol):
 def packed(scene: Scene) -> np.ndarray:
     """Return the (1,) record of a scene's constants that the compiled kernels read."""
     plan = plan_launch(scene)
-    return pack(scene, plan.hanging_mass, plan.drop_height)
+    return pack(scene, plan.hanging_mass, plan.drop_height, plan.impact_speed)
 
 
 def into_wall(scene: Scene, depth: float = 3e-6) -> float:

@@ -108,8 +108,13 @@ def _limits(support: BallSupport, load: np.ndarray) -> np.ndarray:
     return np.column_stack([np.array(support.balls), support.c_rr * load])
 
 
-def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
-    """Return the (1,) record of a scene launched with this mass (kg) and height (m)."""
+def pack(
+    scene: Scene, hanging_mass: float, drop_height: float, impact_speed: float = 0.0
+) -> np.ndarray:
+    """Return the (1,) record of a scene launched with this mass (kg) and height (m).
+
+    ``impact_speed`` (m/s) is that of the launch's plan; errors are measured against it.
+    """
     record = np.zeros(1, PARAMETERS)
     p = record[0]
     l_C = -scene.cylinder.length / 2.0
@@ -163,18 +168,30 @@ def pack(scene: Scene, hanging_mass: float, drop_height: float) -> np.ndarray:
     p["after_latch"] = math.inf if scene.run.after_latch is None else scene.run.after_latch
     p["rtol"] = scene.run.rtol
     p["length_scale"] = scene.probe.tip_radius
-    p["speed_scale"] = speed_scale(scene)
+    p["speed_scale"] = speed_scale(scene, impact_speed)
     p["max_steps"] = scene.run.max_steps
     p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     return record
 
 
-def speed_scale(scene: Scene) -> float:
-    """Return the speed that errors are measured against, m/s: the approach's own."""
+#: m/s: an approach slower than this is measured against it; rounding of the places (1e-17 m)
+#: over a touch's time (seconds, at such speeds) lies far below.
+_SLOWEST = 1e-8
+
+
+def speed_scale(scene: Scene, impact_speed: float) -> float:
+    """Return the speed that errors are measured against, m/s: the fastest that the plan knows.
+
+    Those of the vehicles against each other at the release and at the impact, and of the tip and
+    of the line BE by the vehicles' spins.
+    """
     c, t = scene.initial.chaser, scene.initial.target
-    speeds = [1e-3, math.hypot(c.vx - t.vx, c.vy - t.vy)]
     if scene.string is not None and scene.string.impact_speed is not None:
-        speeds.append(scene.string.impact_speed)
-    elif scene.string is not None:
-        speeds.append(0.1)
-    return max(speeds)
+        impact_speed = scene.string.impact_speed
+    return max(
+        _SLOWEST,
+        math.hypot(c.vx - t.vx, c.vy - t.vy),
+        impact_speed,
+        abs(c.omega) * (scene.buffer.a + scene.rest_length),
+        abs(t.omega) * (scene.cone.L_T + scene.cone.R_c),
+    )

@@ -1,0 +1,102 @@
+"""Largest forces, strokes and depths against dense sampling of the same run."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from random_scenes import random_scenes  # noqa: E402
+
+from capture_sim import Bench, load_scene  # noqa: E402
+
+
+def run(scene, times=()):
+    bench = Bench(scene)
+    samples = bench.advance(np.asarray(times))
+    bench.advance(np.zeros(0))
+    return bench, samples
+
+
+def sampled(samples):
+    """What dense samples say, by the names of EXTREMES."""
+    stroke = samples["axial_stroke"]
+    return {
+        "compression": max(-stroke.min(), 0.0),
+        "extension": max(stroke.max(), 0.0),
+        "torsion": np.abs(samples["torsion"]).max(),
+        "tip_distance": samples["tip_distance"].min(),
+        "penetration": max(
+            np.where(samples["normal_force"] > 0.0, samples["penetration"], 0.0).max(), 0.0
+        ),
+        "normal_force": samples["normal_force"].max(),
+    }
+
+
+def agree(found, samples, spacing, share=2e-4):
+    """The extremes are beyond all samples, and no further than the curve can go between two."""
+    for name, value in sampled(samples).items():
+        exact = float(found[name])
+        allowed = max(share * abs(value), 0.1 * spacing**2)
+        if name == "tip_distance":
+            # it may fall straight to the latch or past BE, at less than 0.5 m/s
+            exact, value, allowed = -exact, -value, 0.5 * spacing
+        assert exact >= value - 1e-9 * max(abs(value), 1e-9), name
+        assert exact - value <= allowed, name
+
+
+SPACING = 2e-6
+
+
+@pytest.mark.parametrize("name", ["paper_clamped", "paper_designed", "paper_case_1"])
+def test_extremes_are_those_of_dense_samples(name):
+    scene = load_scene(name, ["run.t_end=0.4"])
+    bench, samples = run(scene, np.arange(0.0, 0.4, SPACING))
+    agree(bench.extremes.before_latch, samples, SPACING)
+    assert bench.extremes.after_latch is None
+
+
+def test_before_and_after_the_latch_are_told_from_each_other():
+    scene = load_scene("tilt_0")
+    bench, samples = run(scene, np.arange(2.0, scene.run.t_end, 2e-5))
+    latch = next(e.t for e in bench.events if e.kind.label == "latched")
+    before, after = bench.extremes
+    agree(before, samples[samples["t"] <= latch], 2e-5, share=0.02)
+    agree(after, samples[samples["t"] > latch], 2e-5, share=0.02)
+    assert before["compression"] < 0.006 < 0.010 < after["compression"]  # the paper's own figure
+    assert before["compression_time"] < latch < after["compression_time"]
+
+
+@pytest.mark.parametrize("law", ["tanh", "coulomb", "brown_mcphee"])
+def test_extremes_and_peaks_of_random_benches(law):
+    """Every touch, so also those whose steps are cut by stick and slip before the peak."""
+    friction = {"law": law, "mu_s": 0.5} if law != "tanh" else {"law": law}
+    seen = 0
+    for scene in random_scenes(12, seed=5):
+        scene = replace(
+            scene,
+            friction=replace(scene.friction, **friction),
+            run=replace(scene.run, t_end=0.15, after_latch=None),
+        )
+        bench, samples = run(scene, np.arange(0.0, 0.15, SPACING))
+        agree(bench.extremes.before_latch, samples, SPACING)
+        t, force = samples["t"], samples["normal_force"]
+        for touch in bench.touches:
+            inside = (t >= touch["start"]) & (t <= touch["end"])
+            if inside.sum() > 50:
+                largest = force[inside, 0 if touch["wall"] > 0 else 1].max()
+                assert touch["peak_force"] >= largest * (1.0 - 1e-9)
+                assert touch["peak_force"] <= largest * (1.0 + 1e-3)
+                assert touch["rate_ratio"] >= 1.0
+                seen += 1
+    assert seen > 30
+
+
+def test_extremes_do_not_depend_on_the_samples():
+    scene = load_scene("paper_designed", ["run.t_end=0.4"])
+    few, _ = run(scene)
+    many, _ = run(scene, np.arange(0.0, 0.4, 1e-4))
+    assert few.extremes.before_latch.tobytes() == many.extremes.before_latch.tobytes()

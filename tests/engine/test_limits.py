@@ -1,0 +1,159 @@
+"""Where a run has to stop, and where it must not; and kernels without Numba."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from capture_sim import Bench, SimulationError, load_scene
+from capture_sim.errors import SceneError
+
+STOPS = "stops={compression: 0.1995, extension: 0.19, stiffness: 1.0e+6, damping: 10}"
+
+
+@pytest.mark.parametrize("method", ["dop853", "dopri5"])
+def test_probe_that_slides_freely_to_its_stop_is_not_taken_for_one_in_its_hinge(method):
+    """No spring, no damper: a step may end far behind the stop that cuts it."""
+    scene = load_scene(
+        "paper_designed",
+        [
+            *("buffer.k_A=0", "buffer.c_A=0", "contact.restitution=1", STOPS),
+            *("run.t_end=4", f"run.method={method}"),
+        ],
+    )
+    bench = Bench(scene)
+    samples = bench.advance(bench.times(0, 5000))
+    kinds = [event.kind.label for event in bench.events]
+    assert "stop_hit" in kinds
+    assert -0.2 < samples["axial_stroke"].min() < -0.1995
+    assert np.abs(samples["energy_residual"]).max() < 1e-6 * samples["kinetic"].max()
+
+
+def test_run_that_is_too_stiff_names_what_makes_it_so():
+    scene = load_scene("paper_designed", ["probe.density=1e-9", "run.max_steps=20000"])
+    with pytest.raises(SimulationError, match=r"max_steps.*stiffest is .*probe\.density.* s"):
+        Bench(scene).advance(np.array([]))
+
+
+def test_implicit_steps_are_refused_and_their_absence_is_not():
+    load_scene("tilt_0", ["run.stiff=false"])
+    with pytest.raises(SceneError, match=r"run\.stiff: there are no implicit steps"):
+        load_scene("tilt_0", ["run.stiff=true"])
+
+
+def test_ctrl_c_ends_a_slow_run():
+    """A run of minutes in one call; it ends long before its steps are used up."""
+    code = (
+        "from capture_sim import Bench, load_scene\n"
+        "from capture_sim.bench import compile_kernels\n"
+        "compile_kernels()\n"
+        "b = Bench(load_scene('paper_designed', ['probe.density=1e-9']))\n"
+        "print('ready', flush=True)\n"
+        "try:\n"
+        "    b.advance([])\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted', b.statistics.steps < 9_000_000)\n"
+    )
+    run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert run.stdout.readline() == "ready\n"
+    time.sleep(0.3)
+    run.send_signal(signal.SIGINT)
+    out, _ = run.communicate(timeout=120)
+    assert out == "interrupted True\n"
+
+
+def test_everything_runs_without_numba():
+    code = (
+        "import numpy as np\n"
+        "from capture_sim import Bench, load_scene\n"
+        "b = Bench(load_scene('paper_designed', ['run.rtol=1e-6']))\n"
+        "s = b.advance(np.array([0.0, 2e-3]))\n"
+        "print(*s['q'][-1].tolist(), len(b.events))\n"
+    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    slow = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    bench = Bench(load_scene("paper_designed", ["run.rtol=1e-6"]))
+    q = bench.advance(np.array([0.0, 2e-3]))["q"][-1]
+    *found, events = map(float, slow.stdout.split())
+    assert found == pytest.approx(q.tolist(), abs=1e-12)
+    assert events == len(bench.events)
+
+
+def test_unwritable_cache_falls_back_in_a_line(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    code = "from capture_sim.kernels import cache_folder; print(cache_folder())"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"CAPTURE_SIM_CACHE": str(blocked), "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stderr.count("\n") == 1
+    assert "cannot be written to" in run.stderr
+    assert run.stdout.startswith(str(tmp_path))
+
+
+def test_cost_does_not_depend_on_how_the_launch_is_written():
+    """Impact speed wanted, or the mass and height that give it: the same physics."""
+    wanted = Bench(load_scene("tilt_0", ["string.impact_speed=0.05"]))
+    plan = wanted.plan
+    given = Bench(
+        load_scene(
+            "tilt_0",
+            {
+                "string.impact_speed": None,
+                "string.hanging_mass": plan.hanging_mass,
+                "string.drop_height": plan.drop_height,
+            },
+        )
+    )
+    for bench in (wanted, given):
+        bench.advance(np.zeros(0))
+    assert len(wanted.touches) == len(given.touches) > 0
+    cost = wanted.statistics.evaluations
+    assert given.statistics.evaluations == pytest.approx(cost, rel=0.02)
+
+
+def test_spin_counts_in_the_error_scale():
+    """Nothing moves but the target, which turns: the cost of a run of its own speed."""
+    steps = []
+    for rtol in (1e-10, 1e-12):
+        over = ["initial.chaser.vx=0", "initial.target.omega=1", "run.t_end=1"]
+        bench = Bench(load_scene("paper_designed", [*over, f"run.rtol={rtol}"]))
+        bench.advance(np.zeros(0))
+        steps.append(bench.statistics.steps)
+    assert steps[1] < 3 * steps[0]
+
+
+def test_ledger_closes_at_the_slowest_approach():
+    """Without a floor of 1 mm/s in the scale, the ripple of a touch at 10 um/s is an error."""
+    over = ["initial.chaser.vx=1e-5", "run.t_end=200", "run.state_rate=1", "run.rate=1"]
+    bench = Bench(load_scene("paper_designed", over))
+    samples = bench.advance(bench.times(0, 201))
+    assert len(bench.touches) > 0
+    assert np.abs(samples["energy_residual"]).max() < 1e-6 * samples["kinetic"].max()
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-16, 2e-16])
+def test_start_at_contact_is_a_start_at_contact(shift):
+    """The tip stands at the wall but for the rounding of its place."""
+    scene = load_scene("paper_designed")
+    bench = Bench(scene)
+    touch = None
+    while touch is None:
+        bench.advance(np.array([0.1]))
+        touch = next(e for e in bench.events if e.kind.label == "touch")
+    x = float(touch.q[0]) + shift
+    moved = load_scene("paper_designed", {"initial.chaser.x": x})
+    again = Bench(moved)
+    again.advance(np.array([0.01]))
+    assert [e.kind.label for e in again.events][1] == "touch"
+    assert again.events[1].t < 1e-12
