@@ -9,9 +9,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from random_scenes import random_scenes  # noqa: E402
+from random_scenes import random_scenes
 
-from capture_sim import Bench, load_scene  # noqa: E402
+from capture_sim import Bench, load_scene
 
 
 def run(scene, times=()):

@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "references"))
 
-import runs  # noqa: E402
+import runs
 
 SCENES = dict(runs.scenes())
 
