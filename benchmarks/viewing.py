@@ -117,7 +117,7 @@ def suite(folder, seconds, rate):
         "import resource, sys\n"
         "from pathlib import Path\n"
         "from capture_sim import load_scene\n"
-        "from capture_sim.nodes.suite import run_suite\n"
+        "from capture_sim.nodes.supervisor import run_suite\n"
         f"scene = load_scene('tilt_p10', ['run.rate={rate}', 'run.t_end={seconds}', "
         "'run.after_latch=null'])\n"
         f"status = run_suite([scene], Path({str(folder)!r}), record=False, pace=1.0)\n"

@@ -42,9 +42,11 @@ SWITCHES = {
 def generate_launch_description():
     texts = {
         "experiment": "names or files of scenes, separated by commas (tilt_0)",
-        "rtf": f"real-time factor, 0 to {FASTEST:g}; 0 as fast as it goes (0)",
+        "rtf": f"real-time factor, 0 to {FASTEST:g}; 0 as fast as it goes (1)",
         "state": f"of the simulation at the start: {', '.join(STATES)} (playing)",
         "out": "folder of the recordings (runs)",
+        "overrides": "changes of the scenes, as buffer.c_A=13, separated by commas (none)",
+        "scene": "of a bench without simulator, for launcher and detector (none)",
         "params": "YAML file of parameters, as config/nodes.yaml; what is set here wins",
         "namespace": "of all nodes and topics (/)",
         "view_python": "Python with rerun for the viewer, as `make setup` makes it, since rerun "
@@ -84,7 +86,13 @@ def suite(context):
     # on a real bench nobody says that it is all over
     ends = wanted("simulator") and not wanted("keep")
     parameters = {name: {"exit_when_done": ends} for name in (*started, "simulator")}
-    parameters["simulator"] |= {"consumers": list(started) or [""], **checked(argument)}
+    parameters["simulator"] |= checked(argument)
+    if started:  # ROS has no empty list
+        parameters["simulator"]["consumers"] = list(started)
+    if argument("scene") and not wanted("simulator"):
+        for name in started:
+            if name == "launcher":
+                parameters[name] |= {"scene": argument("scene"), "actuator": "output"}
     if argument("out") and wanted("record"):
         parameters["recorder"]["out"] = argument("out")
     if wanted("simulator"):
@@ -117,6 +125,13 @@ def checked(argument):
     found = {}
     if argument("experiment"):
         found["scenes"] = [name.strip() for name in argument("experiment").split(",")]
+    if argument("overrides"):
+        found["overrides"] = [change.strip() for change in argument("overrides").split(",")]
+    for name in ("experiment", "overrides", "rtf", "state"):
+        if argument(name) and argument("simulator") != "true":
+            refuse(name, argument(name), "nothing where simulator:=false")
+    if argument("scene") and argument("simulator") == "true":
+        refuse("scene", argument("scene"), "nothing but with simulator:=false")
     if argument("rtf"):
         try:
             found["pace"] = float(argument("rtf"))

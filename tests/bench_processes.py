@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
-from capture_sim.nodes.simulation_services import definitions
+from capture_sim.nodes.services import definitions
 
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
 #: (rmw_fastrtps issue 842): s until one that may be asked twice is asked again, and until one
@@ -63,7 +63,7 @@ def processes(folder):
     def start(name, change="", **parameters):
         arguments = ["--ros-args"]
         for key, value in {"exit_when_done": "true", **parameters}.items():
-            arguments += ["-p", f"{key}:={value}"]
+            arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={value}"]
         program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
         program += "raise SystemExit(node.main())"
         process = subprocess.Popen(
@@ -166,12 +166,25 @@ class Client:
 
     def listen(self, topic):
         """Return a list that collects a topic's messages from now on."""
-        from capture_sim.nodes.running import message_class, qos_of
+        from capture_sim.nodes.node import message_class, qos_of
 
         messages = []
         kind = message_class(topic.type_name)
         self.node.create_subscription(kind, topic.name, messages.append, qos_of(topic))
         return messages
+
+    def listen_to_runs(self):
+        """Return a list that collects the runs that are announced."""
+        from capture_sim.nodes.node import message_class, qos_of
+
+        runs = []
+        self.node.create_subscription(
+            message_class(RUN_INFO.type_name),
+            RUN_INFO.name,
+            lambda info: runs.append(info) if info.run_id else None,
+            qos_of(RUN_INFO),
+        )
+        return runs
 
 
 def wait_until(condition, timeout=20.0, what=""):
@@ -191,7 +204,7 @@ class Simulation:
 
     def __init__(self, client):
         self.client = client
-        self.runs = client.listen(RUN_INFO)
+        self.runs = client.listen_to_runs()
         self.states = client.listen(BENCH_STATE)
         self.clock = client.listen(CLOCK)
 

@@ -11,7 +11,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import rclpy
-from bench_processes import SETTLING
+from bench_processes import SETTLING, wait_until
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.context import Context
@@ -35,13 +35,12 @@ from capture_sim.messages.topics import (
     CHASER_POSE,
     RUN_INFO,
     SIMULATOR,
-    STREAM_ACK,
     STREAM_COUNTS,
     TARGET_POSE,
     topics_of,
 )
-from capture_sim.nodes.running import BenchNode
-from capture_sim.nodes.suite import run_suite
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.definitions import typestore
 from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.live import LiveRecorder
@@ -250,30 +249,21 @@ def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
 class Bench(BenchNode):
     """Stands in for the simulator: sends what cameras and encoders of a bench would."""
 
-    def __init__(self, consumers):
+    def __init__(self):
         super().__init__("real_bench")
         self.open((RUN_INFO, CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS))
-        self.in_run = set()
-        self._consumers = consumers
-        self.listen(STREAM_ACK, self._heard)
 
-    def _heard(self, ack):
-        (self.in_run.add if ack.run_id else self.in_run.discard)(ack.consumer)
-
-    def run(self, scene, measurements):
+    def run(self, scene, measurements, readers):
         publishers = [SIMULATOR, CAPTURE_DETECTOR]
         run = RunDescription.of(scene, "on the bench", publishers)
+        ours = (CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS)
+        wait_until(lambda: all(self.matched(topic) >= readers for topic in ours), 90.0)
         self.send(RUN_INFO, self.messages.run_info(run))
-        deadline = time.monotonic() + 90.0
-        ours = (CHASER_POSE, TARGET_POSE)
-        while self.in_run != self._consumers or any(self.matched(t) < 2 for t in ours):
-            rclpy.spin_once(self, timeout_sec=0.05)
-            assert time.monotonic() < deadline, self.in_run
+        assert self.drain(20.0)
         counts = {RUN_INFO.name: 1, **self.measure(measurements)}
+        assert self.drain(20.0)
         self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
-        while self.in_run:  # until they have ended it too
-            rclpy.spin_once(self, timeout_sec=0.05)
-            assert time.monotonic() < deadline, self.in_run
+        assert self.drain(20.0)
 
     def measure(self, measurements):
         """Send measurements; return how many by topic."""
@@ -306,8 +296,8 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
     ]
     rclpy.init()
     try:
-        bench = Bench({"capture_detector", "recorder"})
-        bench.run(scene, measured)
+        bench = Bench()
+        bench.run(scene, measured, 2)
         bench.destroy_node()
     finally:
         rclpy.shutdown()
@@ -337,7 +327,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     wait_for(node, "judging by paper_undamped")
     rclpy.init()
     try:
-        bench = Bench(set())
+        bench = Bench()
         statuses = []
         bench.listen(CAPTURE_STATUS, statuses.append)
         deadline = time.monotonic() + 60.0

@@ -13,8 +13,7 @@ import pytest
 import capture_sim
 from capture_sim import load_scene
 from capture_sim.interrupts import do_apart
-from capture_sim.nodes.suite import run_suite
-from capture_sim.nodes.uninterrupted import uninterrupted
+from capture_sim.nodes.supervisor import run_suite, uninterrupted
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
@@ -51,7 +50,7 @@ def test_interrupted_twice_ends_in_order(tmp_path, gap):
 
 def test_signals_that_come_together_interrupt_once():
     pytest.importorskip("rclpy")
-    from capture_sim.nodes.running import _Interrupt
+    from capture_sim.nodes.node import _Interrupt
 
     interrupt = _Interrupt()
     before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
@@ -101,7 +100,7 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
     status, said = ended(
         """
         import os, signal, threading
-        from capture_sim.nodes.running import BenchNode, run
+        from capture_sim.nodes.node import BenchNode, run
 
         class Loses:
             def __del__(self):
@@ -187,25 +186,6 @@ def test_interrupt_within_work_apart_is_not_lost():
     finally:
         over.set()
         signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.parametrize("held_up", [True, False])
-def test_end_is_bounded_also_where_python_is_locked(tmp_path, held_up):
-    pytest.importorskip("rclpy")
-    status, said = ended(
-        f"""
-        import ctypes
-        from capture_sim.nodes.ending import ended_within
-
-        print("said before")
-        with ended_within(1, 7):
-            ctypes.PyDLL(None).sleep(50 if {held_up} else 0)  # keeps Python's lock
-        ctypes.PyDLL(None).sleep(2)
-        print("through")
-        """,
-        tmp_path,
-    )
-    assert (status, said) == ((7, "said before\n") if held_up else (0, "said before\nthrough\n"))
 
 
 @pytest.mark.parametrize("followers", [(), ("recorder",)])

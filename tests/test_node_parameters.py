@@ -55,7 +55,9 @@ def test_file_reaches_nodes_in_any_namespace(tmp_path):
     import sys
 
     changed = Path(tmp_path, "nodes.yaml")
-    changed.write_text(FILE.read_text().replace("window: 200", "window: 5000"))
+    changed.write_text(
+        FILE.read_text().replace("consumer_timeout: 10.0", "consumer_timeout: 5000.0")
+    )
     for namespace in ("/", "/bench_2"):
         done = subprocess.run(
             [
@@ -67,7 +69,7 @@ def test_file_reaches_nodes_in_any_namespace(tmp_path):
             timeout=60,
         )
         assert done.returncode == 2
-        assert "window = 5000: allowed is" in done.stderr
+        assert "consumer_timeout = 5000.0: allowed is" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import Code, State
 from capture_sim.messages.topics import LAUNCH_COMMAND, LAUNCHER_STATE
-from capture_sim.nodes.running import message_class
-from capture_sim.nodes.simulation_services import FEATURES
+from capture_sim.nodes.node import message_class
+from capture_sim.nodes.services import FEATURES
 
 OVERRIDES = ["run.t_end=0.4"]
 
@@ -249,7 +249,7 @@ REFUSED = {
     ),
     "pace out of range": ("simulator", {"pace": 1e4}, r"Max: 1000"),
     "pace of another type": ("simulator", {"pace": "fast"}, r"[Tt]ype"),
-    "fixed": ("simulator", {"window": 300}, "read-only"),
+    "fixed": ("simulator", {"start_timeout": 50.0}, "read-only"),
     "tolerance out of range": ("launcher", {"speed_tolerance": 0.0}, "Min: 0.01"),
     "fixed actuator": ("launcher", {"actuator": "output"}, "read-only"),
 }

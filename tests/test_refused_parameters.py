@@ -49,7 +49,9 @@ def bench(tmp_path_factory):
             "recorder": start("recorder", out=out),
             "capture_detector": start("capture_detector"),
             "launcher": start("launcher"),
-            "simulator": start("simulator", pace=0.5, initial_state="playing"),
+            "simulator": start(
+                "simulator", pace=0.5, consumers="[recorder, capture_detector, launcher]"
+            ),
         }
         nodes["simulator"].wait_for("released")
         yield nodes, client, out / "tilt_0.mcap"

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import subprocess
 import sys
-import termios
-import threading
 import time
 
 import numpy as np
@@ -78,47 +74,6 @@ def test_split_recording_is_played_as_one(path, tmp_path):
 # the keys
 
 
-def test_keys_of_the_terminal_control_the_replay(path):
-    ours, its = pty.openpty()
-    before = termios.tcgetattr(its)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--paused"],
-        stdin=its,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    said = []
-    reader = threading.Thread(target=lambda: said.extend(process.stdout), daemon=True)
-    reader.start()
-    try:
-        wait_for(lambda: any("keys: space" in line for line in said))
-        for key, answer in (
-            (b"s", "a step"),
-            (b" ", "playing"),
-            (b"s", "stepping needs a paused run; this one is playing"),
-            (b" ", "paused"),
-            (b"-", "rate: 0.5"),
-            (b"+", "rate: 1"),
-            (b"+", "rate: 2"),
-            (b"x" + b"+" * 9, "rate: 1000"),
-            (b" ", "playing"),
-        ):
-            count = len(said)
-            os.write(ours, key)
-            wait_for(lambda count=count, answer=answer: f"[player] {answer}\n" in said[count:])
-        assert process.wait(30.0) == 0
-        reader.join(5.0)
-        assert " messages, " in said[-1]
-        assert termios.tcgetattr(its) == before
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-        os.close(ours)
-        os.close(its)
-
-
 def test_what_a_cut_recording_lacks_is_said(path, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-100_000])
@@ -141,7 +96,7 @@ import json, sys, time
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
-from capture_sim.nodes.running import message_class
+from capture_sim.nodes.node import message_class
 
 def qos(latched):
     kind = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
@@ -367,7 +322,7 @@ def test_services_of_simulation_interfaces(path, play, listen):
     answer = listen(
         """
 from importlib import import_module
-from capture_sim.nodes.simulation_services import definitions
+from capture_sim.nodes.services import definitions
 services = import_module(f"{definitions()}.srv")
 
 def ask(name, service, **fields):

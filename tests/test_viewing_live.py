@@ -277,7 +277,7 @@ def viewer(tmp_path):
 
 
 def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
-    from capture_sim.nodes.suite import run_suite
+    from capture_sim.nodes.supervisor import run_suite
     from capture_sim.recording.read import read_run
 
     node = viewer()
@@ -309,7 +309,7 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
     publisher = f"""
         import time, rclpy
         from rclpy.serialization import deserialize_message
-        from capture_sim.nodes.running import message_class, qos_of
+        from capture_sim.nodes.node import message_class, qos_of
         from capture_sim.recording.read import read_run
         from capture_sim.messages.topics import CHASER_ODOMETRY, TARGET_ODOMETRY, JOINT_STATES
         rclpy.init()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 from capture_sim.commands.inputs import FACTORS, not_negative, number, prepare_folder
 from capture_sim.errors import RecordingError
-from capture_sim.nodes.replay import replay
+from capture_sim.nodes.supervisor import replay
 
 DESCRIPTION = (
     "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
@@ -61,7 +60,6 @@ def run(options: argparse.Namespace) -> int:
         "loop": options.loop,
         "start": options.start,
         "paused": options.paused,
-        "keyboard": sys.stdin is not None and sys.stdin.isatty(),
     }
     # an empty list has no type in ROS
     if options.topics:

@@ -564,12 +564,6 @@ class Messages:
             counts=self._sequence("Q", list(counts.values())),
         )
 
-    def stream_ack(self, consumer: str, run_id: str, received: int) -> Message:
-        """Return StreamAck: the consumer has taken in so many samples of the run."""
-        return self.new(
-            "capture_sim/msg/StreamAck", consumer=consumer, run_id=run_id, received=received
-        )
-
     def _stamped(self, type_name: str, t: float, frame: str, **fields: Any) -> Message:
         """Return the message of a type with a header, its fields filled."""
         message = self._made.get(type_name)

@@ -33,7 +33,7 @@ class Stamp(Enum):
 
 @dataclass(frozen=True, eq=False)  # each is one of a kind: compared and hashed by identity
 class Topic:
-    """One topic; all are reliable and keep the last ``depth`` messages.
+    """One topic; all are reliable, and a stream keeps every message until it is read.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Topic:
     type_name
         Message type as ``package/msg/Name``.
     publishers
-        Nodes that send it; empty when any consumer may.
+        Nodes that send it.
+    depth
+        Messages that are kept of a latched topic.
     latched
-        Transient local: late subscribers get the last ``depth`` messages.
-    lease
-        Liveliness lease, s: how soon consumers notice that the publisher was
-        killed; None for no bound.
+        Transient local: late subscribers get the last ``depth`` messages; of a periodic topic
+        the last change of its state.
     sequenced
         A ``uint64 seq`` follows the header and counts from 0 without gaps.
     recorded
@@ -60,7 +60,6 @@ class Topic:
     rate: Rate
     depth: int = 1000
     latched: bool = False
-    lease: float | None = None
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False
     recorded: bool = True
@@ -79,12 +78,11 @@ RUN_INFO = Topic(
     Rate.ONCE,
     depth=1,
     latched=True,
-    lease=3.0,
 )
 BENCH_STATE = Topic(
     "bench/state", "capture_sim/msg/BenchState", (SIMULATOR,), Rate.STATE, sequenced=True
 )
-# where the scene asks for it; never more than one message a sample, so no queue overflows
+# where the scene asks for it
 CONTACT_TRACE = Topic(
     "bench/contact_trace", "capture_sim/msg/ContactTrace", (SIMULATOR,), Rate.EVENT, sequenced=True
 )
@@ -127,12 +125,12 @@ LAUNCH_COMMAND = Topic(
     depth=10,
     latched=True,
 )
-# latched, since launcher and detector cannot know whether a recorder is still to come
 LAUNCHER_STATE = Topic(
     "launcher/state",
     "capture_sim/msg/LauncherState",
     (LAUNCHER,),
     Rate.PERIODIC,
+    depth=1,
     latched=True,
     sequenced=True,
 )
@@ -149,16 +147,9 @@ CAPTURE_STATUS = Topic(
     "capture_sim/msg/CaptureStatus",
     (CAPTURE_DETECTOR,),
     Rate.PERIODIC,
+    depth=1,
     latched=True,
     sequenced=True,
-)
-STREAM_ACK = Topic(
-    "bench/ack",
-    "capture_sim/msg/StreamAck",
-    (),
-    Rate.EVENT,
-    stamp=Stamp.NONE,
-    recorded=False,
 )
 STREAM_COUNTS = Topic(
     "bench/stream_counts",
@@ -192,7 +183,6 @@ TOPICS: tuple[Topic, ...] = (
     CAPTURE_CRITERIA,
     CAPTURE_STATUS,
     STREAM_COUNTS,
-    STREAM_ACK,
 )
 
 RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded)

@@ -2,47 +2,70 @@
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import Field, fields, replace
 from functools import partial
 from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 
 from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
-from capture_sim.launch.scenes import load_scene, load_scene_text
-from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.measurements import detector_sources
+from capture_sim.errors import SceneError
+from capture_sim.launch.scenes import load_scene
+from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
+from capture_sim.messages.measurements import detector_sources, measured
 from capture_sim.messages.telemetry import DetectorTelemetry
-from capture_sim.messages.topics import BUFFER_STATE, CAPTURE_DETECTOR, Topic, topics_of
-from capture_sim.nodes.decoding import decoder
-from capture_sim.nodes.detector_parameters import Criteria
-from capture_sim.nodes.following import FOLLOWED, RunFollower
-from capture_sim.nodes.running import run
-from capture_sim.scene.parts import Scene
+from capture_sim.messages.topics import (
+    BUFFER_STATE,
+    CAPTURE_DETECTOR,
+    CHASER_ODOMETRY,
+    CHASER_POSE,
+    JOINT_STATES,
+    TARGET_ODOMETRY,
+    TARGET_POSE,
+    Topic,
+    topics_of,
+)
+from capture_sim.nodes.node import BenchNode, MessageError, ParameterError, message_class, run
+from capture_sim.nodes.participant import READ, Participant
+from capture_sim.scene.parts import Detector, Scene
 
-#: A source that has fallen behind the others by this much is warned of, s of their stamps;
-#: topics of an unpaced run may be apart by the simulator's window.
+#: A source that has fallen behind the others by this much is warned of, s of their stamps.
 STALE = 2.0
+#: What a bench without simulator may measure; of each source the first topic that comes is used.
+OF_A_BENCH = {
+    CHASER_ODOMETRY: Source.CHASER,
+    CHASER_POSE: Source.CHASER,
+    TARGET_ODOMETRY: Source.TARGET,
+    TARGET_POSE: Source.TARGET,
+    BUFFER_STATE: Source.BUFFER,
+    JOINT_STATES: Source.BUFFER,
+}
 
 
-class CaptureDetectorNode(RunFollower):
+class CaptureDetectorNode(Participant):
     """Sends its judgement of every instant that the poses were measured at.
 
-    What it decides stands in :class:`capture_sim.detection.noisy.NoisyDetector`.
+    What it decides stands in :mod:`capture_sim.detection`.
     """
 
     # of the run that is on
     _detector: NoisyDetector
-    _decoders: dict[Topic, tuple[Source, Callable[[bytes], tuple[float, Values]]]]
+    _sources: dict[Topic, Source]
     _telemetry: DetectorTelemetry
-    _sets: int
+    _zero: int | None  # ns, stamp of t = 0: the release, or a bench's first measurement
+    _state: Any
 
     def __init__(self) -> None:
         super().__init__(CAPTURE_DETECTOR)
         self._criteria = Criteria(self)
         self.open(topics_of(CAPTURE_DETECTOR))
-        for topic in FOLLOWED[CAPTURE_DETECTOR]:
+        for topic in READ[CAPTURE_DETECTOR]:
             self.follow(topic, partial(self._take, topic), raw=True)
         name = self.declare(
             "scene",
@@ -51,34 +74,29 @@ class CaptureDetectorNode(RunFollower):
             "name in config/scenes, or file; empty to wait for a run",
         )
         overrides = self.declare("overrides", list, "changes of that scene (SI)")
-        if name:
-            self._begin_alone(load_scene(name, overrides))
+        self._scene = load_scene(name, overrides) if name else None
 
-    def _begin_alone(self, scene: Scene) -> None:
-        """Begin a run that nobody has announced; it lasts until Ctrl-C."""
-        description = RunDescription.of(scene, uuid.uuid4().hex, [CAPTURE_DETECTOR])
-        info = self.messages.run_info(description)
-        self.begin(info)
-        self.run = info
-        self.get_logger().info(f"judging by {scene.name} until Ctrl-C")
+    def work(self) -> int:
+        """Take part until the process is to end; return the exit status."""
+        if self._scene is not None:
+            self.announce(self._scene.name, self._scene)
+            self.get_logger().info(f"judging by {self._scene.name} until Ctrl-C")
+        return super().work()
 
-    def begin(self, info: Any) -> None:
+    def begin(self, info: Any, scene: Scene) -> None:
         """Start anew for the scene of this run."""
-        scene = self._criteria.of(load_scene_text(info.scene))
-        self._detector, sources = NoisyDetector(scene), detector_sources(scene)
-        self._decoders = {
-            topic: (source, decoder(topic, source))
-            for topic in FOLLOWED[CAPTURE_DETECTOR]
-            if (source := sources.get(topic)) is not None
-        }
+        scene = self._criteria.of(scene)
+        self._detector = NoisyDetector(scene)
+        self._sources = detector_sources(scene) if self.simulated else dict(OF_A_BENCH)
+        self._zero = EPOCH_NS if self.simulated else None
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
-        self._sets = 0
+        self._state = None
         self.publish(self._telemetry.begin(scene.detector))
         if given := self._criteria.given():
             self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
 
     def end(self, reason: str) -> list[str]:
-        """Send the final verdict, and tell how much was sent."""
+        """Send the final verdict, and say how much was sent."""
         statuses = self._detector.finish(cut=self.cut)
         self._send_all(statuses)
         verdict = statuses[-1]
@@ -90,27 +108,125 @@ class CaptureDetectorNode(RunFollower):
             self.get_logger().warning(
                 f"{self.run.name}: {skipped} instants not judged: a source had a hole there"
             )
+        self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
     def _take(self, topic: Topic, data: bytes) -> None:
-        if topic in self._decoders:
-            source, decode = self._decoders[topic]
-            self._send_all(self._detector.measure(source, *decode(data)))
+        source = self._sources.get(topic)
+        if source is None:
+            return
+        message: Any = deserialize_message(data, message_class(topic.type_name))
+        values = _joints(message) if topic is JOINT_STATES else measured(source, message)
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if self._zero is None:
+            self._zero = stamp
+        if not self.simulated:
+            rivals = [other for other, kind in self._sources.items() if kind is source]
+            for other in rivals:
+                if other is not topic:
+                    del self._sources[other]
+        t = stamp_seconds(stamp - self._zero + EPOCH_NS)
+        self._send_all(self._detector.measure(source, t, values))
         if silent := self._detector.aligner.silent(STALE):
             names = " and ".join(source.value for source in silent)
             self.get_logger().warning(
                 f"nothing is judged: no measurement of the {names} for {STALE:g} s",
                 throttle_duration_sec=5.0,
             )
-        if topic is BUFFER_STATE:
-            # one in every set of periodic messages
-            self.advance_past(self._sets)
-            self._sets += 1
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         for status in statuses:
-            self.publish(self._telemetry.status(status.t, status))
+            changed = (status.state, status.final) != self._state
+            self._state = status.state, status.final
+            self.publish(self._telemetry.status(self._own_time(status.t), status), latch=changed)
+
+    def _own_time(self, t: float) -> float:
+        """Return the time that is stamped: a bench's own clock goes back into the message."""
+        return t if self._zero in (None, EPOCH_NS) else t + (self._zero - EPOCH_NS) / 1e9
+
+
+def _joints(message: Any) -> Values:
+    """Return what sensor_msgs/JointState says of the buffer; rates only where it has them."""
+    try:
+        slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
+        values: Values = (message.position[slide], message.position[hinge])
+        if len(message.velocity):
+            values += (message.velocity[slide], message.velocity[hinge])
+    except (ValueError, IndexError):
+        raise MessageError(f"allowed are joints {SLIDE_JOINT} and {HINGE_JOINT}") from None
+    return values
+
+
+class Criteria:
+    """The scene's criteria as parameters of the node, with their units and ranges.
+
+    One that is not set follows the scene; one that is set holds from the next run on, as a run is
+    judged by one set of criteria from its start to its end.
+
+    Raises
+    ------
+    ParameterError
+        A value given at the start is wrong; one line that says what is allowed.
+    """
+
+    def __init__(self, node: BenchNode) -> None:
+        self._node = node
+        self._fields: dict[str, Field[Any]] = {field.name: field for field in fields(Detector)}
+        for field in self._fields.values():
+            self._declare(field)
+        node.add_on_set_parameters_callback(self._check)
+
+    def of(self, scene: Scene) -> Scene:
+        """Return the scene with the criteria that are set; the others are its own."""
+        values = {name: self._node.get_parameter_or(name).value for name in self._fields}
+        given = {name: float(value) for name, value in values.items() if value is not None}
+        return replace(scene, detector=replace(scene.detector, **given)) if given else scene
+
+    def given(self) -> str:
+        """Return the criteria that are set, as text; empty when all are the scene's."""
+        return ", ".join(
+            f"{name} = {value:g} {field.metadata['unit']}"
+            for name, field in self._fields.items()
+            if (value := self._node.get_parameter_or(name).value) is not None
+        )
+
+    def _declare(self, field: Field[Any]) -> None:
+        unit, allowed = field.metadata["unit"], field.metadata["allowed"]
+        descriptor = ParameterDescriptor(
+            description=f"{unit}, {field.metadata['doc']}; not set: the scene's",
+            additional_constraints=f"{allowed} {unit}",
+        )
+        name = field.name
+        given = self._node.take_given(name)
+        try:
+            self._node.declare_parameter(name, Parameter.Type.DOUBLE, descriptor)
+        except InvalidParameterTypeException:
+            raise ParameterError(
+                f"parameter {name} = {given!r}: allowed is a number with a decimal point, "
+                f"{allowed} {unit}"
+            ) from None
+        parameter = self._node.get_parameter_or(name)
+        if reason := self._wrong(parameter):
+            raise ParameterError(reason)
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse what a scene would refuse."""
+        for parameter in parameters:
+            if reason := self._wrong(parameter):
+                return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _wrong(self, parameter: Parameter) -> str:
+        """Return why a value is not allowed; empty if it is."""
+        field = self._fields.get(parameter.name)
+        if field is None or parameter.value is None:
+            return ""
+        try:
+            Detector(**{parameter.name: parameter.value})
+        except SceneError as error:
+            return f"parameter {str(error).removeprefix('Detector.')}"
+        return ""
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -11,7 +11,7 @@ from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.running import BenchNode, run
+from capture_sim.nodes.node import BenchNode, run
 
 
 class ContactRigNode(BenchNode):

@@ -8,7 +8,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from capture_sim.control.simulation import SimulationControl, State
-from capture_sim.nodes.running import BenchNode, message_class
+from capture_sim.nodes.node import BenchNode, message_class
 from capture_sim.nodes.stepping import Stepping
 
 if TYPE_CHECKING:

@@ -7,26 +7,39 @@ from functools import partial
 from typing import Any
 
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
-from capture_sim.launch.plan import Launcher, LauncherPhase
-from capture_sim.launch.scenes import load_scene_text
-from capture_sim.messages.convert import LaunchAction, StringPhase, stamp_seconds
+from capture_sim.errors import CaptureSimError
+from capture_sim.launch.plan import Launcher, LauncherPhase, LauncherStatus
+from capture_sim.launch.scenes import load_scene
+from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
     CHASER_ODOMETRY,
+    CHASER_POSE,
     CONTACT_STATE,
     LAUNCHER,
     STRING_STATE,
+    Topic,
     topics_of,
 )
-from capture_sim.nodes.actuator import KINDS, check_kind, make_actuator
-from capture_sim.nodes.following import FOLLOWED, RunFollower
-from capture_sim.nodes.receiving import StampMatcher, stamp_ns_of
-from capture_sim.nodes.running import run
+from capture_sim.nodes.node import message_class, run
+from capture_sim.nodes.participant import READ, Participant
+from capture_sim.scene.parts import Scene
+
+#: Output for a real release, such as a magnet's relay: std_msgs/Bool, true holds.
+HOLD = "launcher/hold"
+#: What is read of a simulator at each instant; of a bench it is the chaser's pose.
+SIMULATED = (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY)
+#: A bench's speed is that over this time, s: noise of its poses divides by it.
+SPEED_WINDOW = 0.1
+#: Stamps of which not every topic has come yet; the oldest is given up beyond.
+MOST_WAITING = 1000
+_ACTUATORS = ("simulated", "output")
 
 
-class LauncherNode(RunFollower):
+class LauncherNode(Participant):
     """Sends ARM and RELEASE, and its state with every periodic sample; ABORT if need be.
 
     What it decides stands in :class:`capture_sim.launch.plan.Launcher`.  ``~/launch`` releases
@@ -36,8 +49,7 @@ class LauncherNode(RunFollower):
     # of the run that is on, or the last one
     _launcher: Launcher | None = None
     _telemetry: LauncherTelemetry
-    _matcher: StampMatcher
-    _observed: int
+    _parts: dict[int, dict[str, Any]]  # messages of one stamp (ns) that wait for the others
     _touched: bool
 
     def __init__(self) -> None:
@@ -57,64 +69,131 @@ class LauncherNode(RunFollower):
             high=10.0,
             read_only=False,
         )
-        kind = self.declare(
+        actuator = self.declare(
             "actuator",
             "simulated",
             "what lets the chaser go: the simulator, or the output launcher/hold",
-            allowed=" or ".join(KINDS),
-            check=check_kind,
+            allowed=" or ".join(_ACTUATORS),
+            check=_check_actuator,
         )
+        name = self.declare(
+            "scene",
+            "",
+            "of a bench without simulator: ~/launch begins a trial of it, ~/end_trial ends it; "
+            "name in config/scenes, or file",
+        )
+        overrides = self.declare("overrides", list, "changes of that scene (SI)")
+        self._scene = load_scene(name, overrides) if name else None
+        self._asked = False  # to launch the trial that is begun
+        self._place: tuple[float, float] | None = None  # s and m, of a bench's chaser before
+        self._zero: int | None = None  # ns, a bench's stamp when the chaser was let go
         self.open(topics_of(LAUNCHER))
-        self._actuator = make_actuator(kind, self)
-        for topic in FOLLOWED[LAUNCHER]:
-            self.follow(topic, partial(self._take, topic.name))
+        self._hold_output: Any = None
+        if actuator == "output":
+            # latched, so that a driver which starts late holds from its first message on
+            qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._bool = message_class("std_msgs/msg/Bool")
+            self._hold_output = self.create_publisher(self._bool, HOLD, qos)
+            self._hold(True)
+        for topic in READ[LAUNCHER]:
+            self.follow(topic, partial(self._take, topic))
         self.create_service(Trigger, "~/launch", self._asked_to_launch)
         self.create_service(Trigger, "~/abort", self._asked_to_abort)
         self.add_post_set_parameters_callback(self._parameters_set)
 
-    def begin(self, info: Any) -> None:
+    def begin(self, info: Any, scene: Scene) -> None:
         """Plan the launch and arm."""
-        self._launcher = launcher = Launcher(load_scene_text(info.scene), self._tolerance)
+        self._launcher = launcher = Launcher(scene, self._tolerance)
         self._telemetry = LauncherTelemetry(self.messages, info.run_id)
-        self._matcher = StampMatcher(topic.name for topic in FOLLOWED[LAUNCHER])
-        self._observed = 0
+        self._parts = {}
         self._touched = False
+        self._place = self._zero = None
         plan = launcher.plan
-        self._actuator.hold()
+        self._hold(True)
         self.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
-        self.publish(self._telemetry.state(0.0, launcher.status))
+        self._tell(0.0, launcher.status, latch=True)
         how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
         if plan.hanging_mass > 0.0:
             how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
         self.get_logger().info(f"{info.name}: armed, {how} for {speed}")
-        if self._auto_release:
+        if self._auto_release or self._asked:
             self._release(launcher)
 
     def end(self, reason: str) -> list[str]:
-        """Tell how much was sent."""
+        """Say how much was sent, when it has arrived; hold a bench's chaser again."""
+        self._hold(True)
+        self._asked = False
+        self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
+    def _tell(self, t: float, status: LauncherStatus, *, latch: bool) -> None:
+        self.publish(self._telemetry.state(t, status), latch=latch)
+
+    def _hold(self, hold: bool) -> None:
+        if self._hold_output is not None:
+            self._hold_output.publish(self._bool(data=hold))
+
     def _release(self, launcher: Launcher) -> None:
         self.publish(self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
-        self._actuator.release()
-        self.publish(self._telemetry.state(0.0, launcher.release()))
+        self._hold(False)
+        self._tell(0.0, launcher.release(), latch=True)
 
     def _abort(self, launcher: Launcher, t: float) -> None:
         """Tell everybody that the launch is given up."""
-        self._actuator.hold()
+        self._hold(True)
         self.publish(self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
-        self.publish(self._telemetry.state(t, launcher.status))
+        self._tell(t, launcher.status, latch=True)
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
-    def _take(self, name: str, message: Any) -> None:
-        parts = self._matcher.add(name, message)
-        if parts is None or self._launcher is None:
+    def _take(self, topic: Topic, message: Any) -> None:
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if not self.simulated:
+            if topic in (CHASER_ODOMETRY, CHASER_POSE):
+                self._watch_bench(stamp, message)
             return
+        if topic is not CHASER_POSE:
+            self._collect(topic.name, stamp, message)
+
+    def _watch_bench(self, stamp: int, message: Any) -> None:
+        """Watch a bench's chaser by its poses alone, each over the time since one before."""
+        launcher = self._launcher
+        if launcher is None or launcher.status.state is LauncherPhase.ARMED:
+            return
+        if self._zero is None:
+            self._zero = stamp
+        t = (stamp - self._zero) / 1e9
+        at = message.pose.pose if hasattr(message, "twist") else message.pose
+        travel = launcher.travelled(at.position.x, at.position.y)
+        if self._place is None:
+            self._place = t, travel
+        since = t - self._place[0]
+        if since < SPEED_WINDOW:
+            return
+        speed, middle = (travel - self._place[1]) / since, 0.5 * (travel + self._place[1])
+        self._place = t, travel
+        before = launcher.status.state
+        slack, touched = t > launcher.plan.landing_time, travel > launcher.plan.travel
+        status = launcher.observe(speed, slack, touched, t=t, travel=middle)
+        own = t + (self._zero - EPOCH_NS) / 1e9
+        if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
+            self._abort(launcher, own)
+        else:
+            self._tell(own, status, latch=status.state is not before)
+
+    def _collect(self, name: str, stamp: int, message: Any) -> None:
+        parts = self._parts.setdefault(stamp, {})
+        parts[name] = message
+        if len(parts) < len(SIMULATED) or self._launcher is None:
+            if len(self._parts) > MOST_WAITING:
+                del self._parts[min(self._parts)]
+            return
+        # each topic comes in the order of its stamps: an older set has lost a message
+        self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
         string, contact = parts[STRING_STATE.name], parts[CONTACT_STATE.name]
         place = parts[CHASER_ODOMETRY.name].pose.pose.position
         self._touched = self._touched or contact.in_touch or contact.touches > 0
-        t = stamp_seconds(stamp_ns_of(message))
+        t = stamp_seconds(stamp)
         before = self._launcher.status.state
         status = self._launcher.observe(
             string.chaser_speed,
@@ -126,13 +205,15 @@ class LauncherNode(RunFollower):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(self._launcher, t)
         else:
-            self.publish(self._telemetry.state(t, status))
-        self.advance_past(self._observed)
-        self._observed += 1
+            self._tell(t, status, latch=status.state is not before)
 
     def _asked_to_launch(self, _: Any, response: Any) -> Any:
         launcher = self._launcher
-        if self.run is None or launcher is None:
+        if self.run is None and self._scene is not None:
+            self._asked = True
+            self.announce(self._scene.name, self._scene)
+            response.success, response.message = True, f"{self._scene.name}: trial begun"
+        elif self.run is None or launcher is None:
             response.message = "no run is announced: play or reset the simulation first"
         elif launcher.status.state is not LauncherPhase.ARMED:
             state = launcher.status.state.name.lower()
@@ -165,6 +246,13 @@ class LauncherNode(RunFollower):
                 armed = launcher is not None and launcher.status.state is LauncherPhase.ARMED
                 if self._auto_release and self.run is not None and launcher is not None and armed:
                     self._release(launcher)
+
+
+def _check_actuator(kind: str) -> None:
+    if kind not in _ACTUATORS:
+        raise CaptureSimError(
+            f"parameter actuator = {kind!r}: allowed is {' or '.join(_ACTUATORS)}"
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -21,7 +21,7 @@ from capture_sim.hardware.in_the_loop import (
 )
 from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.running import FAILED, OK, BenchNode, run
+from capture_sim.nodes.node import FAILED, OK, BenchNode, run
 
 #: The tip's first place is sent this often until it is answered, s (wall).
 KNOCK = 0.02

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -21,22 +15,24 @@ from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import Request, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import (
-    BENCH_STATE,
+    CAPTURE_DETECTOR,
     CLOCK,
+    LAUNCHER,
     RUN_INFO,
-    STREAM_ACK,
+    SIMULATOR,
     STREAM_COUNTS,
     topic_named,
     topics_of,
 )
-from capture_sim.nodes.flow_control import POLL, Followers
-from capture_sim.nodes.following import FOLLOWED
-from capture_sim.nodes.keyboard import Keyboard
-from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, message_class, run
-from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.nodes.barrier import Barrier
+from capture_sim.nodes.node import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.participant import RECORDER
+from capture_sim.nodes.services import SimulationServices
 from capture_sim.recording.playback import Playback, PlayedTopic, Rewritten, run_id_of
 
 PLAYER = "player"
+#: Nodes that can take part.
+ROLES = (CAPTURE_DETECTOR, RECORDER)
 #: What SimulatorFeatures.msg lists and a player has, by its numbers there.
 FEATURES = {
     "SIMULATION_STATE_GETTING": 24,
@@ -46,19 +42,19 @@ FEATURES = {
     "STEP_SIMULATION_MULTIPLE": 32,
 }
 INFO = "a step is all messages of the next time; playing and paused are the states it has."
-#: Readers that a writer has found may need this long to find it too, s (wall).
-SETTLING = 0.3
-#: A run's followers get this long to close their files, s (wall).
-CLOSING_TIME = 60.0
+#: Participants get this long to close their files, and the last messages to arrive, s (wall).
+CLOSING_TIME, LAST = 60.0, 1.0
 
 
 class PlayerNode(BenchNode):
     """Publishes the serialised messages of a recording.
 
     Types that are not installed are left out with a warning.  Nodes of the bench that are
-    named as consumers follow the played run as they follow the simulator's: they are awaited
+    named as consumers take part in the played run as in the simulator's: they are awaited
     at the start and never outrun, and what they publish themselves is not played.
     """
+
+    waits = True
 
     def __init__(self) -> None:
         super().__init__(PLAYER)
@@ -78,11 +74,11 @@ class PlayerNode(BenchNode):
         )
         wanted = self.declare("topics", list, "those that are played; all unless given")
         paused = self.declare("paused", False, "start paused")
-        consumers = self.declare(
-            "consumers", list, "nodes of the bench that take part: awaited and never outrun"
-        )
-        self._window = self.declare(
-            "window", 200, "samples that may be ahead of the slowest consumer", low=200, high=900
+        self._consumers = self.declare(
+            "consumers",
+            list,
+            "nodes of the bench that take part: awaited and never outrun",
+            allowed=f"of {', '.join(ROLES)}",
         )
         self._patience = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
@@ -90,7 +86,6 @@ class PlayerNode(BenchNode):
         self._delay = self.declare(
             "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
         )
-        self._keyboard = self.declare("keyboard", False, "keys of the terminal control it")
         self._clock_rate = self.declare(
             "clock_rate",
             100.0,
@@ -105,7 +100,6 @@ class PlayerNode(BenchNode):
                 f"parameter start = {self._offset:g} s: allowed is 0 to {length:g}, "
                 "the recording's length"
             )
-        self._consumers = list(consumers)
         self._played = self._chosen(wanted)
         if self._consumers and not any(
             topic_named(name) is RUN_INFO and self._playback.counts[name] for name in self._played
@@ -120,15 +114,15 @@ class PlayerNode(BenchNode):
             states=(State.PLAYING, State.PAUSED),
             resets=False,
         )
-        self._followers = Followers(self._consumers, 10.0)
-        self._outlets: dict[str, Any] = {}
+        self._outlets: dict[str, Callable[..., None]] = {}
         for name in self._played:
             self._open(self._playback.topics[name])
+        own = [topic for topic in map(topic_named, self._outlets) if topic in self._senders]
+        played = {SIMULATOR, LAUNCHER, *ROLES} - set(self._consumers)
+        self._barrier = Barrier(self, self._consumers, own, played, self._control.check)
         self._ticker = None
         if CLOCK.name not in self._outlets and self._clock_rate > 0.0:
             self._ticker = self.create_publisher(Clock, CLOCK.name, 10)
-        if self._consumers:  # a reader of this tells followers that they are waited for
-            self.listen(STREAM_ACK, self._heard)
         for name, action in (
             ("pause", lambda: self._control.set_state(State.PAUSED)),
             ("resume", lambda: self._control.set_state(State.PLAYING)),
@@ -159,15 +153,21 @@ class PlayerNode(BenchNode):
         }
         return [name for name in names if name not in own]
 
-    def _open(self, topic: PlayedTopic) -> None:
+    def _open(self, played: PlayedTopic) -> None:
         try:
-            kind = message_class(topic.type_name)
+            kind = message_class(played.type_name)
         except (ImportError, AttributeError, ValueError):
             self.get_logger().warning(
-                f"{topic.name}: type {topic.type_name} is not installed; it is not played"
+                f"{played.name}: type {played.type_name} is not installed; it is not played"
             )
             return
-        self._outlets[topic.name] = self.create_publisher(kind, topic.name, qos_from(topic.qos))
+        topic = topic_named(played.name)
+        if topic is not None and topic.type_name == played.type_name:
+            self.open((topic,))
+            self._outlets[played.name] = lambda data, last, t=topic: self.send(t, data, latch=last)
+            return
+        publisher = self.create_publisher(kind, played.name.lstrip("/"), qos_from(played.qos))
+        self._outlets[played.name] = lambda data, last: publisher.publish(data)
 
     def _serving(self, ask: Callable[[], Request]) -> Any:
         def serve(_: Any, response: Any) -> Any:
@@ -178,19 +178,10 @@ class PlayerNode(BenchNode):
 
         return serve
 
-    def _heard(self, ack: Any) -> None:
-        self._followers.heard(ack.consumer, ack.run_id, ack.received)
-
     # in the main thread
 
     def work(self) -> int:
         """Play; return the exit status."""
-        if not self._keyboard:
-            return self._work()
-        with Keyboard(self._control, self.get_logger().info):
-            return self._work()
-
-    def _work(self) -> int:
         for name, encoding in self._playback.left_out.items():
             self.get_logger().warning(f"{name}: messages encoded as {encoding!r} are not played")
         for line in self._playback.damage:
@@ -205,7 +196,7 @@ class PlayerNode(BenchNode):
                         "nothing was played: of the topics and times chosen the recording holds no "
                         "message of an installed type"
                     )
-                if not count or self._followers.lost:
+                if not count or self.left_behind:
                     status = FAILED
                 if count == 0:
                     return status
@@ -213,62 +204,52 @@ class PlayerNode(BenchNode):
                 if not self._loop:
                     return status
         finally:
-            self._control.close()
             self._served.close()
 
     def _play(self, suffix: str) -> int | None:
-        """Play once; return how many messages were played, None when a follower was not ready."""
-        log: Any = self.get_logger()
+        """Play once; return how many messages were played, None when others were not ready."""
         skipped = self._playback.skipped(self._offset, self._outlets)
         rewrite = Rewritten(suffix, self._consumers, skipped)
-        if self._consumers:
-            self._await(self._all_free, self._patience)
-        elif not suffix:
-            time.sleep(self._delay)
-        self._control.begin()
-        began = time.monotonic()
-        run_id = ""
-        count = states = 0
+        name = self._playback.path.name
+        count: Counter[str] = Counter()
         ticks = _Ticks(self._clock_rate)
         stamp = self._playback.start
+        self._control.begin()
         try:
-            for stamp, name, data in self._playback.messages(self._offset, self._outlets):
+            if self._consumers:
+                self._barrier.wait(name, self._barrier.all_there, self._patience)
+            elif not suffix:
+                time.sleep(self._delay)
+            self._control.pacer.reset()
+            for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
                 self._control.tick((stamp - self._playback.start) / 1e9)
                 if self._ticker is not None:
                     self._tick(ticks, stamp)
-                sent = rewrite(name, data)
+                sent = rewrite(topic, data)
                 if sent is None:
                     continue
-                self._outlets[name].publish(sent)
-                count += 1
-                topic = topic_named(name)
-                if topic is BENCH_STATE:
-                    states += 1
-                    if self._consumers and states % 50 == 0:
-                        self._leave_room(states, run_id)
-                elif topic is RUN_INFO and self._consumers:
-                    run_id = run_id_of(sent)
-                    self._await(lambda run_id=run_id: self._all_ready(run_id), self._patience)
-                    self._followers.start(run_id)
-                    time.sleep(SETTLING)
-                    self._control.pacer.reset()
-                    began = time.monotonic()
-            spent = max(time.monotonic() - began, 1e-9)
+                count[topic] += 1
+                self._outlets[topic](sent, count[topic] == self._playback.counts[topic])
+                if topic_named(topic) is RUN_INFO:
+                    self._barrier.begin(run_id_of(sent))
+                    self.drain(self.reader_timeout, [RUN_INFO])
+            # counted from before the others close their files
+            spent = max(self._control.pacer.wall, 1e-9)
+            self._control.pacer.hold()
+            self.drain(CLOSING_TIME if self._consumers else LAST)
             if self._consumers:
-                self._await(self._all_free, CLOSING_TIME)
-            else:
-                self._wait_for_acknowledgement()
+                self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
         except CaptureSimError as error:
-            log.error(str(error))
+            self.get_logger().error(str(error))
             return None
         finally:
             self._control.end()
         played = (stamp - self._playback.start) / 1e9 - self._offset
-        log.info(
-            f"{count} messages, {played:.2f} s played in {spent:.2f} s "
+        self.get_logger().info(
+            f"{count.total()} messages, {played:.2f} s played in {spent:.2f} s "
             f"({played / spent:.2f} x real time)"
         )
-        return count
+        return count.total()
 
     def _tick(self, ticks: _Ticks, stamp: int) -> None:
         due = ticks.at(stamp)
@@ -277,57 +258,16 @@ class PlayerNode(BenchNode):
             clock.clock.sec, clock.clock.nanosec = divmod(due, 1_000_000_000)
             self._ticker.publish(clock)
 
-    def _leave_room(self, states: int, run_id: str) -> None:
-        for name in self._followers.wait_for(states - self._window, run_id):
-            self.get_logger().error(
-                f"{name}: {self._followers.lost[name]}; the recording goes on without it"
-            )
-
-    def _all_free(self) -> str:
-        if unheard := self._followers.unheard():
-            return f"waiting for {', '.join(unheard)} to start"
-        if busy := self._followers.not_in(""):
-            return f"waiting for {', '.join(busy)} to end the last run"
-        return ""
-
-    def _all_ready(self, run_id: str) -> str:
-        if outside := self._followers.not_in(run_id):
-            return f"waiting for {', '.join(outside)} to take up the run"
-        for name, publisher in self._outlets.items():
-            readers = sum(topic_named(name) in FOLLOWED.get(c, ()) for c in self._consumers)
-            if publisher.get_subscription_count() < readers:
-                return f"waiting for {name} to be connected"
-        return ""
-
-    def _await(self, lacking: Any, limit: float) -> None:
-        """Wait until ``lacking`` returns nothing.
-
-        Raises
-        ------
-        CaptureSimError
-            After ``limit``, s.
-        """
-        deadline = time.monotonic() + limit
-        with self._followers.changed:
-            while text := lacking():
-                self._followers.changed.wait(POLL)
-                if time.monotonic() > deadline:
-                    raise CaptureSimError(f"{text}: given up after {limit:g} s")
-
-    def _wait_for_acknowledgement(self) -> None:
-        for publisher in self._outlets.values():
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
-
 
 class _Ticks:
-    """When a clock that is not in the recording is told."""
+    """When a clock that is not in the recording is published."""
 
     def __init__(self, rate: float) -> None:
         self._period = round(1e9 / rate) if rate > 0.0 else 0
         self._last = -1
 
     def at(self, stamp: int) -> int | None:
-        """Return the clock's time to be told before a message of this stamp (ns), if any."""
+        """Return the clock's time due before a message of this stamp (ns), if any."""
         if not self._period or stamp // self._period == self._last:
             return None
         self._last = stamp // self._period
@@ -335,15 +275,13 @@ class _Ticks:
 
 
 #: rosbag2 wrote numbers once, and names since version 7 of its metadata.
-_RELIABLE = ("reliable", 1)
 _BEST_EFFORT = ("best_effort", 2)
 _TRANSIENT_LOCAL = ("transient_local", 1)
 _KEEP_ALL = ("keep_all", 2)
-_NO_LEASE = 9_000_000_000  # s; what is longer is no bound
 
 
 def qos_from(recorded: dict[str, Any]) -> QoSProfile:
-    """Return the quality of service that rosbag2's profile tells.
+    """Return the quality of service that rosbag2's profile says.
 
     Without one: reliable, volatile, the last 1000 messages.
     """
@@ -352,19 +290,12 @@ def qos_from(recorded: dict[str, Any]) -> QoSProfile:
     keep_all = recorded.get("history") in _KEEP_ALL
     best_effort = recorded.get("reliability") in _BEST_EFFORT
     latched = recorded.get("durability") in _TRANSIENT_LOCAL
-    profile = QoSProfile(
+    return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
         depth=int(recorded.get("depth") or 10),
         reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-    lease = recorded.get("liveliness_lease_duration")
-    if isinstance(lease, dict) and 0 < lease.get("sec", 0) < _NO_LEASE:
-        profile.liveliness = LivelinessPolicy.AUTOMATIC
-        profile.liveliness_lease_duration = Duration(
-            seconds=lease["sec"], nanoseconds=lease.get("nsec", 0)
-        )
-    return profile
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""The node that records every stream of a run into one MCAP file."""
+"""The node that records a run or a trial into one MCAP file."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.serialization import serialize_message
+from ament_index_python.packages import get_package_share_directory
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import Trigger
 
 from capture_sim.folders import why_not_writable
-from capture_sim.messages.topics import BENCH_STATE, RECORDED, RUN_INFO, Topic
-from capture_sim.nodes.early import EarlyMessages
-from capture_sim.nodes.following import FOLLOWED, RECORDER, RunFollower
-from capture_sim.nodes.running import ParameterError, run
-from capture_sim.recording.cdr import sequence_of
+from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
+from capture_sim.nodes.node import ParameterError, message_class, run
+from capture_sim.nodes.participant import READ, RECORDER, Participant
+from capture_sim.recording.definitions import learn_type
 from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.scene.parts import Scene
+
+#: Messages of others that come before a run is announced here are kept for it, at most so many.
+_EARLY = 1000
 
 
-class RecorderNode(RunFollower):
+class RecorderNode(Participant):
     """Writes the messages' bytes as they come, and checks at the end that none is missing.
 
     What it does with them stands in :class:`capture_sim.recording.live.LiveRecorder`.
@@ -34,8 +40,16 @@ class RecorderNode(RunFollower):
             raise ParameterError(
                 f"parameter out = '{self._out}': allowed is a folder that can be written: {reason}"
             )
-        wanted = self.declare("topics", list, "those that are recorded; all unless given")
-        self._topics = self._chosen(wanted) if wanted else RECORDED
+        wanted = self.declare(
+            "topics",
+            list,
+            "those that are recorded, of the bench or others, whose types are found when they are "
+            "published; the bench's unless given",
+        )
+        known = {topic.absolute_name: topic for topic in RECORDED}
+        names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(known)
+        self._topics = [known[name] for name in names if name in known]
+        self._sought = {name for name in names if name not in known}
         self._split = Split(
             size=self.declare(
                 "split_size",
@@ -59,68 +73,86 @@ class RecorderNode(RunFollower):
             ),
         )
         self._paused = self.declare("paused", False, "begin each run paused")
-        self._recorder = self._fresh()
-        self._early = EarlyMessages()
-        self._states = 0
+        self._recorder: LiveRecorder | None = None  # of the run that is on
+        self._early: list[tuple[Topic, bytes]] = []
+        self.open((STREAM_COUNTS,))
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))
-        for topic in FOLLOWED[RECORDER]:
-            if topic is not RUN_INFO:
-                # what is kept for latecomers may be of a run before
-                self.listen(topic, partial(self._take, topic), latecomer=False, raw=True)
+        for topic in READ[RECORDER]:
+            # what is kept for latecomers may be of a run before
+            self.listen(topic, partial(self._take, topic), latched=False, raw=True)
+        if self._sought:
+            self._seek()
+            self.create_timer(0.5, self._seek, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def begin(self, info: Any) -> None:
-        """Open the file: the run's description, then what came before it."""
-        self._states = 0
+    def begin(self, info: Any, scene: Scene) -> None:
+        """Open the file: the run's description, then what others sent before it came here."""
+        del scene
+        for name in sorted(self._sought):
+            self.get_logger().warning(f"{info.name}: {name} is not recorded: nobody publishes it")
+        self._recorder = LiveRecorder(self._out, topics=self._topics, split=self._split)
+        self._recorder.paused = self._paused
         self._recorder.take(RUN_INFO, serialize_message(info))
-        for topic, data in self._early.take(info.run_id):
+        for topic, data in self._early:
             self._recorder.take(topic, data)
+        self._early.clear()
         self.get_logger().info(f"{info.name}: recording in {self._out}")
 
     def complete(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""
-        return self._recorder.done
+        return self._recorder is not None and self._recorder.done
 
     def end(self, reason: str) -> list[str]:
         """Close the file and say what is missing."""
+        assert self._recorder is not None
         report = self._recorder.close()
-        self._recorder = self._fresh()
+        self._recorder = None
+        self._early.clear()
         seen = sum(entry.seen for entry in report.topics.values())
         written = sum(entry.written for entry in report.topics.values())
         count = f"{seen} messages" if written == seen else f"{written} of {seen} messages"
         state = "complete" if report.complete else "INCOMPLETE"
         self.get_logger().info(f"{report.path}: {count}, {state}")
-        return [*super().end(reason), *report.problems]
+        problems = [*super().end(reason), *report.problems]
+        counts = {topic: entry.written for topic, entry in report.topics.items()}
+        self.send(
+            STREAM_COUNTS,
+            self.messages.stream_counts(
+                RECORDER, self.run.run_id, counts, complete=not problems, reason="; ".join(problems)
+            ),
+        )
+        return problems
 
-    def _fresh(self) -> LiveRecorder:
-        recorder = LiveRecorder(self._out, topics=self._topics, split=self._split)
-        recorder.paused = self._paused
-        return recorder
-
-    def _chosen(self, names: Sequence[str]) -> tuple[Topic, ...]:
-        known = {topic.absolute_name: topic for topic in RECORDED}
-        wanted = [name if name.startswith("/") else f"/{name}" for name in names]
-        if unknown := [name for name in wanted if name not in known]:
-            raise ParameterError(
-                f"parameter topics = {list(names)!r}: unknown is {', '.join(unknown)}; "
-                f"allowed are {', '.join(known)}"
-            )
-        return tuple(known[name] for name in wanted)
+    def _seek(self) -> None:
+        """Subscribe to those of the other topics that are published by now."""
+        for name, (type_name, *_) in self.get_topic_names_and_types():
+            if name in self._sought:
+                share = Path(get_package_share_directory(type_name.split("/")[0]))
+                learn_type(type_name, share)
+                topic = Topic(name, type_name, (), Rate.EVENT, stamp=Stamp.NONE)
+                self.listen(topic, partial(self._take, topic), raw=True)
+                self._topics.append(topic)
+                self._sought.remove(name)
 
     def _pause(self, paused: bool, _: Any, response: Any) -> Any:
-        response.success = self._recorder.paused != paused
+        response.success = self._paused != paused
         response.message = "" if response.success else f"already {'paused' * paused or 'recording'}"
-        self._recorder.paused = self._paused = paused
+        self._paused = paused
+        if self._recorder is not None:
+            self._recorder.paused = paused
         return response
 
     def _take(self, topic: Topic, data: bytes) -> None:
-        if self.run is None:
-            self._early.add(topic, data, sequence_of(topic, data))
+        if self._recorder is None or self.run is None:
+            # of another publisher than the announcer, whose message has overtaken the RunInfo
+            if len(self._early) < _EARLY:
+                self._early.append((topic, data))
             return
+        if topic is STREAM_COUNTS:
+            counts: Any = deserialize_message(data, message_class(topic.type_name))
+            if counts.publisher not in self.run.publishers:
+                return  # another recorder's
         self._recorder.take(topic, data)
-        if topic is BENCH_STATE:
-            self._states += 1
-            self.advance_to(self._states)
         self.end_if_complete()
 
 

@@ -15,7 +15,7 @@ from capture_sim.messages.urdf import (
     static_transforms,
     urdf,
 )
-from capture_sim.nodes.running import BenchNode, message_class
+from capture_sim.nodes.node import BenchNode, message_class
 from capture_sim.scene.parts import Scene
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -38,8 +38,8 @@ class RobotModel:
         except ImportError:  # not among the wheels
             return
         self._stamped = message_class("geometry_msgs/msg/TransformStamped")
-        self._moving = node.create_publisher(self._tf, self._placed("/tf"), 100)
-        self._static = node.create_publisher(self._tf, self._placed("/tf_static"), _LATCHED)
+        self._moving = node.create_publisher(self._tf, "/tf", 100)
+        self._static = node.create_publisher(self._tf, "/tf_static", _LATCHED)
 
     def begin(self, scene: Scene) -> None:
         """Show the parts of this scene, at its start."""
@@ -55,9 +55,6 @@ class RobotModel:
         if self._moving is not None and self._scene is not None:
             transforms = moving_transforms(self._scene, sample["q"].tolist())
             self._moving.publish(self._message(transforms, float(sample["t"])))
-
-    def _placed(self, name: str) -> str:
-        return name if self._node.get_namespace() == "/" else name.lstrip("/")
 
     def _message(self, transforms: Iterable[Transform], t: float) -> Any:
         return self._tf(transforms=[self._transform(transform, t) for transform in transforms])

@@ -1,15 +1,18 @@
-"""The node that runs the bench and publishes what it measures, no faster than it is read."""
+"""The node that runs the bench and publishes what it measures."""
 
 from __future__ import annotations
 
+import gc
 import itertools
 import sys
+import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import ListParameters
 from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
@@ -23,29 +26,37 @@ from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
+    CAPTURE_STATUS,
     LAUNCH_COMMAND,
     LAUNCHER,
     RUN_INFO,
     SIMULATOR,
-    STREAM_ACK,
     STREAM_COUNTS,
+    Topic,
     topics_of,
 )
+from capture_sim.nodes.barrier import Barrier
 from capture_sim.nodes.diagnostics import SimulatorDiagnostics
-from capture_sim.nodes.flow_control import ACK_EVERY, Followers, samples_between_acks
-from capture_sim.nodes.following import INTERRUPTED, RECORDER
-from capture_sim.nodes.gathering import Gathering
-from capture_sim.nodes.memory import set_memory_aside, sweep_memory
+from capture_sim.nodes.node import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.participant import INTERRUPTED, RECORDER
 from capture_sim.nodes.robot_model import RobotModel
-from capture_sim.nodes.running import FAILED, OK, BenchNode, ParameterError, run
-from capture_sim.nodes.simulation_services import SimulationServices
+from capture_sim.nodes.services import SimulationServices
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.scene.parts import Scene
 
-#: After a run its followers get this long to close their files, s (wall).
+#: Nodes that may be awaited.
+ROLES = (RECORDER, CAPTURE_DETECTOR, LAUNCHER)
+#: After a run the others get this long to close their files, s (wall).
 CLOSING_TIME = 60.0
+#: The word on a run's end arrives within this long, s (wall).
+IN_TIME = 1.0
 #: Python hands over between threads this often, s; its own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
+#: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
+#: (wall): longer than DDS needs to see that (config/fast_dds.xml, leaseDuration).
+RIVAL_PATIENCE = 8.0
+#: Others are found within this long, s (wall), before it is said that nobody else is there.
+DISCOVERY = 0.3
 
 
 @dataclass
@@ -61,13 +72,15 @@ class _Run:
 class SimulatorNode(BenchNode):
     """Runs scenes one after another.
 
-    For each it announces the run, waits until its followers have taken it up and the
-    launcher has armed and released, and sends the samples: at most a window ahead of the
-    slowest follower.  Simulated time starts at the release, so no delay before it, and no
-    pace after it, changes a number.
+    Alone it launches by its own plan and publishes; a launcher that is there takes over.  Whom
+    else it waits for is said by ``consumers``.  Nobody who subscribes with KEEP_ALL is outrun.
+    Simulated time starts at the release, so no delay before it, and no pace after it, changes a
+    number.
 
     The main thread steps the bench; callbacks and services have threads of their own.
     """
+
+    waits = True
 
     def __init__(self) -> None:
         super().__init__(SIMULATOR)
@@ -87,7 +100,7 @@ class SimulatorNode(BenchNode):
         )
         factor = self.declare(
             "pace",
-            0.0,
+            1.0,
             "real-time factor: simulated seconds per second; 0 as fast as it goes",
             low=FACTORS.low,
             high=FACTORS.high,
@@ -101,18 +114,12 @@ class SimulatorNode(BenchNode):
             check=_check_state,
         )
         consumers = self.declare(
-            "consumers",
-            [RECORDER, CAPTURE_DETECTOR, LAUNCHER],
-            "nodes that take part: awaited at the start, never outrun",
-            allowed="names of nodes, each once",
+            "consumers", list, "whom every run waits for, by role", allowed=f"of {', '.join(ROLES)}"
         )
-        self._window = self.declare(
-            "window", 200, "samples that may be ahead of the slowest consumer", low=200, high=900
-        )
-        timeout = self.declare(
+        self.reader_timeout = self.declare(
             "consumer_timeout",
-            3.0,
-            "s (wall), after which a consumer that is silent or stands still is left behind",
+            10.0,
+            "s (wall), after which a subscriber that takes nothing is left behind",
             low=1.0,
             high=600.0,
         )
@@ -122,43 +129,33 @@ class SimulatorNode(BenchNode):
         self._exit_when_done = self.declare(
             "exit_when_done", False, "end this process after the last run"
         )
-        consumers = [name for name in consumers if name]  # ROS has no empty list: [""] is none
-        if len(set(consumers)) != len(consumers):
+        if len(set(consumers)) != len(consumers) or not set(consumers) <= set(ROLES):
             raise ParameterError(
-                f"parameter consumers = {list(consumers)!r}: allowed are names of nodes, each once"
+                f"parameter consumers = {list(consumers)!r}: allowed are {', '.join(ROLES)}, "
+                "each once"
             )
         self._scenes = _load(names, overrides)
-        self._reporting = [SIMULATOR, *(name for name in consumers if topics_of(name))]
-        self._followers = Followers(consumers, timeout)
-        self.control = SimulationControl(
-            State[state.upper()], Pacer(factor), changed=self._followers.changed
-        )
-        self._gathering = Gathering(
-            self, self._followers, self.control, replaced=not self._exit_when_done
-        )
-        # run ids of one simulator begin alike, so that another's are known for what they are
+        self._consumers = list(consumers)
+        self.control = SimulationControl(State[state.upper()], Pacer(factor))
+        streams = topics_of(SIMULATOR)
+        self._barrier = Barrier(self, consumers, streams, (SIMULATOR,), self.control.check)
+        # run ids of one simulator begin alike
         self._session = uuid.uuid4().hex[:24]
         self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
-        self._rival = ""  # experiment of another simulator on the same topics
         self.open(topics_of(SIMULATOR))
         self._model = RobotModel(self)
         self._diagnostics = SimulatorDiagnostics(self, self.control)
         self._served = SimulationServices(self, self.control)
-        self.listen(STREAM_ACK, self._heard)
         self.listen(LAUNCH_COMMAND, self._commanded)
-        self.listen(RUN_INFO, self._announced)
         self.add_on_set_parameters_callback(self._may_set)
         self.add_post_set_parameters_callback(self._parameters_set)
 
     # callbacks
 
-    def _heard(self, ack: Any) -> None:
-        self._followers.heard(ack.consumer, ack.run_id, ack.received)
-
     def _commanded(self, command: Any) -> None:
-        with self._followers.changed:
+        with self.control.changed:
             if command.run_id != self._run.id:
                 return  # latched by an earlier run
             if command.action == LaunchAction.ARM:
@@ -167,25 +164,6 @@ class SimulatorNode(BenchNode):
                 self._run.released = True
             elif command.action == LaunchAction.ABORT:
                 self.control.cut("aborted by the launcher")
-            self._followers.changed.notify_all()
-
-    def _announced(self, info: Any) -> None:
-        """Take note of another simulator: with two on one topic, no stream would be whole."""
-        with self._followers.changed:
-            session = info.run_id[: len(self._session)]
-            if session == self._session:
-                return
-            self._rival = info.name
-            # both hear each other; the run that is on stays, of two the smaller number
-            if self._telemetry is None or session < self._session:
-                self.control.cut(self._rivalry())
-
-    def _rivalry(self) -> str:
-        topic = self.resolve_topic_name(RUN_INFO.name)
-        return (
-            f"another simulator, with {self._rival}, publishes {topic}: "
-            "use another ROS_DOMAIN_ID or namespace"
-        )
 
     def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
@@ -217,11 +195,15 @@ class SimulatorNode(BenchNode):
 
     def work(self) -> int:
         """Run all scenes, as often as is asked for; return the exit status."""
+        began = time.monotonic()
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once: some ten seconds")
         compile_kernels()
         sys.setswitchinterval(SWITCH_INTERVAL)
-        set_memory_aside()
+        gc.collect()
+        gc.freeze()  # out of all later sweeps: over it one takes longer than a tick
+        time.sleep(max(0.0, began + DISCOVERY - time.monotonic()))
+        self._refuse_rival()
         status = OK
         while self.control.await_start() is not State.QUITTING:
             done, failed = self._go_through_all()
@@ -234,16 +216,44 @@ class SimulatorNode(BenchNode):
         return status
 
     def interrupted(self) -> None:
-        """Tell the followers that the run has ended early."""
+        """Say that the run has ended early."""
         if self._telemetry is not None:
             self._end_run(INTERRUPTED)
-            self.linger(STREAM_COUNTS)
 
     def destroy_node(self) -> None:
-        """End the services, then the node."""
+        """Answer who waits, then end the node."""
         self.control.close()
         self._served.close()
         super().destroy_node()
+
+    def standing_still(self, topic: Topic) -> list[str]:
+        """Return the nodes that read a topic and do not answer."""
+        clients = {
+            name: self.create_client(ListParameters, f"{name}/list_parameters")
+            for name in super().standing_still(topic)
+        }
+        time.sleep(DISCOVERY)
+        answers = {
+            name: client.call_async(ListParameters.Request())
+            for name, client in clients.items()
+            if client.service_is_ready()  # a listener of `ros2 topic` has none
+        }
+        time.sleep(1.0)
+        silent = [name for name, answer in answers.items() if not answer.done()]
+        for client in clients.values():
+            self.destroy_client(client)
+        return silent or list(clients)
+
+    def _refuse_rival(self) -> None:
+        """End if another simulator publishes here: with two on a topic no stream is whole."""
+
+        def lacking() -> str:
+            if self.publishers_of(RUN_INFO) < 2:
+                return ""
+            topic = self.resolve_topic_name(RUN_INFO.name)
+            return f"another simulator publishes {topic}: use another ROS_DOMAIN_ID or namespace"
+
+        self._barrier.wait("start", lacking, RIVAL_PATIENCE)
 
     def _go_through_all(self) -> tuple[bool, bool]:
         """Run the scenes in turn; return whether they are through, and whether one failed."""
@@ -256,31 +266,28 @@ class SimulatorNode(BenchNode):
                 failure, again, stopped = self._go_through(
                     _Run(scene, f"{self._session}{next(self._numbers):08x}")
                 )
-                failed = failed or bool(failure or self._followers.lost)
+                failed = failed or bool(failure or self.left_behind)
                 if stopped and not failure:
                     return False, failed
-            if failed and (not self._exit_when_done or self._followers.lost or self._rival):
+            if failed and (not self._exit_when_done or self.left_behind):
                 break  # nobody there to see the others, or somebody ought to look first
         self.control.finish()
         return True, failed
 
     def _go_through(self, announced: _Run) -> tuple[str, bool, bool]:
         """Go through a run; return why it failed, whether it begins anew, and was stopped."""
-        sweep_memory()
-        with self._followers.changed:
+        gc.collect()
+        with self.control.changed:
             self._run = announced
+        name = announced.scene.name
         self.control.begin()
         failure, cut = "", None
         try:
-            if self._rival and self.count_publishers(self.placed(RUN_INFO)) > 1:
-                raise CaptureSimError(self._rivalry())
-            self._rival = ""
-            self._await(self._gathering.all_free, self._patience)
-            self._begin_run()
-            self._await(lambda: self._gathering.all_ready(announced.id), self._patience)
+            self._barrier.wait(name, self._barrier.all_there, self._patience)
+            launched_by_hand = self._begin_run()
             self.control.ready()
-            self._await(self._launched, None)
-            self._followers.start(announced.id)
+            if launched_by_hand:
+                self._barrier.wait(name, self._launched, None)
             failure = self._simulate(Bench(announced.scene, self._commanded_plan()))
         except RunCut as asked:
             cut = asked
@@ -289,23 +296,27 @@ class SimulatorNode(BenchNode):
         except CaptureSimError as error:
             failure = str(error)
         if failure:
-            self._complain(failure)
+            self.get_logger().error(f"{name}: {failure}")
         if self._telemetry is not None:
             self._end_run(failure or ("" if cut is None else str(cut)))
-        if cut is None:
-            failure = failure or self._see_off()
+            failure = failure or self._see_off(name)
         self.control.end(failure)
         return failure, cut is not None and cut.again, cut is not None and not cut.again
 
-    def _begin_run(self) -> None:
+    def _begin_run(self) -> bool:
+        """Announce the run; return whether a launcher is there to arm and release."""
         scene = self._run.scene
-        description = RunDescription.of(
-            scene, self._run.id, self._reporting, consumers=self._followers.names
-        )
-        with self._followers.changed:
-            self._telemetry = BenchTelemetry(self.messages, scene, description)
+        launcher = self.publishers_of(LAUNCH_COMMAND) > 0
+        reporting = [SIMULATOR, *[LAUNCHER] * launcher]
+        if self.publishers_of(CAPTURE_STATUS):
+            reporting.append(CAPTURE_DETECTOR)
+        description = RunDescription.of(scene, self._run.id, reporting, consumers=self._consumers)
+        self._barrier.begin(self._run.id)
+        self._telemetry = BenchTelemetry(self.messages, scene, description)
         self._model.begin(scene)
         self.publish(self._telemetry.begin())
+        self.drain(self.reader_timeout, [RUN_INFO])  # it comes before all else of the run
+        return launcher
 
     def _simulate(self, bench: Bench) -> str:
         """Send the whole run; return why it failed, or nothing."""
@@ -315,62 +326,53 @@ class SimulatorNode(BenchNode):
         stepping = Stepping(bench, self._telemetry, self.control)
         self._diagnostics.begin(stepping)
         try:
-            failure = stepping.run(self.send, self._leave_room, self._model.move)
+            failure = stepping.run(self.send, self._model.move)
         finally:
             self._diagnostics.end()
         self.get_logger().info(f"{name}: done, {stepping.count} samples, {stepping.figures}")
         return failure
 
+    def _launched(self) -> str:
+        return "" if self._run.armed and self._run.released else "waiting for the release"
+
     def _commanded_plan(self) -> LaunchPlan:
-        """Return the launch with the mass and height that the launcher has set."""
-        scene = self._run.scene
-        if scene.string is None:
+        """Return the launch with the mass and height that the launcher has set, if one has."""
+        scene, armed = self._run.scene, self._run.armed
+        if scene.string is None or armed is None:
             return plan_launch(scene)
         fitted = replace(
             scene.string,
             impact_speed=None,
-            hanging_mass=self._run.armed.hanging_mass,
-            drop_height=self._run.armed.drop_height,
+            hanging_mass=armed.hanging_mass,
+            drop_height=armed.drop_height,
         )
         return plan_launch(replace(scene, string=fitted))
 
     def _end_run(self, reason: str) -> None:
-        """Say how much was sent."""
+        """Say how much was sent, when it has arrived."""
         assert self._telemetry is not None
         for sent in self._telemetry.rest():
             self.publish(sent)
+        whole = self.drain(0.5 if reason == INTERRUPTED else self.reader_timeout)
+        if not whole and not reason and not self.left_behind:
+            self.left_behind = ["a subscriber"]
+            self.get_logger().error("a subscriber has not acknowledged all that was sent")
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         self._telemetry = None
 
-    def _see_off(self) -> str:
-        """Give the followers time to take in and write what was sent; return what failed."""
+    def _see_off(self, name: str) -> str:
+        """Give the others time to take in and write what was sent; return what failed."""
         try:
-            self._await(self._gathering.all_closed, CLOSING_TIME)
+            self.drain(IN_TIME, [STREAM_COUNTS])
+            self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
         except RunCut:
             pass
         except CaptureSimError as error:
-            self._complain(str(error))
+            self.get_logger().error(f"{name}: {error}")
             return str(error)
+        finally:
+            self.send(RUN_INFO, message_class(RUN_INFO.type_name)())  # no run is on
         return ""
-
-    def _complain(self, failure: str) -> None:
-        self.get_logger().error(f"{self._run.scene.name}: {failure}")
-
-    # what is waited for
-
-    def _leave_room(self, count: int) -> None:
-        run = self._run.scene.run
-        lot = samples_between_acks(run.state_rate, run.rate)
-        # with many messages a sample fewer samples are a transport's fill
-        window = self._window if lot == ACK_EVERY else 2 * lot
-        for name in self._followers.wait_for(count - window, self._run.id):
-            self._complain(f"{name}: {self._followers.lost[name]}; the run goes on without it")
-
-    def _launched(self) -> str:
-        return "" if self._run.armed and self._run.released else "waiting for the release"
-
-    def _await(self, lacking: Callable[[], str], limit: float | None) -> None:
-        self._gathering.wait(self._run.scene.name, lacking, limit)
 
 
 def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:

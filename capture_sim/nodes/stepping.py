@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench
+from capture_sim.bench import Bench, drive
 from capture_sim.control.simulation import RunCut, SimulationControl
-from capture_sim.errors import SimulationError
 from capture_sim.messages.telemetry import BenchTelemetry, Sent
 from capture_sim.messages.topics import BENCH_EVENT, BENCH_STATE, Topic
-from capture_sim.nodes.flow_control import samples_between_acks
 
-#: Samples that the core computes at a time stand for no more wall time than this, s.
+#: Samples that the core computes at a time stand for no more wall time than this, s ...
 BLOCK_TIME = 0.01
+#: ... and are no more than this.
+LARGEST_BLOCK = 200
 
 
 class Stepping:
@@ -47,22 +47,14 @@ class Stepping:
         self.t = self.residual = 0.0
         self._telemetry = telemetry
         self._control = control
-        self._events = self._traced = 0  # of the bench that are handed on
 
-    def run(
-        self,
-        send: Callable[[Topic, Any], None],
-        leave_room: Callable[[int], None],
-        show: Callable[[np.void], None],
-    ) -> str:
+    def run(self, send: Callable[[Topic, Any], None], show: Callable[[np.void], None]) -> str:
         """Send the whole run; return why it failed, or nothing.
 
         Parameters
         ----------
         send
-            Called with every topic and message.
-        leave_room
-            Called with the number of samples computed before they are sent; may wait.
+            Called with every topic and serialised message.
         show
             Called with every sample that periodic messages were made of, after them.
 
@@ -72,57 +64,34 @@ class Stepping:
             The run is to end before its time; what was made ahead does not count as sent.
         """
         made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
-
-        def send_counted(topic: Topic, message: Any) -> None:
-            try:
-                send(topic, message)
-            finally:
-                sent[topic] += 1  # Ctrl-C during it is raised when it has been sent
-
+        failure = ""
         try:
-            return self._run(send_counted, leave_room, show)
+            for piece in drive(self.bench, block=self._block):
+                block = self._telemetry.block(piece.samples, piece.events, piece.trace)
+                for sample, due in zip(piece.samples, _by_sample(block), strict=True):
+                    self._control.tick(float(sample["t"]))
+                    for topic, _, data in due:
+                        try:
+                            send(topic, data)
+                        finally:
+                            sent[topic] += 1  # Ctrl-C during it is raised when it has been sent
+                    self.count += 1
+                    self.t = float(sample["t"])
+                    self.residual = float(sample["energy_residual"])
+                    if due[-1][0] is BenchTelemetry.LAST_PERIODIC:
+                        show(sample)
+                failure = str(piece.failure or "")
         except (RunCut, KeyboardInterrupt):
             self._telemetry.cut(made, sent)
             raise
-
-    def _run(
-        self,
-        send: Callable[[Topic, Any], None],
-        leave_room: Callable[[int], None],
-        show: Callable[[np.void], None],
-    ) -> str:
-        failure = ""
-        while not (self.bench.done or failure):
-            try:
-                samples = self.bench.advance(self.bench.times(self.count, self._block()))
-            except SimulationError as error:
-                samples, failure = error.partial, str(error)
-            leave_room(self.count + len(samples))
-            events, self._events = self.bench.events[self._events :], len(self.bench.events)
-            trace, self._traced = self.bench.trace[self._traced :], len(self.bench.trace)
-            block = self._telemetry.block(samples, events, trace)
-            for sample, due in zip(samples, _by_sample(block), strict=True):
-                self._send(due, float(sample["t"]), send)
-                self.residual = float(sample["energy_residual"])
-                if due[-1][0] is BenchTelemetry.LAST_PERIODIC:
-                    show(sample)
         self._control.pacer.hold()
         return failure
 
     def _block(self) -> int:
         factor, run = self._control.pacer.factor, self.bench.scene.run
-        lot = samples_between_acks(run.state_rate, run.rate)  # no more: their room is waited for
         if factor == 0.0:
-            return lot
-        return int(np.clip(BLOCK_TIME * factor * run.state_rate, 1, lot))
-
-    def _send(self, due: list[Sent], t: float, send: Callable[[Topic, Any], None]) -> None:
-        self._control.tick(t)
-        for topic, _, data in due:
-            if topic is BENCH_STATE:
-                self.t = t
-                self.count += 1
-            send(topic, data)
+            return LARGEST_BLOCK
+        return int(np.clip(BLOCK_TIME * factor * run.state_rate, 1, LARGEST_BLOCK))
 
     @property
     def figures(self) -> str:

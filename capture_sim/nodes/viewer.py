@@ -18,9 +18,11 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message
 
+from capture_sim.detection.align import Observation, Source, observed
 from capture_sim.detection.exact import CaptureState
-from capture_sim.launch.scenes import load_scene, load_scene_text
+from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, stamp_seconds
+from capture_sim.messages.measurements import measured
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -34,9 +36,8 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
-from capture_sim.nodes.following import RunFollower
-from capture_sim.nodes.receiving import observation_of, stamp_ns_of
-from capture_sim.nodes.running import ParameterError, message_class, run
+from capture_sim.nodes.node import ParameterError, message_class, run
+from capture_sim.nodes.participant import Participant
 from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import SAMPLE
 from capture_sim.scene.parts import Scene
@@ -56,7 +57,7 @@ OF_A_BENCH = (
 _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
 
 
-class ViewerNode(RunFollower):
+class ViewerNode(Participant):
     """Shows every run that is announced, or one of a bench that announces none.
 
     What it shows and how stands in :class:`capture_sim.viewing.live.LiveView`.
@@ -109,10 +110,10 @@ class ViewerNode(RunFollower):
         self.create_timer(max(0.2, 1.0 / refresh), self._view.show, clock=steady)
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
 
-    def begin(self, info: Any) -> None:
+    def begin(self, info: Any, scene: Scene) -> None:
         """Begin to show the run that is announced."""
         self._unannounced = False
-        self._scene = load_scene_text(info.scene)
+        self._scene = scene
         self._start(info.name)
 
     def complete(self) -> bool:
@@ -184,9 +185,9 @@ class ViewerNode(RunFollower):
             topic: min(messages, key=lambda message: abs(stamp_ns_of(message) - stamp))
             for topic, messages in self._newest.items()
         }
-        measured = self._measurements(parts)
-        if measured is not None:
-            self._view.take(samples_of(self._scene, measured))
+        instant = self._measurements(parts)
+        if instant is not None:
+            self._view.take(samples_of(self._scene, instant))
 
     def _measurements(self, parts: dict[Topic, Any]) -> AlignedMeasurements | None:
         if not {CHASER_ODOMETRY, TARGET_ODOMETRY} <= parts.keys():
@@ -243,6 +244,22 @@ class ViewerNode(RunFollower):
         if self.run is not None or self._unannounced or t >= self._last_verdict:
             self._last_verdict = t
             self._view.verdict(t, CaptureState(status.state).label)
+
+
+def stamp_ns_of(message: Any) -> int:
+    """Return the stamp of a message with a header, ns."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def observation_of(chaser: Any, target: Any, buffer: Any) -> Observation:
+    """Return one instant's poses and buffer state from messages that carry its stamp."""
+    return observed(
+        stamp_seconds(stamp_ns_of(chaser)),
+        measured(Source.CHASER, chaser),
+        measured(Source.TARGET, target),
+        measured(Source.BUFFER, buffer),
+    )
 
 
 class _Buffer:

@@ -86,19 +86,15 @@ def in_folder(text: str) -> str:
 
 def qos_profile(topic: Topic) -> dict[str, object]:
     """Return a topic's quality of service as rosbag2 writes it."""
-    lease = _UNLIMITED
-    if topic.lease is not None:
-        sec, nsec = divmod(round(topic.lease * _NANOSECONDS), _NANOSECONDS)
-        lease = {"sec": sec, "nsec": nsec}
     return {
-        "history": "keep_last",
+        "history": "keep_last" if topic.latched else "keep_all",
         "depth": topic.depth,
         "reliability": "reliable",
         "durability": "transient_local" if topic.latched else "volatile",
         "deadline": _UNLIMITED,
         "lifespan": _UNLIMITED,
         "liveliness": "automatic",
-        "liveliness_lease_duration": lease,
+        "liveliness_lease_duration": _UNLIMITED,
         "avoid_ros_namespace_conventions": False,
     }
 

@@ -26,6 +26,26 @@ def typestore() -> Typestore:
     return store
 
 
+def learn_type(type_name: str, share: Path) -> None:
+    """Take up a type of another package, from the definitions that it has installed.
+
+    Parameters
+    ----------
+    type_name
+        As ``package/msg/Name``.
+    share
+        The package's folder of shared files.
+    """
+    store, package = typestore(), type_name.split("/")[0]
+    if type_name in store.types:
+        return
+    types = {}
+    for path in sorted(share.glob("msg/*.msg")):
+        name = f"{package}/msg/{path.stem}"
+        types.update(get_types_from_msg(path.read_text(encoding="utf-8"), name))
+    store.register({name: kind for name, kind in types.items() if name not in store.types})
+
+
 @cache
 def offline_messages() -> Messages:
     """Return the maker of messages for :func:`typestore`."""

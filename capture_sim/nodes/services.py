@@ -7,18 +7,14 @@ names and fields.
 from __future__ import annotations
 
 import importlib
-import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
 from capture_sim.control.simulation import Answer, Code, SimulationControl
-from capture_sim.nodes.running import ENDING, SERVICES
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
 FEATURES = {
@@ -52,8 +48,8 @@ def definitions() -> str:
 class SimulationServices:
     """Serves ``<node>/set_simulation_state`` and its kin.
 
-    A node of their own and threads of their own, since their callbacks wait: for a step to
-    be taken, say, which needs the acknowledgements that the main node receives.
+    Their callbacks wait, for a step to be taken, say: the node needs an executor with several
+    threads.
 
     Parameters
     ----------
@@ -77,15 +73,6 @@ class SimulationServices:
         self._info = info
         self._answered = 0.0  # wall, when the state was set last
         self._package = definitions()
-        # arguments of the process, as a new name, are the simulator's own
-        self._node = Node(
-            f"{node.get_name()}_services",
-            namespace=node.get_namespace(),
-            context=node.context,
-            use_global_arguments=False,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
         group = ReentrantCallbackGroup()
         served: dict[str, Callable[[Any, Any], Any]] = {
             "GetSimulatorFeatures": self._features,
@@ -96,26 +83,12 @@ class SimulationServices:
         }
         module = importlib.import_module(f"{self._package}.srv")
         for name, callback in served.items():
-            topic = f"{node.get_fully_qualified_name()}/{_snake(name)}"
-            self._node.create_service(getattr(module, name), topic, callback, callback_group=group)
-        self._executor = MultiThreadedExecutor(4, context=node.context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name=SERVICES, daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
+            service = getattr(module, name)
+            node.create_service(service, f"~/{_snake(name)}", callback, callback_group=group)
 
     def close(self) -> None:
-        """Serve no more; what has just been answered gets time to arrive."""
-        left = self._answered + GOOD_BYE - time.monotonic()
-        if left > 0.0:
-            time.sleep(left)
-        self._executor.shutdown(2.0)
-        # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
-        self._thread.join(ENDING)
-        self._node.destroy_node()
+        """Give what has just been answered time to arrive."""
+        time.sleep(max(0.0, self._answered + GOOD_BYE - time.monotonic()))
 
     def _features(self, _: Any, response: Any) -> Any:
         response.features.features = self._features_there

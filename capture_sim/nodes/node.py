@@ -1,7 +1,7 @@
-"""What every node of the bench does: declare parameters, start, spin, end.
+"""What every node of the bench does: declare parameters, publish, spin, end.
 
-The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks
-run in a thread of their own.
+The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks run in a
+thread of their own.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import difflib
 import importlib
+import inspect
 import math
 import os
 import signal
@@ -16,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -28,11 +30,11 @@ from rcl_interfaces.msg import (
 )
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -41,9 +43,7 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.interrupts import leave_if_busy
 from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import Topic
-from capture_sim.nodes.ending import ended_within
-from capture_sim.nodes.usage import usage_of
+from capture_sim.messages.topics import Rate, Topic
 from capture_sim.resources import config_dir
 
 try:
@@ -52,22 +52,17 @@ try:
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-RCLError = rclpy_implementation.RCLError
-
 #: Exit statuses.
 OK, FAILED, REFUSED = 0, 1, 2
-
-#: Names of the threads that run callbacks and services.
-CALLBACKS, SERVICES = "callbacks", "services"
-#: Each of them ends within this long, on a busy machine too, and so does DDS, s (wall).
-ENDING = 5
+#: Last messages are given this long to arrive before a node ends, s (wall).
+LINGER = 0.3
+#: A latched message waits this long for what was sent before it, s (wall).
+IN_ORDER = 1.0
 #: Where Fast DDS looks for a profile.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-#: A last message is given this long to arrive, s (wall).
-LINGER = 0.3
-
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class ParameterError(CaptureSimError):
@@ -80,44 +75,51 @@ def message_class(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def qos_of(topic: Topic, *, latecomer: bool = True) -> QoSProfile:
-    """Return the quality of service of a topic: reliable, the rest as its table entry says.
-
-    A topic with a lease is one whose publisher must not vanish unnoticed: DDS renews the
-    lease while the process lives, also when there is nothing to send, and tells the
-    subscribers when it runs out.  Without a lease that takes 20 s.
+def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
+    """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
 
     Parameters
     ----------
     topic
         Of the table.
-    latecomer
-        Whether a subscriber wants what is kept of a latched topic from before it came.
+    latched
+        Whether a subscriber wants what is kept of a latched topic; as the topic is unless given.
     """
-    profile = QoSProfile(
+    latched = topic.latched if latched is None else latched
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST if topic.latched and latched else HistoryPolicy.KEEP_ALL,
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL
-            if topic.latched and latecomer
-            else DurabilityPolicy.VOLATILE
-        ),
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-    if topic.lease is not None:
-        profile.liveliness = LivelinessPolicy.AUTOMATIC
-        profile.liveliness_lease_duration = Duration(seconds=topic.lease)
-    return profile
 
 
 class BenchNode(Node):
-    """A node of the bench: parameters with range and unit, publishers by topic."""
+    """A node of the bench: parameters with range and unit, publishers by topic.
+
+    Attributes
+    ----------
+    waits : bool
+        Whether callbacks wait for others, and so need several threads.
+    """
+
+    waits = False
 
     def __init__(self, name: str) -> None:
-        super().__init__(name)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.messages = Messages(message_class, serialize_message, sequence=array.array)
         self.failure: Exception | None = None  # that ended the callbacks
+        self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
+        self.left_behind: list[str] = []  # nodes whose reading stood still
         self._senders: dict[Topic, Any] = {}
+        self._retired: list[Any] = []
+        self._latches: dict[Topic, Any] = {}  # of streams whose last state is kept
         self._checks: dict[str, Callable[[Any], None]] = {}
+        self._given: dict[str, Any] = {}
+        for given in self.list_parameters([], 0).names:
+            if given.split(".")[0] not in _COMMON_PARAMETERS:
+                self._given[given] = self.get_parameter(given).value
+                self.undeclare_parameter(given)
         self.add_on_set_parameters_callback(self._check_parameters)
 
     def work(self) -> int:
@@ -129,6 +131,8 @@ class BenchNode(Node):
 
     def interrupted(self) -> None:
         """End in order after Ctrl-C; no callback runs any more, sending still works."""
+
+    # parameters
 
     def declare(
         self,
@@ -175,17 +179,20 @@ class BenchNode(Node):
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
         descriptor.additional_constraints = allowed
+        given = self.take_given(name, default)
+        value: Any
         try:
             if default is list:
                 # an empty list has no type in ROS: declared by type, and unset when empty
                 self.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor)
                 value = list(self.get_parameter_or(name).value or ())
+                if given is None or (given is not list and not all(given)):
+                    value = None
             else:
                 value = self.declare_parameter(name, default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException):
             value = None
         if value is None:
-            given = self._parameter_overrides[name].value
             shown = "[]" if given is None else repr(given)  # ROS has no empty list
             raise ParameterError(
                 f"parameter {name} = {shown}: allowed is {allowed} ({description})"
@@ -194,6 +201,10 @@ class BenchNode(Node):
             check(value)
             self._checks[name] = check
         return value
+
+    def take_given(self, name: str, default: Any = None) -> Any:
+        """Return the value that a parameter is given at the start, once it is known here."""
+        return self._given.pop(name, default)
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
@@ -207,67 +218,159 @@ class BenchNode(Node):
 
     def warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and never declared: mistyped, most likely."""
-        for name in self._parameter_overrides:
-            if self.has_parameter(name) or name.split(".")[0] in _COMMON_PARAMETERS:
-                continue
-            near = difflib.get_close_matches(name, self._parameters, n=1)
+        declared = self.list_parameters([], 0).names
+        for name in self._given:
+            near = difflib.get_close_matches(name, declared, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             self.get_logger().warning(f"parameter {name} is unknown here and has no effect{hint}")
+
+    # topics
 
     def open(self, topics: Sequence[Topic]) -> None:
         """Make the publishers of these topics."""
         for topic in topics:
             kind = message_class(topic.type_name)
-            self._senders[topic] = self.create_publisher(kind, self.placed(topic), qos_of(topic))
+            stream = topic.latched and topic.rate is Rate.PERIODIC
+            self._senders[topic] = self.create_publisher(
+                kind,
+                topic.name,
+                qos_of(topic, latched=False if stream else None),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+            if stream:
+                self._latches[topic] = self.create_publisher(kind, topic.name, _LATCHED)
 
     def listen(
         self,
         topic: Topic,
         callback: Callable[[Any], None],
         *,
-        latecomer: bool = True,
+        latched: bool | None = None,
         **options: Any,
     ) -> None:
-        """Subscribe to a topic; an error of ours in the callback ends the node in one line."""
+        """Subscribe to a topic.
+
+        A message that cannot be used is refused in one line, and the node goes on; an error
+        that is no message's fault ends it.
+        """
 
         def take(message: Any) -> None:
-            if self.failure is None:
-                try:
+            try:
+                if self.failure is None:
                     callback(message)
-                except CaptureSimError as error:
-                    self.fail(error)
+            except MessageError as error:
+                self.get_logger().error(f"{topic.name}: refused: {error}")
+            except CaptureSimError as error:
+                self.fail(error)
 
-        kind = message_class(topic.type_name)
-        qos = qos_of(topic, latecomer=latecomer)
-        self.create_subscription(kind, self.placed(topic), take, qos, **options)
-
-    def placed(self, topic: Topic) -> str:
-        """Return a topic's name for this node: in a namespace the clock, too, is its own."""
-        return topic.name if self.get_namespace() == "/" else topic.name.lstrip("/")
+        self.create_subscription(
+            message_class(topic.type_name),
+            topic.name,
+            take,
+            qos_of(topic, latched=latched),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            **options,
+        )
 
     def fail(self, error: Exception) -> None:
         """Let the main thread end the node because of an error in a callback."""
         self.failure = error
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    def send(self, topic: Topic, message: Any) -> None:
-        """Publish a message on one of the open topics."""
-        self._senders[topic].publish(message)
+    def send(self, topic: Topic, message: Any, *, latch: bool = False) -> None:
+        """Publish a message on one of the open topics; wait while a reader's queue is full.
 
-    def publish(self, sent: Sent) -> None:
-        """Publish a serialised message on one of the open topics."""
-        self._senders[sent.topic].publish(sent.data)
+        Parameters
+        ----------
+        topic, message
+            What is sent.
+        latch
+            Whether subscribers that come later get this message of a stream too.
+        """
+        if latch and topic in self._latches:
+            # in order with the stream, which another publisher sends
+            acknowledged(self._senders[topic], IN_ORDER)
+            self._latches[topic].publish(message)
+            acknowledged(self._latches[topic], IN_ORDER)
+            return
+        try:
+            self._senders[topic].publish(message)
+        except RuntimeError:  # rclpy's RCLError: the history is full of what a reader has not taken
+            self._send_when_read(topic, message)
+
+    def publish(self, sent: Sent, *, latch: bool = False) -> None:
+        """Publish what a telemetry has made."""
+        self.send(sent.topic, sent.data, latch=latch)
+
+    def _send_when_read(self, topic: Topic, message: Any) -> None:
+        deadline = time.monotonic() + self.reader_timeout
+        while True:
+            time.sleep(0.002)
+            try:
+                self._senders[topic].publish(message)
+            except RuntimeError:
+                if time.monotonic() > deadline:
+                    self._leave_behind(topic)
+                    deadline = math.inf
+            else:
+                return
+
+    def _leave_behind(self, topic: Topic) -> None:
+        """Send to all but who stands still: DDS then keeps no more than 1000 messages."""
+        names = self.standing_still(topic)
+        self.left_behind += names
+        self.get_logger().error(
+            f"{', '.join(names)}: has read nothing of {topic.name} for {self.reader_timeout:g} s "
+            "and is left behind"
+        )
+        for stream, sender in list(self._senders.items()):
+            if not stream.latched:
+                readers = sender.get_subscription_count()
+                self._retired.append(sender)  # others may still be sent what it keeps
+                kind = message_class(stream.type_name)
+                fresh = self.create_publisher(kind, stream.name, QoSProfile(depth=1000))
+                self._senders[stream] = fresh
+                deadline = time.monotonic() + IN_ORDER
+                while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
+                    time.sleep(0.001)
+
+    def standing_still(self, topic: Topic) -> list[str]:
+        """Return the nodes that may be those that take nothing of a topic."""
+        return [name for name in self.readers(topic) if name != self.get_fully_qualified_name()]
+
+    def readers(self, topic: Topic) -> list[str]:
+        """Return the full names of the nodes that subscribe to a topic."""
+        found = self.get_subscriptions_info_by_topic(self.resolve_topic_name(topic.name))
+        return sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in found})
 
     def matched(self, topic: Topic) -> int:
         """Return how many subscribers an open topic has found."""
-        return self._senders[topic].get_subscription_count()
+        return int(self._senders[topic].get_subscription_count())
 
-    def linger(self, topic: Topic) -> None:
-        """Give a last message time to arrive before the process ends, LINGER s at most.
+    def publishers_of(self, topic: Topic) -> int:
+        """Return how many publishers a topic has, those of this node among them."""
+        return int(self.count_publishers(self.resolve_topic_name(topic.name)))
 
-        Only for an end without acknowledgement: DDS itself may take 3 s to know.
-        """
-        self._senders[topic].wait_for_all_acked(Duration(seconds=LINGER))
+    def drain(self, limit: float, topics: Sequence[Topic] = ()) -> bool:
+        """Wait until all that was sent has arrived, ``limit`` s (wall) at most; tell whether."""
+        deadline = time.monotonic() + limit
+        senders = [self._senders[topic] for topic in topics] if topics else self._senders.values()
+        return all(acknowledged(s, max(0.0, deadline - time.monotonic())) for s in senders)
+
+
+class MessageError(CaptureSimError):
+    """A message from outside is not usable; the text says why."""
+
+
+def acknowledged(publisher: Any, limit: float) -> bool:
+    """Wait until all readers have what a publisher has sent, ``limit`` s at most; tell whether."""
+    deadline = time.monotonic() + limit
+    # in slices: rclpy holds Python's lock while it waits
+    while not publisher.wait_for_all_acked(Duration(nanoseconds=200_000)):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.001)
+    return True
 
 
 def _kind(default: object) -> str:
@@ -280,10 +383,10 @@ class _Spinner:
 
     def __init__(self, node: BenchNode) -> None:
         self._node = node
-        self._executor: Executor = EventsExecutor()
+        self._executor: Executor = MultiThreadedExecutor(4) if node.waits else EventsExecutor()
         self._executor.add_node(node)
         self._stop = Future()
-        self._thread = threading.Thread(target=self._spin, name=CALLBACKS, daemon=True)
+        self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
@@ -296,9 +399,8 @@ class _Spinner:
     def stop(self) -> None:
         """Let the callback that runs come to its end, and no other begin."""
         self._stop.set_result(None)
-        deadline = time.monotonic() + ENDING
         # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
-        while self._thread.is_alive() and time.monotonic() < deadline:
+        while self._thread.is_alive():
             self._executor.wake()
             self._thread.join(0.1)
         self._executor.shutdown()
@@ -377,33 +479,38 @@ def run(
         A parameter is wrong, inside a command.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
-        print(usage_of(make), flush=True)
+        print(_usage(make), flush=True)
         return OK
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
     _Interrupt().install()
     try:
-        # a supervisor blocks it until here, where it can no longer hit an import
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
+        # held back until here, where it can no longer hit an import
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
         if not any(name in os.environ for name in _PROFILES):
-            os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
+            profile = "fast_dds.xml" if _is_local() else "fast_dds_network.xml"
+            os.environ[_PROFILES[0]] = str(config_dir() / profile)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
             status = _live(make, interrupted)
         finally:
             rclpy.try_shutdown()
-        leave_if_busy(status, CALLBACKS, SERVICES)
+        leave_if_busy(status)  # compiling goes on behind a Ctrl-C
         return status
     except CaptureSimError as error:
         if command:
             raise
         return _refuse(str(error))
-    except RCLError as error:
+    except RuntimeError as error:  # rclpy's RCLError: arguments that it cannot parse
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
-        leave_if_busy(interrupted, CALLBACKS, SERVICES)
+        leave_if_busy(interrupted)
         return interrupted
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _is_local() -> bool:
+    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
 
 
 def _refuse(reason: str) -> int:
@@ -438,8 +545,8 @@ def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
             status = FAILED
         elif interrupted:
             node.interrupted()
-        with ended_within(ENDING, status):
-            node.destroy_node()
+        node.drain(LINGER)
+        node.destroy_node()
     return status
 
 
@@ -447,3 +554,22 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, CaptureSimError):
         return str(error)
     return f"stopped by {type(error).__name__}: {error}"
+
+
+def _usage(make: Callable[..., object]) -> str:
+    """Return how this process's node is called, what it does, and which parameters it has."""
+    program = Path(sys.argv[0]).name
+    name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
+    file = config_dir() / "nodes.yaml"
+    sections = file.read_text(encoding="utf-8").split("\n/**/")
+    lines = [
+        f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
+        "",
+        inspect.getdoc(make) or "",
+        "",
+    ]
+    for section in sections:
+        if section.startswith(f"{name}:"):
+            lines += [f"Parameters, as they are unless changed ({file}):", "", section.rstrip(), ""]
+    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` tells what is allowed.")
+    return "\n".join(lines)

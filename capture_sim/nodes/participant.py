@@ -1,0 +1,337 @@
+"""What launcher, detector, recorder and viewer share: they take part in trials.
+
+A trial begins with a RunInfo and ends with the announcer's StreamCounts, with a RunInfo without
+run, or when the announcer has gone.  The simulator announces its runs, a player those that were
+recorded; on a real bench ``~/begin_trial`` of any participant does it for all.
+
+The announcer sends a RunInfo before anything else of the run and waits for its acknowledgement, and
+callbacks run in the order of arrival: so no message of a run comes before its RunInfo.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import threading
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from std_srvs.srv import Trigger
+
+from capture_sim.control.simulation import QUITTING, RESET, STOPPED
+from capture_sim.errors import CaptureSimError
+from capture_sim.launch.scenes import load_scene, load_scene_text
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import (
+    BUFFER_STATE,
+    CAPTURE_DETECTOR,
+    CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CHASER_POSE,
+    CONTACT_STATE,
+    JOINT_STATES,
+    LAUNCH_COMMAND,
+    LAUNCHER,
+    LAUNCHER_STATE,
+    RECORDED,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_COUNTS,
+    STRING_STATE,
+    TARGET_ODOMETRY,
+    TARGET_POSE,
+    Topic,
+    topics_of,
+)
+from capture_sim.nodes.node import FAILED, OK, BenchNode, MessageError, message_class
+from capture_sim.scene.parts import Scene
+from capture_sim.srv import BeginTrial
+
+RECORDER = "recorder"
+
+#: What each participant reads of a simulator.
+READ: dict[str, tuple[Topic, ...]] = {
+    LAUNCHER: (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY, CHASER_POSE),
+    CAPTURE_DETECTOR: (
+        *(CHASER_ODOMETRY, TARGET_ODOMETRY, CHASER_POSE, TARGET_POSE),
+        *(BUFFER_STATE, JOINT_STATES),
+    ),
+    RECORDER: tuple(topic for topic in RECORDED if topic is not RUN_INFO),
+}
+#: Why a run ends that Ctrl-C ended.
+INTERRUPTED = "interrupted"
+_EARLY = "ended early: "
+#: ... and that somebody asked the simulator to end: nothing has failed.
+_AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
+#: What a participant waits for its own readers to be matched at most, s (wall).
+MATCHING = 5.0
+#: Messages that were on their way when the announcer went are waited for this long, s (wall).
+GRACE = 0.5
+#: Ctrl-C mostly ends all nodes at once: a participant waits this long for the word on how the run
+#: has ended, s (wall).
+FAREWELL = 3.0
+
+
+def readers(topic: Topic, roles: Sequence[str]) -> int:
+    """Return how many subscribers a topic has once all that take part are matched."""
+    return sum(topic in READ.get(role, ()) for role in roles) + (topic is LAUNCH_COMMAND)
+
+
+class Participant(BenchNode):
+    """A node that takes part in trials, one after another.
+
+    A subclass calls :meth:`follow` for its topics and fills in :meth:`begin` and
+    :meth:`end`.  Callbacks run one at a time.
+
+    Parameters
+    ----------
+    role
+        The node's name unless it is remapped, and what it is to the others whatever its name.
+    """
+
+    def __init__(self, role: str) -> None:
+        super().__init__(role)
+        self.role = role
+        self._exit_when_done = self.declare(
+            "exit_when_done", False, "end this process when the announcer has left after a run"
+        )
+        self._patience = self.declare(
+            "drain_timeout",
+            5.0,
+            "s (wall), wait for missing messages after a run has been ended",
+            low=0.1,
+            high=600.0,
+        )
+        self.run: Any = None  # RunInfo of the run that is on
+        self._came: Counter[str] = Counter()  # messages of the run, by topic
+        self._followed: list[Topic] = []
+        self._counts: Any = None  # what the announcer says it has sent in the run
+        self._ended: Any = None  # StreamCounts of the last run that an announcer has ended
+        self._deadline = math.inf  # wall, when a run that has ended is given up
+        self._runs = 0  # that have ended
+        self._alone = True  # no announcer is there
+        self._leaving = False  # after Ctrl-C
+        self._over = threading.Event()
+        self._status = OK
+        self._announcer: Any = None  # a publisher, once a trial was begun here
+        watch = SubscriptionEventCallbacks(matched=self._announcers_changed)
+        # the first subscription: an executor without order of arrival goes by this one
+        self.listen(RUN_INFO, self._announced, event_callbacks=watch)
+        self.listen(STREAM_COUNTS, self._counted)
+        self.create_service(BeginTrial, "~/begin_trial", self._asked_to_begin)
+        self.create_service(Trigger, "~/end_trial", self._asked_to_end)
+        # a steady clock: this must also run when simulated time does not
+        self.create_timer(0.1, self._look_at_clock, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # what a subclass fills in
+
+    def begin(self, info: Any, scene: Scene) -> None:
+        """Take up a run."""
+
+    def end(self, reason: str) -> list[str]:
+        """End the run; return what was wrong with it, one line each.
+
+        Parameters
+        ----------
+        reason
+            Why it ended early; empty if all that was sent has arrived.
+        """
+        return [reason] if reason else []
+
+    def complete(self) -> bool:
+        """Whether all has arrived that the announcer says it has sent."""
+        return not self.missing()
+
+    # what a subclass calls
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the run that is on is one of a simulator, live or played."""
+        return SIMULATOR in self.run.publishers
+
+    @property
+    def cut(self) -> bool:
+        """Whether the run that is on does not come to the end that its simulator had in mind."""
+        return self.simulated and (self._counts is None or not self._counts.complete)
+
+    def missing(self) -> list[str]:
+        """Return which of the followed streams lack messages that were sent."""
+        sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
+        return [
+            f"{topic.name}: {self._came[topic.name]} of {sent[topic.name]} messages came"
+            for topic in self._followed
+            if self._came[topic.name] < sent.get(topic.name, 0)
+        ]
+
+    def follow(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+        """Subscribe to a stream; it is counted until the run's end.
+
+        ``raw``: the callback takes the message's bytes.
+        """
+
+        def take(message: Any) -> None:
+            if self.run is not None:
+                self._came[topic.name] += 1
+                callback(message)
+                self.end_if_complete()
+
+        self._followed.append(topic)
+        self.listen(topic, take, raw=raw)
+
+    def end_if_complete(self) -> None:
+        """End the run if its announcer has ended it and nothing is missing."""
+        if self.run is not None and self._counts is not None and self.complete():
+            counts = self._counts
+            self._finish("" if counts.complete else f"{_EARLY}{counts.reason}")
+
+    def announce(self, name: str, scene: Scene) -> None:
+        """Begin a trial for all participants."""
+        if self._announcer is None:
+            self._announcer = True
+            self.open((RUN_INFO,))
+        publishers = [
+            role
+            for role, topic in ((LAUNCHER, LAUNCHER_STATE), (CAPTURE_DETECTOR, CAPTURE_STATUS))
+            if self.publishers_of(topic)
+        ]
+        run = replace(RunDescription.of(scene, uuid.uuid4().hex, publishers), name=name)
+        self.send(RUN_INFO, self.messages.run_info(run))
+
+    def end_trial(self) -> None:
+        """End the trial that was begun here, for all participants."""
+        self.send(RUN_INFO, message_class(RUN_INFO.type_name)())
+
+    # the life of a run
+
+    def work(self) -> int:
+        """Take part until the process is to end; return the exit status."""
+        # what is there now is left out of all later sweeps: over it one takes longer than a tick
+        gc.collect()
+        gc.freeze()
+        self.get_logger().info("ready, waiting for a run")
+        self._over.wait()
+        return self._status
+
+    def farewell(self) -> None:
+        """Let the run that is on end as its announcer says, if that is ended too."""
+        self._leaving = True
+        deadline = time.monotonic() + FAREWELL
+        while self.run is not None and not self._alone and time.monotonic() < deadline:
+            time.sleep(0.02)
+
+    def interrupted(self) -> None:
+        """End the run that is on."""
+        if self.run is not None:
+            self._finish(INTERRUPTED)
+
+    def _announced(self, info: Any) -> None:
+        if self.run is not None:
+            if info.run_id == self.run.run_id:
+                return
+            if not info.run_id:
+                if not self.simulated:  # of which the counts say how it has ended
+                    self._end_with(message_class(STREAM_COUNTS.type_name)(complete=True))
+                return
+            self._finish(f"another run, {info.name}, was announced meanwhile")
+        over = self._ended is not None and self._ended.run_id == info.run_id
+        if not info.run_id or over:
+            return
+        try:
+            scene = load_scene_text(info.scene)
+            if not (0.0 < info.rate <= info.state_rate < math.inf):
+                raise CaptureSimError(
+                    f"rate = {info.rate:g}, state_rate = {info.state_rate:g} Hz: allowed are "
+                    "numbers > 0, the second not below the first"
+                )
+        except CaptureSimError as error:
+            raise MessageError(str(error)) from None
+        self._wait_for_readers(info.consumers)
+        self._came.clear()
+        self._counts, self._deadline = None, math.inf
+        self.run = info
+        self.begin(info, scene)
+
+    def _wait_for_readers(self, roles: Sequence[str]) -> None:
+        """Wait until those read this node that take part; callbacks come in order afterwards."""
+        deadline = time.monotonic() + MATCHING
+        for topic in topics_of(self.role):
+            while self.matched(topic) < readers(topic, roles) and time.monotonic() < deadline:
+                time.sleep(0.002)
+
+    def _counted(self, counts: Any) -> None:
+        if len(counts.topics) != len(counts.counts):
+            raise MessageError(f"{len(counts.counts)} counts of {len(counts.topics)} topics")
+        if counts.publisher != SIMULATOR:
+            return
+        self._ended = counts
+        if self.run is not None and counts.run_id == self.run.run_id:
+            self._end_with(counts)
+
+    def _end_with(self, counts: Any) -> None:
+        self._counts = counts
+        self._deadline = time.monotonic() + self._patience
+        self.end_if_complete()
+
+    def _announcers_changed(self, event: Any) -> None:
+        self._alone = event.current_count == 0
+        if self._alone and self._counts is None:
+            self._deadline = time.monotonic() + GRACE
+        elif self._counts is None:
+            self._deadline = math.inf
+        self._leave_if_alone()
+
+    def _leave_if_alone(self) -> None:
+        if self._exit_when_done and self._alone and self._runs > 0 and self.run is None:
+            self._over.set()
+
+    def _look_at_clock(self) -> None:
+        if self.run is None or self.failure or time.monotonic() < self._deadline:
+            return
+        if self._counts is None:
+            self._finish("the simulator has gone without ending the run")
+        else:
+            self._finish("; ".join(["ended with messages missing", *self.missing()]))
+
+    def _finish(self, reason: str) -> None:
+        problems = self.end(reason)
+        if reason == INTERRUPTED:
+            problems = [reason]  # that something is missing goes without saying
+        elif reason in _AS_ASKED or (self._leaving and reason == _EARLY + INTERRUPTED):
+            self.get_logger().info(f"{self.run.name}: {reason}")
+            problems = []
+        for problem in problems:
+            self._status = FAILED
+            self.get_logger().error(f"{self.run.name}: {problem}")
+        self.run = None
+        self._deadline = math.inf
+        self._runs += 1
+        gc.collect()
+        self._leave_if_alone()
+
+    # services
+
+    def _asked_to_begin(self, request: Any, response: Any) -> Any:
+        try:
+            if self.run is not None:
+                raise CaptureSimError(f"{self.run.name} is on: end it first")
+            scene = load_scene(request.scene, list(request.overrides))
+            self.announce(request.name or scene.name, scene)
+            response.success = True
+        except CaptureSimError as error:
+            response.message = str(error)
+        return response
+
+    def _asked_to_end(self, _: Any, response: Any) -> Any:
+        if self._announcer is None or self.run is None:
+            response.message = "no trial is on that was begun here"
+        else:
+            self.end_trial()
+            response.success = True
+        return response

@@ -1,0 +1,328 @@
+"""Nodes in processes of their own: started, supervised and ended together.
+
+One set of processes serves all experiments: starting four of them costs seconds of computing, a run
+of the bench less than one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import yaml
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.scene.parts import Scene
+
+OK, FAILED, REFUSED = 0, 1, 2
+RECORDER, PLAYER = "recorder", "player"
+
+#: After the announcer has ended, or a node died, the others get this long to end too, s.
+GRACE = 15.0
+#: ... and this long after a Ctrl-C, before they are killed, s.
+LAST_GRACE = 15.0
+#: What a suite may take besides its runs, s.
+START_LIMIT = 180.0
+#: Wall time that an unpaced run may take for each simulated second, s.
+SLOWEST = 30.0
+#: What ends a command from outside.
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def run_suite(
+    scenes: Sequence[Scene],
+    out: Path,
+    *,
+    record: bool = True,
+    pace: float = 0.0,
+    namespace: str = "",
+) -> int:
+    """Run experiments with the ROS 2 nodes, in the caller's ROS_DOMAIN_ID as any ROS program.
+
+    Parameters
+    ----------
+    scenes
+        Run one after another.
+    out
+        Folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs.
+    record
+        Whether the recorder takes part.
+    pace
+        Simulated seconds per second; 0 as fast as it goes.
+    namespace
+        Of all nodes and topics but ``/clock`` and ``/tf``, beside another suite in the domain.
+
+    Returns
+    -------
+    int
+        0 when all runs are complete; 1 when a node failed or died; 2 when one refused its
+        parameters.
+
+    Raises
+    ------
+    CaptureSimError
+        Another suite has this domain and namespace.
+    KeyboardInterrupt
+        After Ctrl-C (or SIGTERM), when all nodes have ended.
+    """
+    consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
+    limit = START_LIMIT
+    for scene in scenes:
+        limit += scene.run.t_end * (SLOWEST if pace == 0.0 else 1.5 / pace)
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder, _claimed(namespace):
+        files = []
+        for number, scene in enumerate(scenes):
+            path = Path(folder, f"{number}.yaml")
+            path.write_text(scene.to_yaml(), encoding="utf-8")
+            files.append(str(path))
+        parameters: dict[str, dict[str, Any]] = {name: {} for name in (SIMULATOR, *consumers)}
+        parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "pace": float(pace)}
+        if record:
+            parameters[RECORDER] = {"out": str(out)}
+        return _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)
+
+
+def replay(parameters: Mapping[str, Any], out: Path) -> int:
+    """Play a recording with the player node, and nodes of the bench beside it.
+
+    Parameters
+    ----------
+    parameters
+        Of the player.  The nodes named in ``consumers`` are started beside it, and end with it.
+    out
+        Folder of the recorder's files, where it is one of them.
+
+    Returns
+    -------
+    int
+        As of :func:`run_suite`.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, when all nodes have ended in order.
+    """
+    nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
+    for name in parameters.get("consumers", ()):
+        nodes[name] = {"out": str(out)} if name == RECORDER else {}
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
+        return _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
+
+
+def _run_nodes(
+    parameters: Mapping[str, Mapping[str, Any]],
+    announcer: str,
+    limit: float,
+    namespace: str,
+    folder: Path,
+    log: Path | None,
+) -> int:
+    """Run nodes to their end; see :func:`run_suite`."""
+    file = folder / "parameters.yaml"
+    content = {}
+    for name, values in parameters.items():
+        ends = {} if name == PLAYER else {"exit_when_done": True}
+        content[f"/**/{name}"] = {"ros__parameters": {**ends, **values}}
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity}: {message}")
+    if log is not None and "ROS_HOME" not in environment:
+        environment.setdefault("ROS_LOG_DIR", str(log.absolute() / "log"))
+    arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:=/{namespace.strip('/')}"]
+    where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
+    _say(f"starting {', '.join(parameters)} {where}")
+    with _interruptible(), _Processes(list(parameters), arguments, environment) as processes:
+        return processes.supervise(announcer, limit)
+
+
+def _domain() -> int:
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(given) if given.isdigit() else 0
+
+
+@contextmanager
+def _claimed(namespace: str) -> Iterator[None]:
+    """Keep this domain and namespace for as long as the context lasts."""
+    where = f"{_domain()}_{namespace.strip('/').replace('/', '_')}"
+    path = Path(tempfile.gettempdir(), f"capture_sim_suite_{where}.lock")
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(path.open("a"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise CaptureSimError(
+                f"another suite runs on ROS_DOMAIN_ID {_domain()}: set another, or give a namespace"
+            ) from None
+        yield
+
+
+_printing = threading.Lock()
+
+
+def _say(text: str, who: str = "suite") -> None:
+    with _printing:
+        print(f"[{who}] {text}", flush=True)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP, too, end all in order."""
+
+    def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for signum in (signal.SIGTERM, signal.SIGHUP):
+            before[signum] = signal.signal(signum, interrupt)
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put off what would end this process; raise KeyboardInterrupt afterwards if it came.
+
+    Processes started within inherit a blocked SIGINT, to open it once they can end in order.
+    For this process blocking is not enough: a thread of some library that has not blocked it
+    takes the signal, and Python raises in the main thread, perhaps before a process that has
+    been started is noted.
+    """
+    came: list[int] = []
+
+    def note(signum: int, frame: FrameType | None) -> None:
+        came.append(signum)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for signum in _ENDING:
+            if signal.getsignal(signum) not in (signal.SIG_IGN, None):
+                before[signum] = signal.signal(signum, note)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+    if came:
+        raise KeyboardInterrupt
+
+
+class _Processes:
+    """The nodes' processes; leaving the context ends what still runs."""
+
+    def __init__(
+        self, names: Sequence[str], arguments: Sequence[str], environment: Mapping[str, str]
+    ) -> None:
+        self._names = names
+        self._arguments = arguments
+        self._environment = environment
+        self._running: dict[str, subprocess.Popen[str]] = {}
+        self._readers: list[threading.Thread] = []
+
+    def __enter__(self) -> _Processes:
+        try:
+            with uninterrupted():
+                for name in self._names:
+                    self._start(name)
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._end()
+
+    def supervise(self, announcer: str, limit: float) -> int:
+        """Wait until all have ended, ``limit`` s at most; return the exit status.
+
+        When a node dies the others get some time to notice, to say so and to close their
+        files, then they are ended too.
+        """
+        began = time.monotonic()
+        deadline = began + limit
+        status = OK
+        while self._running:
+            for name, code in self._ended():
+                if code != OK:
+                    _say(f"{name} {_describe(code)}")
+                    status = max(status, REFUSED if code == REFUSED else FAILED)
+                if code != OK or name == announcer:
+                    patience = 0.0 if code == REFUSED else GRACE
+                    deadline = min(deadline, time.monotonic() + patience)
+            if self._running and time.monotonic() > deadline:
+                _say(f"ending {', '.join(self._running)}")
+                return max(status, FAILED)
+            time.sleep(0.02)
+        _say(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
+        return status
+
+    def _start(self, name: str) -> None:
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"capture_sim.nodes.{name}", *self._arguments],
+            env=dict(self._environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            process_group=0,  # Ctrl-C reaches them through us alone
+        )
+        self._running[name] = process
+        reader = threading.Thread(target=_forward, args=(name, process.stdout), daemon=True)
+        reader.start()
+        self._readers.append(reader)
+
+    def _ended(self) -> list[tuple[str, int]]:
+        ended = []
+        for name, process in list(self._running.items()):
+            code = process.poll()
+            if code is not None:
+                del self._running[name]
+                ended.append((name, code))
+        return ended
+
+    def _end(self) -> None:
+        """End what still runs: by SIGINT, and by SIGKILL what does not follow."""
+        with uninterrupted():
+            for process in self._running.values():
+                process.send_signal(signal.SIGINT)
+            deadline = time.monotonic() + LAST_GRACE
+            while self._running and time.monotonic() < deadline:
+                self._ended()
+                time.sleep(0.02)
+            for name, process in self._running.items():
+                _say(f"{name} does not end on SIGINT: killed")
+                process.kill()
+                process.wait()
+            self._running.clear()
+            for reader in self._readers:
+                reader.join(1.0)
+
+
+def _forward(name: str, stream: Any) -> None:
+    for line in stream:
+        _say(line.rstrip(), name)
+
+
+def _describe(code: int) -> str:
+    if code < 0:
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"ended with exit status {code}"
