@@ -58,7 +58,7 @@ class FakeRig(Node):
 
 
 try:
-    with rclpy.init():
-        rclpy.spin(FakeRig())
+    rclpy.init()
+    rclpy.spin(FakeRig())
 except (KeyboardInterrupt, ExternalShutdownException):
     pass

@@ -94,7 +94,8 @@ def test_suite_and_offline_run_agree_bit_for_bit(name, suites, scenes):
     offline = simulate(scenes[NAMES.index(name)])
     assert recorded.problems == ()
     assert same_bits(recorded.samples, offline.samples)
-    assert same_bits(recorded.touches, offline.touches)
+    for field in set(recorded.touches.dtype.names) - {"rate_ratio"}:  # no message has that
+        assert same_bits(recorded.touches[field], offline.touches[field])
     assert len(recorded.events) == len(offline.events)
     for live, other in zip(recorded.events, offline.events, strict=True):
         assert (live.kind, live.t, live.wall, live.detail) == (

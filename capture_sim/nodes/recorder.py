@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -127,12 +128,17 @@ class RecorderNode(Participant):
         """Subscribe to those of the other topics that are published by now."""
         for name, (type_name, *_) in self.get_topic_names_and_types():
             if name in self._sought:
-                share = Path(get_package_share_directory(type_name.split("/")[0]))
-                learn_type(type_name, share)
+                self._sought.remove(name)
+                try:
+                    share = Path(get_package_share_directory(type_name.split("/")[0]))
+                except (LookupError, OSError):
+                    share = Path(os.devnull)
+                if not learn_type(type_name, share):
+                    self.get_logger().warning(f"{name}: {type_name} is not installed: not recorded")
+                    continue
                 topic = Topic(name, type_name, (), Rate.EVENT, stamp=Stamp.NONE)
                 self.listen(topic, partial(self._take, topic), raw=True)
                 self._topics.append(topic)
-                self._sought.remove(name)
 
     def _pause(self, paused: bool, _: Any, response: Any) -> Any:
         response.success = self._paused != paused

@@ -26,8 +26,10 @@ def typestore() -> Typestore:
     return store
 
 
-def learn_type(type_name: str, share: Path) -> None:
+def learn_type(type_name: str, share: Path) -> bool:
     """Take up a type of another package, from the definitions that it has installed.
+
+    Returns whether it is known now.
 
     Parameters
     ----------
@@ -38,12 +40,13 @@ def learn_type(type_name: str, share: Path) -> None:
     """
     store, package = typestore(), type_name.split("/")[0]
     if type_name in store.types:
-        return
+        return True
     types = {}
     for path in sorted(share.glob("msg/*.msg")):
         name = f"{package}/msg/{path.stem}"
         types.update(get_types_from_msg(path.read_text(encoding="utf-8"), name))
     store.register({name: kind for name, kind in types.items() if name not in store.types})
+    return type_name in store.types
 
 
 @cache

@@ -1,0 +1,49 @@
+"""A bench without simulator: plain rclpy with a clock, jitter and losses of its own."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from bench_processes import Client, processes, wait_until
+from std_srvs.srv import Trigger
+
+from capture_sim.detection.exact import CaptureState
+from capture_sim.messages.topics import CAPTURE_STATUS
+from capture_sim.recording.playback import Playback
+
+RIG = Path(__file__).parent.parent / "examples" / "fake_rig.py"
+STREAMS = "[/motion_capture/chaser, /motion_capture/target, /joint_states, /load_cell/wrench, "
+STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status, /capture/criteria]"
+
+
+def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path):
+    assert len(RIG.read_text().splitlines()) <= 65
+    assert "capture_sim." not in RIG.read_text()
+    environment = dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+    with processes(tmp_path) as start, Client() as client:
+        rig = subprocess.Popen([sys.executable, str(RIG)], env=environment)
+        try:
+            nodes = {
+                "launcher": start("launcher", scene="tilt_0", actuator="output"),
+                "detector": start("capture_detector", exit_when_done="false"),
+                "recorder": start("recorder", exit_when_done="false", out=tmp_path, topics=STREAMS),
+            }
+            for node in nodes.values():
+                node.wait_for("ready")
+            verdicts = client.listen(CAPTURE_STATUS)
+            for trial in range(1, 4):
+                verdicts.clear()
+                assert client.ask(Trigger, "/launcher/launch").success
+                wait_until(lambda: any(status.final for status in verdicts), 60.0)
+                assert verdicts[-1].state == CaptureState.CAPTURED
+                assert client.ask(Trigger, "/launcher/end_trial").success
+                wait_until(lambda n=trial: nodes["recorder"].text.count("complete") == n)
+        finally:
+            rig.send_signal(signal.SIGINT)
+            rig.wait(20.0)
+    for name in ("tilt_0", "tilt_0_2", "tilt_0_3"):
+        path = tmp_path / f"{name}.mcap"
+        assert path.is_file()
+        assert len(list(Playback(path).messages())) > 1000
