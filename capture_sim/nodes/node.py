@@ -487,8 +487,7 @@ def run(
         # held back until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
         if not any(name in os.environ for name in _PROFILES):
-            profile = "fast_dds.xml" if _is_local() else "fast_dds_network.xml"
-            os.environ[_PROFILES[0]] = str(config_dir() / profile)
+            os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
             status = _live(make, interrupted)
@@ -507,10 +506,6 @@ def run(
         return interrupted
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def _is_local() -> bool:
-    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
 
 
 def _refuse(reason: str) -> int:
