@@ -7,35 +7,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.bench import Bench
+from capture_sim.bench import Bench, drive
 from capture_sim.errors import SimulationError
-from capture_sim.kernels import plain
 from capture_sim.results import first_cluster, first_contact_end
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
-from capture_sim.solver.roots import cubic_minimum
 
-_RATE = 2000.0  # Hz, of the samples; between them strokes are cubic
-_BLOCK = 0.1  # s per call into the engine
-
-_minimum = plain(cubic_minimum)
+_RATE = 2000.0  # Hz, of the samples of the buffer's force
+_BLOCK = 200  # samples per call into the engine
 
 
 @dataclass(frozen=True)
 class FirstContact:
-    """The first cluster of touches (:func:`capture_sim.results.first_cluster`); SI units.
+    """The first contact of a run (:func:`capture_sim.results.first_cluster`); SI units.
 
     Attributes
     ----------
     axial_stroke, torsion : float
-        Largest magnitudes while it lasted, m and rad: |Delta x| and |Delta theta| of the
+        Largest magnitudes until it ended, m and rad: |Delta x| and |Delta theta| of the
         paper's design flow.
     duration : float
-        From the first touch to the end of the last, s; NaN without a touch.
+        From the start of the first touch to the end of the last, s; NaN without a touch.
     peak_force : float
         Largest normal force, N.
     buffer_force : float
-        Largest axial force of the buffer among the samples, N: what the vehicles feel.
+        Largest axial force of the buffer among samples at 2 kHz, N: what the vehicles feel.
     touches : int
     failure : str
         Why the run had to stop, if it did; the rest is then of what was run.
@@ -53,62 +49,43 @@ class FirstContact:
 def run_first_contact(scene: Scene) -> FirstContact:
     """Run a scene until its first contact is over.
 
-    It is over as :func:`capture_sim.results.first_cluster` has it, or with the run.
-
     Raises
     ------
     SceneError
         If a value is out of its range.
     """
-    bench = Bench(scene)
-    pieces: list[np.ndarray] = []
-    failure, t, end = "", 0.0, None
-    while end is None and not failure and t < scene.run.t_end:
-        first = round(t * _RATE)
-        t = min(t + _BLOCK, scene.run.t_end)
-        try:
-            pieces.append(bench.advance(np.arange(first, round(t * _RATE)) / _RATE))
-        except SimulationError as error:
-            pieces.append(error.partial)
-            failure = str(error)
-        end = first_contact_end(bench.events, t)
-    samples = np.concatenate(pieces)
+    grid = np.arange(0.0, scene.run.t_end, 1.0 / _RATE)
+    bench, now, end, failure = Bench(scene), 0.0, None, ""
+    for block in drive(bench, grid, block=_BLOCK):
+        now = float(block.samples["t"].max(initial=now))
+        failure = "" if block.failure is None else str(block.failure)
+        end = first_contact_end(bench.events, now)
+        if end is not None:
+            break
     began = next((e.t for e in bench.events if e.kind is EventKind.TOUCH), None)
-    if began is None or samples.size == 0:
+    if began is None:
         return FirstContact(0.0, 0.0, math.nan, 0.0, 0.0, 0, failure)
-    if end is None:
-        end = float(samples["t"][-1])
-    touches = first_cluster(bench.touches)
-    inside = (samples["t"] > began - 1.0 / _RATE) & (samples["t"] < end + 1.0 / _RATE)
-    window = samples[inside]
-    twist_rate = window["v"][:, 3] - window["v"][:, 2]
+    end, touches = now if end is None else end, first_cluster(bench.touches)
+    bench = Bench(scene)  # once more, to the contact's end and no further: its extremes
+    try:
+        samples = bench.advance(np.append(grid[grid < end], end))
+    except SimulationError as error:
+        samples = error.partial
+    inside = samples[samples["t"] >= began]
+    found = bench.extremes.before_latch
+
+    def largest(field: str, *extremes: str) -> float:
+        # what the launch left behind is no matter of the contact
+        sampled = float(np.abs(inside[field]).max(initial=0.0))
+        exact = (float(found[name]) for name in extremes if found[f"{name}_time"] >= began)
+        return max([sampled, *exact])
+
     return FirstContact(
-        axial_stroke=largest(window["t"], window["axial_stroke"], window["v"][:, 4]),
-        torsion=largest(window["t"], window["torsion"], twist_rate),
+        axial_stroke=largest("axial_stroke", "compression", "extension"),
+        torsion=largest("torsion", "torsion"),
         duration=end - began,
         peak_force=float(touches["peak_force"].max(initial=0.0)),
-        buffer_force=float(np.abs(window["axial_force"]).max(initial=0.0)),
+        buffer_force=float(np.abs(inside["axial_force"]).max(initial=0.0)),
         touches=int(touches.size),
         failure=failure,
     )
-
-
-def largest(t: np.ndarray, values: np.ndarray, rates: np.ndarray) -> float:
-    """Return the largest magnitude of a smooth curve, found between its samples as well.
-
-    Parameters
-    ----------
-    t, values, rates
-        (n,) times, values and their rates there.
-    """
-    if t.size == 0:
-        return 0.0
-    best = float(np.abs(values).max())
-    for sign in (1.0, -1.0):
-        f, d = -sign * values, -sign * rates
-        for k in np.flatnonzero((d[:-1] < 0.0) & (d[1:] > 0.0)):
-            width = t[k + 1] - t[k]
-            place, low = _minimum(f[k], d[k] * width, f[k + 1], d[k + 1] * width)
-            if place >= 0.0:
-                best = max(best, float(-low))
-    return best

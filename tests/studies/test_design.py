@@ -34,7 +34,9 @@ def design(paper):
     return design_buffer(paper, DesignTarget(own.axial_stroke, own.torsion))
 
 
-@pytest.mark.parametrize("name", ["paper_undamped", "paper_designed", "paper_case_1", "tilt_p10"])
+@pytest.mark.parametrize(
+    "name", ["paper_clamped", "paper_undamped", "paper_designed", "paper_case_1", "tilt_p10"]
+)
 def test_first_contact_is_that_of_the_whole_run(name):
     scene = load_scene(name)
     contact, whole = run_first_contact(scene), simulate(scene)
@@ -43,9 +45,9 @@ def test_first_contact_is_that_of_the_whole_run(name):
     assert contact.duration == pytest.approx(whole.summary["first_contact_duration"], rel=1e-9)
     assert contact.peak_force == whole.summary["first_contact_peak_force"]
     start, end = touches["start"].min(), touches["end"].max()
-    fine = simulate(scene, t_end=end, t_eval=np.arange(start, end, 2e-5)).samples
+    fine = simulate(scene, t_end=end, t_eval=np.linspace(start, end, 20_001)).samples
     assert contact.axial_stroke == pytest.approx(np.abs(fine["axial_stroke"]).max(), rel=1e-4)
-    assert contact.torsion == pytest.approx(np.abs(fine["torsion"]).max(), rel=1e-3)
+    assert contact.torsion == pytest.approx(np.abs(fine["torsion"]).max(), rel=1e-4)
 
 
 def test_a_run_without_contact_has_no_strokes():
@@ -165,7 +167,7 @@ def test_margin_is_where_the_first_capture_is_lost(design):
 
 def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
     tried = []
-    target = DesignTarget(0.1, 1e-3)
+    target = DesignTarget(0.2, 2e-3)
     found = find_springs(paper, target, 0.0, (500.0, 200.0), thorough=False, report=tried.append)
     assert not found.met
     assert len(tried) <= 26
