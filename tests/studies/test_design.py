@@ -177,9 +177,9 @@ def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
     "arguments, said",
     [
         (["--stroke=5"], "--stroke (mm), --torsion (mrad): allowed is both or none"),
-        (["--stroke=0", "--torsion=1"], "axial_stroke = 0.0 m: allowed is >= 1e-06"),
-        (["--stroke=5", "--torsion=nan"], "torsion = nan rad"),
-        (["--peak-force=-1"], "peak_force = -1.0 N: allowed is > 0"),
+        (["--stroke=0", "--torsion=1"], "--stroke: '0': allowed is a number > 0, in mm"),
+        (["--stroke=5", "--torsion=nan"], "--torsion: 'nan': allowed is a number > 0, in mrad"),
+        (["--peak-force=-1"], "--peak-force: '-1': allowed is a number > 0, in N"),
         (["--spread=1,2"], "--spread 1,2: allowed is %,mm,deg"),
         (["--spread=50,1,1"], "spread.speed = 0.5: allowed is >= 0 and <= 0.24"),
         (["--spread=0,0,0"], "allowed is one above 0"),
@@ -197,6 +197,10 @@ def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypa
 def test_bad_targets_name_the_value():
     with pytest.raises(SceneError, match=r"torsion = 2\.0 rad: allowed is"):
         DesignTarget(1e-3, 2.0)
+    with pytest.raises(SceneError, match=r"axial_stroke = 0\.0 m: allowed is >= 1e-06"):
+        DesignTarget(0.0, 2e-3)
+    with pytest.raises(SceneError, match=r"peak_force = -1\.0 N: allowed is > 0"):
+        DesignTarget(1e-3, 2e-3, peak_force=-1.0)
 
 
 def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
