@@ -42,7 +42,7 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.judging import judge_recording
+from capture_sim.recording.detect import detect_again
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
@@ -180,7 +180,7 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
     run = read_run(path)
     assert run.problems == ()
     assert run.criteria == replace(run.scene.detector, dwell=0.3, leave=0.03)
-    assert judge_recording(run) == list(run.statuses)
+    assert detect_again(run) == list(run.statuses)
     assert main(["detect", str(path)]) == 0
     said = capsys.readouterr().out
     assert "recorded limit: dwell = 0.3 s (the scene's: 0.2 s)" in said
@@ -215,7 +215,7 @@ def test_live_offline_and_the_bag_agree_to_the_bit_on_sensed_poses(tmp_path, cap
     offline = simulate(scene)
     assert live.problems == ()
     assert list(live.statuses) == offline.statuses
-    assert judge_recording(live) == offline.statuses
+    assert detect_again(live) == offline.statuses
     written = read_run(write_run(offline, tmp_path / "offline.mcap"))
     assert written.topics == live.topics
     for topic in ("motion_capture/chaser", "motion_capture/target", "load_cell/wrench"):
@@ -239,7 +239,7 @@ def test_live_offline_and_the_bag_agree_to_the_bit_on_sensed_poses(tmp_path, cap
 
 def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
     result = simulate(load_scene("paper_undamped"))
-    again = judge_recording(read_run(write_run(result, tmp_path / "run.mcap")))
+    again = detect_again(read_run(write_run(result, tmp_path / "run.mcap")))
     assert len(again) == len(result.statuses)
     for a, b in zip(again, result.statuses, strict=True):
         assert (a.t, a.state, a.final, a.reason) == (b.t, b.state, b.final, b.reason)
@@ -305,7 +305,7 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
     nodes[1].wait(30.0)
     run = read_run(tmp_path / f"{name}.mcap")
     offline, _ = judge(scene, iter(measured))
-    again = judge_recording(run)[-1]
+    again = detect_again(run)[-1]
     live = run.statuses[-1]
     assert offline.final
     assert offline.state is simulate(load_scene(name)).verdict

@@ -24,7 +24,7 @@ from capture_sim.launch.plan import LauncherPhase
 from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE
 from capture_sim.nodes.node import message_class
 from capture_sim.nodes.supervisor import _claimed, run_suite
-from capture_sim.recording.judging import judge_recording
+from capture_sim.recording.detect import detect_again
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
@@ -487,7 +487,7 @@ def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
     assert len(run.problems) == 3  # simulator, launcher, detector
     last = run.statuses[-1]
     assert (last.state.label, last.final) == ("approach", False)
-    assert judge_recording(run)[-1] == last
+    assert detect_again(run)[-1] == last
 
 
 def test_ctrl_c_while_the_nodes_start_ends_them_too(tmp_path):

@@ -10,7 +10,7 @@ from capture_sim.commands import FAILED, OK
 from capture_sim.commands.inputs import open_run, scene_of
 from capture_sim.commands.output import say
 from capture_sim.errors import SceneError
-from capture_sim.recording.judging import judge_recording, with_limits
+from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.scene.parts import Detector
 
 # stamps are decimal fractions
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     judged_by = with_limits(scene, recorded.criteria, changed)
     for name, value, of_scene, unit in _others(judged_by.detector, scene.detector):
         say(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
-    statuses = judge_recording(recorded, judged_by)
+    statuses = detect_again(recorded, judged_by)
     state = None
     for status in statuses:
         if status.state is not state:

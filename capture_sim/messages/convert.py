@@ -490,7 +490,7 @@ class Messages:
         )
 
     def capture_criteria(self, run_id: str, limits: Detector) -> Message:
-        """Return CaptureCriteria, stamped with the release: what a run is judged by."""
+        """Return CaptureCriteria, stamped with the release: the limits of a run's detector."""
         return self.new(
             "capture_sim/msg/CaptureCriteria",
             header=self.header(0.0, CONE_FRAME),

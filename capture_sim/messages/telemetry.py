@@ -270,16 +270,16 @@ class LauncherTelemetry(_Stream):
 
 
 class DetectorTelemetry(_Stream):
-    """What the capture detector sends: its limits, then its judgement of every instant."""
+    """What the capture detector sends: its limits, then its status at every instant."""
 
     publisher = CAPTURE_DETECTOR
 
     def begin(self, limits: Detector) -> Sent:
-        """Return what the run is judged by."""
+        """Return the detector's limits."""
         message = self._messages.capture_criteria(self._run_id, limits)
         return self._sent(CAPTURE_CRITERIA, 0.0, message)
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
-        """Return the judgement of the sample at a time since the release, s."""
+        """Return the status of the sample at a time since the release, s."""
         seq = self.by_topic[CAPTURE_STATUS]
         return self._sent(CAPTURE_STATUS, t, self._messages.capture_status(seq, t, status))

@@ -21,7 +21,7 @@ from capture_sim.messages.topics import (
     LOAD_CELL,
 )
 from capture_sim.recording.measured import (
-    first_contact_told,
+    first_contact_in,
     measured_sources,
     release_of,
     touches_of,
@@ -55,13 +55,13 @@ class Comparable(NamedTuple):
     contact
         First contact, s since the release.
     contact_source
-        Topic that tells of it.
+        Topic that it was found in.
     series
         By quantity: the fields of Measurements, and DISTANCE.
     sources
         Topic and rate of each.
     touches
-        One by one; None where nothing tells of them.
+        One by one; None where they were not found.
     touch_source
         What they were found in; why there are none.
     """
@@ -95,7 +95,7 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
     Raises
     ------
     RecordingError
-        One of them tells of no contact that it could be aligned by.
+        One of them holds no contact that it could be aligned by.
     """
     mine, theirs = _sources(a), _sources(b)
     chosen: list[dict[str, str]] = [{}, {}]
@@ -128,7 +128,7 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
     of
         From :func:`comparable`.
     sampled
-        Whether the largest sample of the force is told as well, as nothing else is known of the
+        Whether the largest sample of the force is listed as well, as nothing else is known of the
         other run.
     """
     found = {"first contact, s": Figure(of.contact, of.contact_source)}
@@ -143,8 +143,8 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
             found[name] = Figure(float(value), BENCH_EVENT.name)
-    elif told := of.run.columns(CONTACT_STATE):
-        found["largest force, N"] = Figure(float(told["peak_force"].max()), CONTACT_STATE.name)
+    elif contact := of.run.columns(CONTACT_STATE):
+        found["largest force, N"] = Figure(float(contact["peak_force"].max()), CONTACT_STATE.name)
     if sampled and "force" in of.series:
         largest = float(of.series["force"].values.max())
         found[SAMPLED_FORCE] = Figure(largest, of.sources["force"])
@@ -174,8 +174,8 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
         t, force = wrench(run, LOAD_CELL, release)
         found.setdefault("force", {})[LOAD_CELL.name] = Series(t, np.hypot(*force.T))
     # the detector's own path: the nearest place so far
-    told = [(status.t, status.nearest_distance) for status in run.statuses]
-    near = np.array([row for row in told if np.isfinite(row).all()]).reshape(-1, 2)
+    nearest = [(status.t, status.nearest_distance) for status in run.statuses]
+    near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
     if near.size:
         found.setdefault(DISTANCE, {})[CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])
     return {
@@ -202,14 +202,14 @@ def _finest(name: str, mine: Mapping[str, Series], theirs: Mapping[str, Series])
 def _comparable(
     run: Run, sources: Mapping[str, Mapping[str, Series]], choice: Mapping[str, str]
 ) -> Comparable:
-    met = first_contact_told(run)
+    met = first_contact_in(run)
     if met is None:
         raise RecordingError(f"{run.path}: no contact in it to align with")
     series = {name: sources[name][topic] for name, topic in choice.items()}
     touches, source = touches_of(run)
     return Comparable(
         run=run,
-        # a message tells that it was since the one before
+        # a message counts what was since the one before
         contact=met[0] if touches is None else min(met[0], float(touches.start[0])),
         contact_source=met[1].name,
         series=series,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -59,6 +60,7 @@ DAMAGE = (
     McapError,
     struct.error,
     UnicodeDecodeError,
+    LookupError,
     ValueError,
     MemoryError,
     OverflowError,
@@ -154,8 +156,8 @@ def bag_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     try:
-        told = yaml.safe_load((path / FILE_NAME).read_text(encoding="utf-8"))
-        names = told["rosbag2_bagfile_information"]["relative_file_paths"]
+        listed = yaml.safe_load((path / FILE_NAME).read_text(encoding="utf-8"))
+        names = listed["rosbag2_bagfile_information"]["relative_file_paths"]
         files = [path / Path(str(name)).name for name in names]  # nothing outside the folder
     except OSError:  # the recorder was killed: the files tell their order by their numbers
         files = sorted(path.glob("[!.]*.mcap"), key=_number)
@@ -261,8 +263,8 @@ class _Reader:
         self._left = allowance(self._size, ratio)
         self._contents = contents
         self._schemas: dict[int, Schema] = {}
-        self._topics: dict[int, str] = {}
-        self._foreign: set[int] = set()
+        # messages and log times by channel; those that are left out go nowhere
+        self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
         self._count = 0
 
     def read(self) -> None:
@@ -302,11 +304,16 @@ class _Reader:
 
     def _take(self, record: McapRecord) -> None:
         if isinstance(record, Chunk):
-            records = unpacked(record, self._left)
-            self._left -= len(records)
+            records, before = unpacked(record, self._left), self._count
             self._messages(records)
-        elif isinstance(record, Message):
-            self._message(record.channel_id, record.log_time, record.data)
+            self._left -= len(records) + _MESSAGE_COST * (self._count - before)
+            if self._left < 0:
+                raise ValueError("it unpacks to more than is allowed for the file")
+        elif isinstance(record, Message):  # outside chunks
+            messages, times = self._lists[record.channel_id]
+            messages.append(record.data)
+            times.append(record.log_time)
+            self._count += 1
         elif isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -326,41 +333,34 @@ class _Reader:
 
     def _messages(self, data: bytes) -> None:
         """Take in the records of a chunk."""
+        head, size, lists = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._lists
         for opcode, start, end in records_in(data):
             if opcode == Opcode.MESSAGE:
-                channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, start)
-                self._message(channel, log_time, data[start + MESSAGE_HEAD.size : end])
+                channel, _, log_time, _ = head(data, start)
+                if channel not in lists:
+                    raise ValueError(f"message of unknown channel {channel}")
+                messages, times = lists[channel]
+                messages.append(data[start + size : end])
+                times.append(log_time)
+                self._count += 1
             elif (record := definition(data, opcode, start, end)) is not None:
                 self._take(record)
-
-    def _message(self, channel: int, log_time: int, data: bytes) -> None:
-        self._count += 1
-        self._left -= _MESSAGE_COST
-        topic = self._topics.get(channel)
-        if topic is not None:
-            self._contents.messages[topic].append(data)
-            self._contents.log_times[topic].append(log_time)
-        elif channel not in self._foreign:
-            raise ValueError(f"message of unknown channel {channel}")
-        if self._left < 0:
-            raise ValueError("it unpacks to more than is allowed for the file")
 
     def _channel(self, channel: Channel) -> None:
         topic, contents = channel.topic, self._contents
         if not topic.isprintable():
             raise ValueError(f"topic {topic!r}: allowed are printable characters")
         if channel.message_encoding != CDR:  # a type's name says nothing of other bytes
-            self._foreign.add(channel.id)
+            self._lists[channel.id] = deque(maxlen=0), deque(maxlen=0)
             contents.left_out[topic] = channel.message_encoding
             return
-        self._topics[channel.id] = topic
         schema = self._schemas.get(channel.schema_id)
         if schema is not None:
             contents.schemas[schema.name] = schema.data.decode("utf-8", errors="replace")
         contents.types.setdefault(topic, "" if schema is None else schema.name)
         contents.qos[topic] = channel.metadata.get("offered_qos_profiles", "")
-        contents.messages.setdefault(topic, [])
-        contents.log_times.setdefault(topic, [])
+        messages = contents.messages.setdefault(topic, [])
+        self._lists[channel.id] = messages, contents.log_times.setdefault(topic, [])
 
     def _check_attachment(self, attachment: Attachment) -> None:
         """Check an attachment's checksum, which ends its record; the library does not."""

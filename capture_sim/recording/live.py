@@ -26,8 +26,8 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.bag_metadata import FILE_NAME, TopicEntry, bag_metadata, in_folder
 from capture_sim.recording.cdr import sequence_of, stamp_of
+from capture_sim.recording.completeness import Completeness, TopicCount
 from capture_sim.recording.definitions import typestore
-from capture_sim.recording.tally import Tally, TopicTally
 from capture_sim.recording.write import RunWriter
 
 #: What the metadata record says of a live recording's origin.
@@ -193,7 +193,7 @@ class RecordingReport:
         The file, or the folder of files; None when no run was announced, so that nothing
         was written.
     complete
-        Every publisher told its counts and every message came.
+        Every publisher has ended its streams and every message came.
     topics
         Messages seen, written, expected and missing, by topic name.
     problems
@@ -202,7 +202,7 @@ class RecordingReport:
 
     path: Path | None
     complete: bool
-    topics: Mapping[str, TopicTally]
+    topics: Mapping[str, TopicCount]
     problems: tuple[str, ...]
 
 
@@ -253,7 +253,7 @@ class LiveRecorder:
         others = [topic for topic in topics if topic not in RECORDED]
         self._topics = (*(topic for topic in RECORDED if topic in chosen), *others)
         self._split = split or Split()
-        self._tally = Tally(topics=self._topics)
+        self._completeness = Completeness(topics=self._topics)
         self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
         self._early_counts: list[bytes] = []  # came before the run was announced
@@ -271,7 +271,7 @@ class LiveRecorder:
     @property
     def done(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""
-        return self.run is not None and self._tally.satisfied
+        return self.run is not None and self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes) -> None:
         """Take in one serialised message.
@@ -292,7 +292,7 @@ class LiveRecorder:
             self._take_counts(data)
         elif topic in self._topics:
             paused = self.paused
-            self._tally.add(topic, sequence_of(topic, data), written=not paused)
+            self._completeness.add(topic, sequence_of(topic, data), written=not paused)
             if not paused:
                 stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
                 self._queue.put(topic, data, stamp)
@@ -332,9 +332,9 @@ class LiveRecorder:
             )
             self._queue.begin(files, data, stamp)
             self.path = files.path
-            self._tally.add(RUN_INFO, None)
+            self._completeness.add(RUN_INFO, None)
             self.run = run
-            self._tally.publishers = run.publishers
+            self._completeness.publishers = run.publishers
             for early in self._early_counts:
                 self._take_counts(early)
         elif info.run_id != self.run.run_id:
@@ -344,25 +344,27 @@ class LiveRecorder:
         if self.run is None:
             self._early_counts.append(data)
             return
-        told = decoded(STREAM_COUNTS, data)
-        if told.run_id != self.run.run_id:
+        ended = decoded(STREAM_COUNTS, data)
+        if ended.run_id != self.run.run_id:
             return  # latched by an earlier run
-        if len(told.topics) != len(told.counts):
+        if len(ended.topics) != len(ended.counts):
             raise RecordingError(
-                f"{STREAM_COUNTS.name}: {len(told.topics)} topics and {len(told.counts)} counts"
+                f"{STREAM_COUNTS.name}: {len(ended.topics)} topics and {len(ended.counts)} counts"
             )
-        self._counts.setdefault(told.publisher, data)
-        counts = dict(zip(told.topics, told.counts.tolist(), strict=True))
-        self._tally.end(told.publisher, counts, complete=told.complete, reason=told.reason)
+        self._counts.setdefault(ended.publisher, data)
+        counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
+        self._completeness.end(
+            ended.publisher, counts, complete=ended.complete, reason=ended.reason
+        )
 
     def _make_report(self) -> RecordingReport:
-        problems = [*self._remarks, *self._tally.problems()]
+        problems = [*self._remarks, *self._completeness.problems()]
         if self.run is None:
             problems.insert(0, "no run was announced: nothing recorded")
         return RecordingReport(
             path=self.path,
             complete=not problems,
-            topics={topic.name: entry for topic, entry in self._tally.topics.items()},
+            topics={topic.name: entry for topic, entry in self._completeness.topics.items()},
             problems=tuple(problems),
         )
 

@@ -124,7 +124,7 @@ def measurements(run: Run, released: float | None = None) -> Measurements:
     run
         The recording.
     released
-        When, s after the first pose; None where the recording tells, see
+        When, s after the first pose; None where it is recorded, see
         :func:`release_of`.
 
     Raises
@@ -137,7 +137,7 @@ def measurements(run: Run, released: float | None = None) -> Measurements:
 
 
 def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
-    """Return every series that tells of a quantity, by the quantity's name and the topic's.
+    """Return every series of a quantity, by the quantity's name and the topic's.
 
     What motion capture saw comes before what an odometry made of it.  The names are those of
     :class:`~capture_sim.studies.measurements.Measurements`; what was not measured is absent.
@@ -174,12 +174,12 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
 
 def first_contact(run: Run) -> float | None:
     """Return when the tip first met the cone, s; None if it never did."""
-    met = first_contact_told(run)
+    met = first_contact_in(run)
     return None if met is None else met[0]
 
 
-def first_contact_told(run: Run) -> tuple[float, Topic] | None:
-    """Return when the tip first met the cone, s, and the topic that tells; None if it never did.
+def first_contact_in(run: Run) -> tuple[float, Topic] | None:
+    """Return when the tip first met the cone, s, and in which topic; None if it never did.
 
     From the located event, else from the contact's topic, else from a force above its noise.
     """

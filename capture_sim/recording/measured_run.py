@@ -60,7 +60,7 @@ class AlignedMeasurements:
     normal_force : ndarray (n, 2) or None
         N, of the +y and the -y wall.
     walls : ndarray (n,) or None
-        Bits of the walls in touch, as in ContactState; else told by the gaps.
+        Bits of the walls in touch, as in ContactState; else by the gaps.
     begun : ndarray (n,) or None
         Touches begun since the instant before.
     peak_force : ndarray (n,) or None
@@ -150,7 +150,7 @@ def measured_run(
     measured
         At least one instant.
     statuses
-        The detector's judgements.
+        Of the detector.
     """
     samples = samples_of(scene, measured)
     touches = _touches(samples, measured)
@@ -214,7 +214,7 @@ def _phases(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
 
 
 def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
-    """Return the stretches of samples in touch, (m,) of dtype TOUCH."""
+    """Return the intervals of samples in touch, (m,) of dtype TOUCH."""
     near = (samples["walls"] != 0).astype(np.int8)
     if measured.begun is not None:
         # touches that were over before the next instant
@@ -228,7 +228,7 @@ def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     touches = np.zeros(len(ends) // 2, dtype=TOUCH)
     for touch, first, end in zip(touches, ends[::2], ends[1::2], strict=True):
         last = min(end, len(t) - 1)
-        # a peak is told by the first message after it
+        # a peak comes with the first message after it
         peak = first + int(np.argmax(force[first : last + 1]))
         touch["start"], touch["end"] = t[first], t[last]
         wider = samples["penetration"][first : last + 1].max(axis=0)
@@ -263,9 +263,9 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         Holds the poses of chaser and target, and the buffer's state or the joints'.
     scene
         The geometry of buffer and cone, and the detector's criteria: where the recording holds no
-        judgements, the detector judges now.
+        statuses, the detector decides now.
     released
-        When, s after the first pose; None where the recording tells, see
+        When, s after the first pose; None where it is recorded, see
         :func:`capture_sim.recording.measured.release_of`.
 
     Raises
@@ -308,12 +308,12 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         late = statuses[0].t - float(first_status)
         statuses = [status._replace(t=status.t - late) for status in statuses]
     else:
-        statuses = judge(scene, measured)
+        statuses = _detect(scene, measured)
     return measured_run(run.name, scene, measured, statuses)
 
 
-def judge(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
-    """Let the capture detector judge measurements."""
+def _detect(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
+    """Return what the capture detector makes of measurements."""
     detector = NoisyDetector(scene)
     statuses = []
     for i, t in enumerate(measured.t.tolist()):

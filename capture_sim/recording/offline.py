@@ -138,8 +138,8 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
     yield follower.state(0.0, launcher.release())
     yield detector.begin(scene.detector)
-    *judged, verdict = result.statuses
-    waiting = deque(judged)
+    *decided, verdict = result.statuses
+    waiting = deque(decided)
     periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])
     for sent in bench.block(samples, result.events, result.trace):
         yield sent

@@ -32,10 +32,10 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.cdr import columns, sequence_of
+from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.contents import CDR, UNPACKED_RATIO, Contents, read_contents
 from capture_sim.recording.definitions import schema_text, typestore
 from capture_sim.recording.live import described
-from capture_sim.recording.tally import Tally
 from capture_sim.recording.write import (
     END_METADATA,
     RECOVERY_METADATA,
@@ -106,11 +106,11 @@ class Run:
     def problems(self) -> tuple[str, ...]:
         """One line for everything that is wrong with the recording; empty when complete."""
         damage = (self.damage,) if self.damage else ()
-        told = self._contents.metadata.get(RECOVERY_METADATA, {})
+        noted = self._contents.metadata.get(RECOVERY_METADATA, {})
         recovery = [
             f"{word}: {line}"
             for word, name in (("not recovered", "lost"), ("unconfirmed", "unconfirmed"))
-            for line in told.get(name, "").splitlines()
+            for line in noted.get(name, "").splitlines()
         ]
         return (*damage, *recovery, *self.missing)
 
@@ -132,10 +132,12 @@ class Run:
             for name, messages in self._contents.messages.items()
             if (topic := topic_named(name)) and self._contents.types[name] == topic.type_name
         }
-        tally = Tally([] if self.damage else list(filter(None, publishers)), list(recorded))
+        completeness = Completeness(
+            [] if self.damage else list(filter(None, publishers)), list(recorded)
+        )
         for topic, messages in recorded.items():
             for data in messages:
-                tally.add(topic, sequence_of(topic, data))
+                completeness.add(topic, sequence_of(topic, data))
         ends = self._ends
         for i, publisher in enumerate(ends.get("publisher", ())):
             topics, counts = ends["topics"][i], ends["counts"][i].tolist()
@@ -143,13 +145,13 @@ class Run:
                 raise RecordingError(
                     f"{self.path}: {STREAM_COUNTS.name}: {len(topics)} topics, {len(counts)} counts"
                 )
-            tally.end(
+            completeness.end(
                 publisher,
                 dict(zip(topics, counts, strict=True)),
                 complete=bool(ends["complete"][i]),
                 reason=ends["reason"][i],
             )
-        return tuple(tally.problems())
+        return tuple(completeness.problems())
 
     @property
     def cut(self) -> bool:
@@ -202,7 +204,7 @@ class Run:
         Raises
         ------
         RecordingError
-            The file tells something else.
+            The file holds something else.
         """
         text = self._contents.metadata.get(END_METADATA, {}).get("wall_time")
         if text is None:
@@ -370,7 +372,7 @@ class Run:
 
     @cached_property
     def statuses(self) -> tuple[CaptureStatus, ...]:
-        """The detector's judgements, in order."""
+        """What the detector sent, in order."""
         recorded = self.columns(CAPTURE_STATUS)
         if not recorded:
             return ()
@@ -387,21 +389,21 @@ class Run:
 
     @cached_property
     def criteria(self) -> Detector | None:
-        """What the detector judged by, as it said; None where it did not, as in older files.
+        """The detector's limits then; None where they were not recorded, as in older files.
 
         Raises
         ------
         SceneError
             A value is none that a detector may have.
         """
-        told = self.columns(CAPTURE_CRITERIA)
-        if not told:
+        limits = self.columns(CAPTURE_CRITERIA)
+        if not limits:
             return None
-        return Detector(**{f.name: float(told[f.name][-1]) for f in fields(Detector)})
+        return Detector(**{f.name: float(limits[f.name][-1]) for f in fields(Detector)})
 
     @property
     def verdict(self) -> CaptureState | None:
-        """The detector's last judgement; None without any."""
+        """The detector's last state; None where it was not recorded."""
         return self.statuses[-1].state if self.statuses else None
 
     def _check_numbers(

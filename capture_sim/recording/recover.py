@@ -216,9 +216,9 @@ class Part:
     checked
         Whether it carries one.
     written
-        Messages that the summary tells; None when it is not whole.
+        Messages by the summary; None when it is not whole.
     named
-        Attachments and metadata that the summary tells.
+        Attachments and metadata by the summary.
     """
 
     path: Path
@@ -404,26 +404,26 @@ class _Search:
         self._lose(position, len(data), why)
 
     def _summary(self, start: int) -> None:
-        """Take in what the summary tells, if it is whole or nothing confirms it."""
+        """Take in the summary, if it is whole or nothing confirms it."""
         footer = self._footer(start)
         if footer is not None and not footer.summary_crc:
             return
         if not self._summary_is_whole(start):
             self._lose(start, len(self._data), "index and end mark damaged")
             return
-        told = Definitions()
+        defined = Definitions()
         reader = StreamReader(BytesIO(self._data[start:]), skip_magic=True)
         with suppress(*DAMAGE):
             for record in reader.records:
-                told.add(record)
+                defined.add(record)
                 if isinstance(record, Statistics):
                     self._part.written = record.message_count
                 elif isinstance(record, AttachmentIndex):
                     self._part.named.append(f"attachment {record.name}")
                 elif isinstance(record, MetadataIndex):
                     self._part.named.append(f"metadata {record.name}")
-        told.update(self._part.defined)
-        self._part.defined = told
+        defined.update(self._part.defined)
+        self._part.defined = defined
 
     def _summary_is_whole(self, start: int) -> bool:
         """Whether the summary that begins there, up to the file's end, fits its checksum."""
@@ -496,9 +496,9 @@ class _Saver:
             self._describe(run)
             times = [time for part in self._parts for time in self._messages(part)] or [EPOCH_NS]
             self._writer.flush()
-            told = {"lost": self._losses, "unconfirmed": self._unconfirmed}
-            if any(told.values()):
-                entries = {name: "\n".join(lines) for name, lines in told.items()}
+            notes = {"lost": self._losses, "unconfirmed": self._unconfirmed}
+            if any(notes.values()):
+                entries = {name: "\n".join(lines) for name, lines in notes.items()}
                 self._writer.add_metadata(RECOVERY_METADATA, entries)
             entry = FileEntry(target.name, min(times), max(times), self._counts.total())
             text = self._bag_metadata(entry)
@@ -551,7 +551,7 @@ class _Saver:
         return None
 
     def _release(self) -> int | None:
-        """Return the log time of the release, ns; None where nothing whole tells of it."""
+        """Return the log time of the release, ns; None where nothing whole holds it."""
         started = None
         for topic, message in self._of_topics(LAUNCH_COMMAND, BENCH_STATE):
             with suppress(RecordingError):
@@ -593,7 +593,7 @@ class _Saver:
         there = {f"attachment {name}" for name in part.attachments}
         there |= {f"metadata {name}" for name in part.metadata}
         for name in part.named:
-            # of these the announcement of the run tells the same
+            # the announcement of the run holds the same
             if name in there or (run is not None and name == f"metadata {RUN_METADATA}"):
                 continue
             again = run is not None and name == f"attachment {SCENE_ATTACHMENT}"
@@ -671,8 +671,8 @@ def _in_words(part: Part, loss: Loss, release: int | None) -> str:
 
 def _absent_parts(parts: list[Part]) -> list[str]:
     """Return a line for the parts of a split recording that are not there."""
-    told = (part.metadata.get(RUN_METADATA, {}).get("part", "") for part in parts)
-    there = {int(number) for number in told if number.isdecimal() and len(number) < 7}
+    numbers = (part.metadata.get(RUN_METADATA, {}).get("part", "") for part in parts)
+    there = {int(number) for number in numbers if number.isdecimal() and len(number) < 7}
     absent = sorted(set(range(max(there, default=0))) - there)
     lines = [f"part {number} of the recording is not there" for number in absent[:_MOST_LINES]]
     if len(absent) > _MOST_LINES:

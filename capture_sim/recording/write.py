@@ -29,11 +29,11 @@ SCENE_ATTACHMENT = "scene.yaml"
 #: Name of the attachment that holds the types and topics again, as an MCAP file of its own:
 #: the first chunk holds them too, and may be damaged.
 DEFINITIONS_ATTACHMENT = "definitions.mcap"
-#: Name of the metadata record that tells how the run was made.
+#: Name of the metadata record that says how the run was made.
 RUN_METADATA = "capture_sim"
 #: Name of the metadata record that is written last, with what is known at the end only.
 END_METADATA = "capture_sim_end"
-#: Name of the metadata record that tells what a recovered file lacks.
+#: Name of the metadata record that says what a recovered file lacks.
 RECOVERY_METADATA = "capture_sim_recovery"
 #: Name of the metadata record that rosbag2 reads.
 BAG_METADATA = "rosbag2"
@@ -166,7 +166,7 @@ class RunWriter:
 
     @property
     def run_id(self) -> dict[str, str]:
-        """What a bag's metadata tells of the run."""
+        """What a bag's metadata holds of the run."""
         return {"run_id": self._run.run_id}
 
     @property
@@ -182,12 +182,12 @@ class RunWriter:
 
     @property
     def file_entry(self) -> FileEntry:
-        """What a bag's metadata tells of the file."""
+        """What a bag's metadata holds of the file."""
         start = EPOCH_NS if self._first_time is None else self._first_time
         return FileEntry(self._name, start, self._last_time, sum(self._counts.values()))
 
     def topic_entries(self) -> list[TopicEntry]:
-        """Return what a bag's metadata tells of its topics."""
+        """Return what a bag's metadata holds of the topics."""
         return [
             TopicEntry(
                 topic.absolute_name,

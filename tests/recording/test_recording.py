@@ -43,6 +43,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording import live as live_module
 from capture_sim.recording.cdr import columns, sequence_of, stamp_of
+from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.definitions import (
     offline_messages,
     schema_text,
@@ -52,7 +53,6 @@ from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
-from capture_sim.recording.tally import Tally
 from capture_sim.recording.write import RunWriter
 from capture_sim.samples import SAMPLE
 
@@ -802,27 +802,29 @@ def test_sequence_and_stamp_are_read_from_the_bytes(sent):
     assert {BENCH_STATE, BENCH_EVENT, CAPTURE_STATUS} <= set(seen)
 
 
-def test_tally_names_gaps():
-    tally = Tally()
+def test_completeness_names_gaps():
+    completeness = Completeness()
     for seq in (0, 1, 4, 5, 9):
-        tally.add(BENCH_STATE, seq)
-    assert tally.problems() == ["bench/state: 5 messages missing (seq 2 to 3, 6 to 8)"]
+        completeness.add(BENCH_STATE, seq)
+    assert completeness.problems() == ["bench/state: 5 messages missing (seq 2 to 3, 6 to 8)"]
     for _ in range(2):  # the second time does not count
-        tally.end("simulator", {"bench/state": 12})
-    assert not tally.satisfied
-    assert tally.problems() == ["bench/state: 7 messages missing (seq 2 to 3, 6 to 8, 10 to 11)"]
+        completeness.end("simulator", {"bench/state": 12})
+    assert not completeness.satisfied
+    assert completeness.problems() == [
+        "bench/state: 7 messages missing (seq 2 to 3, 6 to 8, 10 to 11)"
+    ]
     # as a follower says it of itself
-    tally.end("launcher", {}, complete=False, reason="ended early: reset")
-    assert tally.problems()[0] == "launcher ended the run early: reset"
+    completeness.end("launcher", {}, complete=False, reason="ended early: reset")
+    assert completeness.problems()[0] == "launcher ended the run early: reset"
 
 
-def test_tally_knows_a_late_beginning_from_a_loss():
+def test_completeness_knows_a_late_beginning_from_a_loss():
     def told(numbers, sent):
-        tally = Tally()
+        completeness = Completeness()
         for seq in numbers:
-            tally.add(BENCH_STATE, seq)
-        tally.end("simulator", {"bench/state": sent})
-        return tally.problems()
+            completeness.add(BENCH_STATE, seq)
+        completeness.end("simulator", {"bench/state": sent})
+        return completeness.problems()
 
     assert told(range(7, 12), sent=5) == []  # a replay from the middle on
     assert told(range(7, 12), sent=12) == ["bench/state: 7 messages missing (seq 0 to 6)"]

@@ -15,8 +15,8 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
 from capture_sim.recording.definitions import typestore
+from capture_sim.recording.detect import detect_again
 from capture_sim.recording.export import flat, save_tables, table
-from capture_sim.recording.judging import judge_recording
 from capture_sim.recording.measured import first_contact
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
@@ -123,7 +123,7 @@ def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
 
 def test_detector_judges_a_bag_as_it_judged_the_run(path):
     run = read_run(path)
-    again = judge_recording(run)
+    again = detect_again(run)
     assert [(s.t, s.state, s.final, s.reason) for s in again] == [
         (s.t, s.state, s.final, s.reason) for s in run.statuses
     ]
@@ -172,7 +172,7 @@ def test_topic_that_the_detector_needs_is_named(path, tmp_path):
         )
         writer.write(connection, EPOCH_NS, run.raw("chaser/odom")[0])
     with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
-        judge_recording(read_run(folder), run.scene)
+        detect_again(read_run(folder), run.scene)
 
 
 def test_csv_gives_the_same_bits(path, tmp_path, capsys):

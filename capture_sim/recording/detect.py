@@ -1,4 +1,4 @@
-"""The capture detector on a recording, as if it had listened then."""
+"""The capture detector on a recording, as if it had run then."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def with_limits(scene: Scene, recorded: Detector | None, changed: Collection[str
     scene
         With the changes.
     recorded
-        Limits that the recording tells; None where it tells none.
+        Recorded limits; None where there are none.
     changed
         Names of the limits that are taken from the scene.
     """
@@ -34,7 +34,7 @@ def with_limits(scene: Scene, recorded: Detector | None, changed: Collection[str
     return replace(scene, detector=replace(recorded, **kept))
 
 
-def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
+def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     """Judge a recorded run again, from its poses and buffer states alone.
 
     Parameters
@@ -42,7 +42,7 @@ def judge_recording(run: Run, scene: Scene | None = None) -> list[CaptureStatus]
     run
         From :func:`capture_sim.recording.read_run`.
     scene
-        With the criteria to judge by; None takes the recorded scene and the criteria that the
+        With the criteria; None takes the recorded scene and the criteria that the
         detector had then.
 
     Returns

@@ -9,7 +9,7 @@ from capture_sim.messages.topics import Topic, topic_named
 
 
 @dataclass
-class TopicTally:
+class TopicCount:
     """What is known of one stream.
 
     Attributes
@@ -44,7 +44,7 @@ class TopicTally:
 MAX_GAPS = 100
 
 
-class Tally:
+class Completeness:
     """Counts messages by topic, follows their sequence, and compares with what was sent.
 
     Attributes
@@ -65,14 +65,14 @@ class Tally:
     ) -> None:
         self.publishers = tuple(publishers)
         self._wanted = topics
-        self._topics: dict[Topic, TopicTally] = {}
+        self._topics: dict[Topic, TopicCount] = {}
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
     def add(self, topic: Topic, seq: int | None, *, written: bool = True) -> None:
         """Count a message and its sequence number, None where the type has none."""
         entry = self._topics.get(topic)
         if entry is None:
-            entry = self._topics[topic] = TopicTally()
+            entry = self._topics[topic] = TopicCount()
         entry.seen += 1
         entry.written += written
         if seq is None:
@@ -97,11 +97,11 @@ class Tally:
         for name, count in counts.items():
             topic = topic_named(name)
             if topic is not None and (self._wanted is None or topic in self._wanted):
-                entry = self._topics.setdefault(topic, TopicTally())
+                entry = self._topics.setdefault(topic, TopicCount())
                 entry.expected = (entry.expected or 0) + count
 
     @property
-    def topics(self) -> dict[Topic, TopicTally]:
+    def topics(self) -> dict[Topic, TopicCount]:
         """All that is known, by topic."""
         return self._topics
 
@@ -146,7 +146,7 @@ class Tally:
         return lines
 
 
-def _where(topic: Topic, entry: TopicTally) -> str:
+def _where(topic: Topic, entry: TopicCount) -> str:
     places = [str(a) if a == b else f"{a} to {b}" for a, b in entry.gaps]
     if topic.sequenced and entry.expected is not None and entry.next_seq < entry.expected:
         first, last = entry.next_seq, entry.expected - 1
