@@ -288,7 +288,9 @@ class _Reader:
             ):
                 raise RecordingError(f"{self._path}: not an MCAP file") from None
             # a length that leads behind the file's end is that of a file that was cut
-            if not isinstance(error, RecordLengthLimitExceeded) and self._file.read(1):
+            ended = not isinstance(error, RecordLengthLimitExceeded) and self._file.read(1)
+            self._file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+            if ended or (self._file.read() == MCAP0_MAGIC and self._size > position):
                 raise self._damaged(position, in_words(error)) from None
             self._tell(
                 f"the file ends without its end mark; {position} of {self._size} bytes are "

@@ -451,6 +451,7 @@ def _touch(recorded: Columns, i: int) -> np.void | None:
     touch: np.void = np.zeros(1, dtype=TOUCH)[0]
     touch["start"] = recorded["touch_start"][i]
     touch["end"] = recorded["t"][i]
+    touch["rate_ratio"] = math.nan  # no message carries it
     for name in ("wall", "approach_speed", "peak_force", "peak_time", "impulse", "dissipated"):
         touch[name] = recorded[name][i]
     return touch

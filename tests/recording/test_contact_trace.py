@@ -136,7 +136,7 @@ def test_table_of_the_trace_has_a_row_for_each_point(result, path, tmp_path):
     assert len(rows) == len(result.trace)
     for key, column in (
         ("t", result.trace["t"]),
-        ("q.7", result.trace["q"][:, 7]),
+        ("q.theta_T", result.trace["q"][:, 7]),
         ("normal_force.1", result.trace["normal_force"][:, 1]),
     ):
         assert [float(row[key]) for row in rows] == column.tolist()
