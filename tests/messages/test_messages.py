@@ -368,7 +368,6 @@ def test_rclpy_and_rosbags_make_messages_of_the_same_values(result, run):
         ("capture_criteria", "r", result.scene.detector),
         ("launch_command", 0.0, "r", LaunchAction.ARM, launcher.plan),
         ("stream_counts", "simulator", "r", {"bench/state": 2**40, "x": 1}),
-        ("stream_ack", "recorder", "r", 7),
         *(("capture_status", k, s.t, s) for k, s in enumerate(result.statuses[::50])),
         *(("launcher_state", k, 0.1 * k, launcher.status) for k in range(3)),
     ):

@@ -841,12 +841,11 @@ def test_columns_of_texts_and_sequences_whose_length_varies():
     store, make = typestore(), offline_messages()
     texts = ["", "a", "bcd", "a", "bcde" * 100, "é"]
     messages = [
-        store.serialize_cdr(make.stream_ack(text, "r" * i, i), "capture_sim/msg/StreamAck")
-        for i, text in enumerate(texts)
+        make.serialise(make.stream_counts(text, "r" * i, {"x": i})) for i, text in enumerate(texts)
     ]
-    found = columns(store, "capture_sim/msg/StreamAck", [bytes(m) for m in messages])
-    assert found["consumer"].tolist() == texts
-    assert found["received"].tolist() == list(range(len(texts)))
+    found = columns(store, STREAM_COUNTS.type_name, messages)
+    assert found["publisher"].tolist() == texts
+    assert [count.tolist() for count in found["counts"]] == [[i] for i in range(len(texts))]
     counts = [{}, {"a": 1}, {"bc": 2, "d": 3}, {"e": 4}]
     messages = [
         store.serialize_cdr(make.stream_counts("p", "r", c), STREAM_COUNTS.type_name)
