@@ -186,7 +186,10 @@ def speed_scale(scene: Scene, impact_speed: float) -> float:
     of the line BE by the vehicles' spins.
     """
     c, t = scene.initial.chaser, scene.initial.target
-    if scene.string is not None and scene.string.impact_speed is not None:
+    if scene.string is None:
+        # the plan's speed is that in the world, and slower than at the release
+        impact_speed = 0.0
+    elif scene.string.impact_speed is not None:
         impact_speed = scene.string.impact_speed
     return max(
         _SLOWEST,
