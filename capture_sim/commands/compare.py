@@ -146,7 +146,7 @@ def _say_characteristics(a: Comparable, b: Comparable) -> None:
         cells = ["-" if x is None else f"{x.value:{form}}" for x in (here, there)]
         gap = share = "-"
         if here is not None and there is not None:
-            gap = f"{there.value - here.value:+.4f}"
+            gap = f"{there.value - here.value:+{form}}"
             if there.value == here.value:
                 gap = IDENTICAL
             elif here.value:

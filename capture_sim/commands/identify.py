@@ -22,7 +22,7 @@ from capture_sim.studies.identify import RELEASE, identify, is_explained
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
     "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
-    "are fitted, and the first touches where they were recorded. Where the recording does not tell "
+    "are fitted, and the first touches where they were recorded. Where the recording does not show "
     "when the chaser was released, that is fitted as well, beginning at --release. Prints values "
     "with standard errors. Exit status 1 when the model does not explain what was measured, or a "
     "parameter does not show in it."
@@ -73,8 +73,8 @@ def run(options: argparse.Namespace) -> int:
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
     names = list(options.parameters)
-    told = options.release is None and release_recorded(recorded) is not None
-    if not told and not options.fix_release and RELEASE not in names:
+    known = options.release is None and release_recorded(recorded) is not None
+    if not known and not options.fix_release and RELEASE not in names:
         names.append(RELEASE)
     compile_first()
     touches, source = None, ""
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     say(f"{'parameter':16} {'value':>14} {'+-':>12} {'%':>8} {'began at':>14}")
     given = options.release or 0.0
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
-        began, note = given, f"   s after the {'recorded release' if told else 'first pose'}"
+        began, note = given, f"   s after the {'recorded release' if known else 'first pose'}"
         if name != RELEASE:
             began, note = value_of(scene, name), ""
         else:
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
             if abs(fit.correlation[i, j]) > 0.9:
-                say(f"{second} and {first} are hard to tell apart: {fit.correlation[i, j]:+.2f}")
+                say(f"{second} and {first} are hard to separate: {fit.correlation[i, j]:+.2f}")
     say(
         f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
         f"{fit.touches} touches, {fit.evaluations} simulations"
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     if fit.touches:
         say(f"touches are those of {source}")
     elif options.touches > 0:
-        say("no touches: neither events tell of them, nor a force that is sampled fast enough")
+        say("no touches: neither events nor a force that is sampled fast enough")
     changes = [
         f"--set {path}={value:.9g}"
         for name, value in zip(fit.names, fit.values, strict=True)

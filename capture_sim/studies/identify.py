@@ -363,7 +363,7 @@ def spread(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     variance, covariance : ndarray (k,), (k, k)
-        The variance is infinite for what the data do not tell; the covariance leaves it out.
+        The variance is infinite for what the data do not determine; the covariance leaves it out.
     """
     _, singular, right = np.linalg.svd(J, full_matrices=False)
     tiny = singular <= 1e-10 * singular.max(initial=1e-300)

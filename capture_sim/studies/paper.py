@@ -299,8 +299,8 @@ def second_engine() -> SecondEngine:
         for law in ("clamp", "tanh")
     )
     until = t <= first_cluster(clamped.touches)["end"].max()
-    apart = [np.abs(clamped.v - other)[until].max(axis=0) for other in (v, smooth.v)]
-    return SecondEngine(source, t, v, table[:, 9], clamped, apart[0], apart[1])
+    differences = [np.abs(clamped.v - other)[until].max(axis=0) for other in (v, smooth.v)]
+    return SecondEngine(source, t, v, table[:, 9], clamped, *differences)
 
 
 # the evidence, and the statements that are held against it

@@ -145,10 +145,10 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     assert main(["compare", str(path), str(other), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "peak force of first contact, N" in said
-    assert "stroke        rms" in said
+    assert "stroke mm" in said.split("B - A over 1 s")[1]
     assert "force" not in said.split("B - A over 1 s")[1]  # of samples it says nothing
     # touch by touch: the first row is the first touch of both
-    row = next(line.split() for line in said.splitlines() if line.startswith("  1 "))
+    row = next(line.split() for line in said.splitlines() if line.startswith("1 "))
     first = [read_run(file).touches[0] for file in (path, other)]
     assert row[1:5] == ["-" if first[0]["wall"] < 0 else "+"] * 2 + ["0.000"] * 2
     assert [float(cell) for cell in row[6:8]] == pytest.approx(
