@@ -9,7 +9,7 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test test-numpy1 lint benchmark picture format clean
+.PHONY: help setup run test test-numpy1 lint benchmark faults picture format clean
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
@@ -18,6 +18,7 @@ help:
 	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint        only check style, types and layers"
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (8 min)"
+	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      lay out the Python files as lint wants them"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
@@ -51,6 +52,9 @@ lint: setup
 
 benchmark: setup
 	$(BIN)/python -m benchmarks.speed
+
+faults: setup
+	$(BIN)/python tests/faults/run.py
 
 picture: setup
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
