@@ -50,21 +50,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(error)
 
 
+def command_parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of a command, whose module it loads; its default ``run`` does the command.
+
+    Ctrl-C is not lost in the import of a compiled module.
+    """
+    from capture_sim.interrupts import do_apart  # not for --help
+
+    command = do_apart(lambda: import_module(f"capture_sim.commands.{name}"))
+    parser = _Parser(
+        prog=f"capture-sim {name}",
+        description=command.DESCRIPTION,
+        epilog=f"example:\n{command.EXAMPLE}",
+        formatter_class=_Formatter,
+    )
+    command.add_arguments(parser)
+    parser.set_defaults(run=command.run)
+    return parser
+
+
 def _run(arguments: Sequence[str]) -> int:
     if arguments and arguments[0] in COMMANDS:
-        name = arguments[0]
-        from capture_sim.interrupts import do_apart  # not for --help
-
-        # Ctrl-C is not lost in the import of a compiled module
-        command = do_apart(lambda: import_module(f"capture_sim.commands.{name}"))
-        parser = _Parser(
-            prog=f"capture-sim {name}",
-            description=command.DESCRIPTION,
-            epilog=f"example:\n{command.EXAMPLE}",
-            formatter_class=_Formatter,
-        )
-        command.add_arguments(parser)
-        return int(command.run(parser.parse_args(arguments[1:])))
+        options = command_parser(arguments[0]).parse_args(arguments[1:])
+        return int(options.run(options))
     parser = _Parser(
         prog="capture-sim",
         usage="capture-sim [-h] [--version] COMMAND ...",

@@ -75,6 +75,31 @@ def test_no_stamp_means_not_set_up(setup_env, monkeypatch, tmp_path):
     assert setup_env.found_state() == {}
 
 
+def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monkeypatch):
+    for name, path in (("STAMP", "setup.json"), ("LOG", "setup.log"), ("PYTHON", "python")):
+        monkeypatch.setattr(setup_env, name, project / path)
+    (project / "python").touch()
+    done = []
+
+    def fail(progress):
+        done.append("package")
+        raise setup_env.SetupError("a message is wrong")
+
+    monkeypatch.setattr(setup_env, "make_venv", lambda *_: done.append("python"))
+    monkeypatch.setattr(setup_env, "install_requirements", lambda *_: done.append("packages"))
+    monkeypatch.setattr(setup_env, "install_package", fail)
+    for expected in (["python", "packages", "package"], ["package"]):
+        done.clear()
+        with pytest.raises(setup_env.SetupError):
+            setup_env.set_up()
+        assert done == expected
+    monkeypatch.setattr(setup_env, "install_package", lambda *_: done.append("package"))
+    setup_env.set_up()
+    done.clear()
+    setup_env.set_up()
+    assert done == []
+
+
 def test_missing_parts_are_named_with_the_command(setup_env, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
     monkeypatch.setenv("CC", "no-such-cc")

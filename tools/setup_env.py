@@ -136,7 +136,7 @@ def requirements(project):
 def found_state():
     """Return what the present set-up was made of; empty when there is none."""
     with contextlib.suppress(OSError, ValueError):
-        if (VENV / "bin" / "capture-sim").exists() and PYTHON.exists():
+        if PYTHON.exists():
             return json.loads(STAMP.read_text())
     return {}
 
@@ -260,6 +260,12 @@ def install_package(progress):
     progress.run("Check", [PYTHON, "-c", CHECK])
 
 
+def keep(done, **parts):
+    """Note what the environment is made of now."""
+    done.update(parts)
+    STAMP.write_text(json.dumps(done, indent=1))
+
+
 def set_up():
     """Do what is not done yet."""
     wanted, found = wanted_state(), found_state()
@@ -267,15 +273,20 @@ def set_up():
         return
     print("Setting up .venv", "again" if found else "(once)", flush=True)
     progress = Progress()
-    renew = found.get("python") != wanted["python"]
-    if renew:
+    done = {}  # of what is wanted; what is done already need not be done again after a failure
+    if found.get("python") == wanted["python"]:
+        done = {part: found.get(part) for part in ("python", "requirements")}
+    else:
+        STAMP.unlink(missing_ok=True)
         make_venv(progress)
-    STAMP.unlink(missing_ok=True)  # an interrupted set-up starts from nothing
+        done["python"] = wanted["python"]
     LOG.write_text("")
-    if renew or found.get("requirements") != wanted["requirements"]:
+    if done.get("requirements") != wanted["requirements"]:
+        keep(done, requirements=None)
         install_requirements(progress, wanted["requirements"][0])
+    keep(done, requirements=wanted["requirements"], package=None)
     install_package(progress)
-    STAMP.write_text(json.dumps(wanted, indent=1))
+    keep(done, package=wanted["package"])
     print(f"Set up in {time.monotonic() - progress.start:.0f} s", flush=True)
 
 
