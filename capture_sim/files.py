@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -100,3 +101,15 @@ def _take_name(part: Path, path: Path) -> None:
     except OSError:  # a file system without links: the name is claimed first
         path.open("xb").close()
         part.replace(path)
+
+
+def why_not_writable(folder: Path) -> str:
+    """Make a folder if need be; return why nothing can be written into it, empty if it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return ""
+    except (FileExistsError, NotADirectoryError):
+        return "it is a file"
+    except OSError as error:
+        return error.strerror or str(error)

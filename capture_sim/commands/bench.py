@@ -6,8 +6,9 @@ import argparse
 
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import FACTORS, add_experiments, load_all, number, prepare_folder
+from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder
 from capture_sim.commands.output import draw, report, summary_of, warn
+from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.read import read_run
 

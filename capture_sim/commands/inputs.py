@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.files import why_not_writable
 from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.parts import Scene
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from capture_sim.recording.read import Run
     from capture_sim.viewing.source import ViewableRun
 
-#: Simulated (or recorded) seconds per second; 0 does not wait at all.
-FACTORS = Range(0.0, 1000.0)
 #: Of processes that a study starts.
 WORKERS = Range(1, 1024)
 #: Of seeds: what every generator takes.
@@ -220,15 +218,8 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
 
 def prepare_folder(folder: Path) -> None:
     """Make a folder, and make sure before anything runs that results can be written to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return
-    except (FileExistsError, NotADirectoryError):
-        reason = "it is a file"
-    except OSError as error:
-        reason = error.strerror or str(error)
-    raise RecordingError(f"--out {folder}: cannot be written: {reason}; allowed is a folder")
+    if reason := why_not_writable(folder):
+        raise RecordingError(f"--out {folder}: cannot be written: {reason}; allowed is a folder")
 
 
 def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:

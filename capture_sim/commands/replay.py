@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.inputs import FACTORS, not_negative, number, prepare_folder
+from capture_sim.commands.inputs import not_negative, number, prepare_folder
+from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
 

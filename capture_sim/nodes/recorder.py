@@ -15,7 +15,7 @@ from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import Trigger
 
-from capture_sim.folders import why_not_writable
+from capture_sim.files import why_not_writable
 from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
 from capture_sim.nodes.node import ParameterError, message_class, run
 from capture_sim.nodes.participant import READ, RECORDER, Participant
