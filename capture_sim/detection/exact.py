@@ -44,6 +44,9 @@ class CaptureState(IntEnum):
         return self.name.lower()
 
 
+_STATES = tuple(CaptureState)
+
+
 class Cause(IntEnum):
     """Why the state is what it is."""
 
@@ -161,30 +164,13 @@ MEMORY = np.dtype(
     ]
 )
 
+_NUMBERS = (
+    *("t", "distance", "axial_offset", "lateral_offset", "relative_attitude", "relative_speed"),
+    *("nearest_distance", "time_in_state"),
+)
 #: One status in numbers.
 _ROW = np.dtype(
-    [
-        ("state", "i8"),
-        ("cause", "i8"),
-        ("value", "f8"),
-        ("t", "f8"),
-        ("distance", "f8"),
-        ("axial_offset", "f8"),
-        ("lateral_offset", "f8"),
-        ("relative_attitude", "f8"),
-        ("relative_speed", "f8"),
-        ("nearest_distance", "f8"),
-        ("time_in_state", "f8"),
-    ]
-)
-
-
-_MEASURED = (
-    "distance",
-    "axial_offset",
-    "lateral_offset",
-    "relative_attitude",
-    "relative_speed",
+    [("state", "i8"), ("cause", "i8"), ("value", "f8"), *((name, "f8") for name in _NUMBERS)]
 )
 
 
@@ -367,32 +353,29 @@ def decide_at_end(criteria: Criteria, memory: np.void, rounding: float) -> None:
     memory["since"], memory["value"] = memory["t"], memory["distance"]
 
 
+_REASONS = {
+    Cause.NO_CONTACT: "no contact yet",
+    Cause.AT_CONE: "tip at the cone",
+    Cause.PASSED_BE: "tip passed BE",
+    Cause.DWELT: "within {radius:g} mm of BE for {dwell:g} s",
+    Cause.RETREATED: "retreated {leave:g} mm from {value:.2f} mm",
+    Cause.PASSED_BY: "tip passed the cone by",
+    Cause.STANDS: "stands {value:.2f} mm short of BE",
+    Cause.END_WITHOUT_CONTACT: "no contact before the run ended",
+    Cause.END_MOVING_OUT: "run ended with the tip {value:.2f} mm from BE and moving out",
+    Cause.END_SHORT: "run ended with the tip {value:.2f} mm short of BE",
+    Cause.NOT_MEASURED: "nothing was measured",
+}
+
+
 def reason(criteria: Criteria, cause: int, value: float) -> str:
     """Return the cause in words; ``value`` is the length that it names, m."""
-    mm = f"{value * 1e3:.2f} mm"
-    match Cause(cause):
-        case Cause.NO_CONTACT:
-            return "no contact yet"
-        case Cause.AT_CONE:
-            return "tip at the cone"
-        case Cause.PASSED_BE:
-            return "tip passed BE"
-        case Cause.DWELT:
-            return f"within {criteria.radius * 1e3:g} mm of BE for {criteria.dwell:g} s"
-        case Cause.RETREATED:
-            return f"retreated {criteria.leave * 1e3:g} mm from {mm}"
-        case Cause.PASSED_BY:
-            return "tip passed the cone by"
-        case Cause.STANDS:
-            return f"stands {mm} short of BE"
-        case Cause.END_WITHOUT_CONTACT:
-            return "no contact before the run ended"
-        case Cause.END_MOVING_OUT:
-            return f"run ended with the tip {mm} from BE and moving out"
-        case Cause.END_SHORT:
-            return f"run ended with the tip {mm} short of BE"
-        case Cause.NOT_MEASURED:
-            return "nothing was measured"
+    return _REASONS[Cause(cause)].format(
+        radius=criteria.radius * 1e3,
+        dwell=criteria.dwell,
+        leave=criteria.leave * 1e3,
+        value=value * 1e3,
+    )
 
 
 class ExactDetector:
@@ -424,7 +407,8 @@ class ExactDetector:
         self._memory = new_memory()
         self._y = np.zeros(16)
         self._row = np.zeros(1, _ROW)  # the last status
-        self._row[list(_MEASURED)] = math.nan
+        for name in _NUMBERS[1:6]:
+            self._row[name] = math.nan
         self._row["nearest_distance"] = math.inf
         self._text = ((-1, 0.0), "")  # the last reason
 
@@ -484,19 +468,8 @@ class ExactDetector:
         return self._status(row.tolist())
 
     def _status(self, row: Any) -> CaptureStatus:
-        state, cause, value, t, distance, axial, lateral, attitude, speed, nearest, since = row
+        state, cause, value, t, *numbers = row
         if self._text[0] != (cause, value):
             self._text = (cause, value), reason(self._criteria, cause, value)
-        return CaptureStatus(
-            t,
-            CaptureState(state),
-            state > CaptureState.CONTACT,
-            distance,
-            axial,
-            lateral,
-            attitude,
-            speed,
-            nearest,
-            since,
-            self._text[1],
-        )
+        final = state > CaptureState.CONTACT
+        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1]))
