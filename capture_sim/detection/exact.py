@@ -18,6 +18,7 @@ from capture_sim.kernels import entry_kernel, kernel
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.model.trig import sine_cosine
+from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
 
 #: A decision must hold for the place moved by so many standard deviations,
@@ -28,7 +29,7 @@ ZONE_GUARD = 1.0
 _TICK = 1e-9
 
 
-class CaptureState(IntEnum):
+class CaptureState(Named):
     """State of the capture, as in msg/CaptureStatus.msg."""
 
     APPROACH = 0
@@ -37,11 +38,6 @@ class CaptureState(IntEnum):
     REBOUND = 3
     MISSED = 4
     STUCK = 5
-
-    @property
-    def label(self) -> str:
-        """The name used in messages and tables."""
-        return self.name.lower()
 
 
 _STATES = tuple(CaptureState)
