@@ -126,10 +126,10 @@ class Bench:
         self._traced: list[np.ndarray] = []
         self._begin()
         self._touches: list[np.void] = []
-        self._events: list[Event] = []
         self._unread: list[np.ndarray] = []
         self._asked = -math.inf  # last sample time asked for, s
-        self._log(EventKind.RELEASE, 0.0, q, v, detail=self._describe_release())
+        detail = self._describe_release()
+        self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
     def _begin(self) -> None:
         run, mode, par, y = self._run, self._system["mode"], self._system["par"], self._step["y"]
@@ -269,34 +269,16 @@ class Bench:
     def _read_events(self) -> None:
         """Turn the loop's raw events into Python's, when somebody asks for them."""
         unread, self._unread = self._unread, []
-        for raw in (event for batch in unread for event in batch):
-            kind = EventKind(int(raw["kind"]))
-            touch = None
-            if kind is EventKind.LIFT_OFF:
-                touch = raw["touch"].copy()
-                self._touches.append(touch)
-            wall = int(raw["wall"]) if kind in _AT_WALL else 0
-            self._log(
-                kind,
-                float(raw["t"]),
-                raw["q"].copy(),
-                raw["v"].copy(),
-                wall,
-                _detail(kind, raw),
-                touch,
-            )
-
-    def _log(
-        self,
-        kind: EventKind,
-        t: float,
-        q: np.ndarray,
-        v: np.ndarray,
-        wall: int = 0,
-        detail: str = "",
-        touch: np.void | None = None,
-    ) -> None:
-        self._events.append(Event(kind, t, q, v, wall, detail, touch))
+        for batch in unread:
+            columns = (batch[name].tolist() for name in ("kind", "t", "wall", "value"))
+            for number, (code, t, wall, value) in enumerate(zip(*columns, strict=True)):
+                kind, touch = EventKind(code), None
+                if kind is EventKind.LIFT_OFF:
+                    touch = batch["touch"][number]
+                    self._touches.append(touch)
+                q, v = batch["q"][number], batch["v"][number]
+                side, detail = wall if kind in _AT_WALL else 0, _detail(kind, wall, value)
+                self._events.append(Event(kind, t, q, v, side, detail, touch))
 
 
 def check_times(
@@ -395,22 +377,21 @@ def drive(
             return
 
 
-def _detail(kind: EventKind, raw: np.void) -> str:
-    value = float(raw["value"])
+def _detail(kind: EventKind, wall: int, value: float) -> str:
     if kind is EventKind.LANDED:
         return f"hanging mass down, chaser at {value:.6g} m/s"
     if kind is EventKind.RAIL_END:
         return f"chaser free at {value:.6g} m/s"
     if kind is EventKind.TOUCH:
-        return f"{'+y' if raw['wall'] > 0 else '-y'} wall at {value:.6g} m/s"
+        return f"{'+y' if wall > 0 else '-y'} wall at {value:.6g} m/s"
     if kind is EventKind.LIFT_OFF:
-        return f"{'+y' if raw['wall'] > 0 else '-y'} wall after a peak of {value:.6g} N"
+        return f"{'+y' if wall > 0 else '-y'} wall after a peak of {value:.6g} N"
     if kind in (EventKind.AT_REST, EventKind.MOVING):
-        return "chaser" if raw["wall"] == 1 else "target"
+        return "chaser" if wall == 1 else "target"
     if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
-        return f"{'compressed' if raw['wall'] < 0 else 'extended'} at {value:.6g} m/s"
+        return f"{'compressed' if wall < 0 else 'extended'} at {value:.6g} m/s"
     if kind in (EventKind.STICK, EventKind.SLIP):
-        return f"{'+y' if raw['wall'] > 0 else '-y'} wall, friction {value:.6g} N to hold"
+        return f"{'+y' if wall > 0 else '-y'} wall, friction {value:.6g} N to hold"
     if kind is EventKind.LATCHED:
         return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
     return ""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.kernels import entry_kernel, kernel
+from capture_sim.kernels import entry_kernel, kernel, records
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.model.trig import sine_cosine
@@ -437,8 +437,8 @@ class ExactDetector:
     def _follow(self, samples: np.ndarray, rows: np.ndarray, *, to_verdict: bool) -> int:
         if not samples.size:
             return 0
-        samples = np.ascontiguousarray(samples)
-        used: int = follow(self._criteria, self._memory, samples, self._y, rows, to_verdict)
+        memory, read = records(self._memory), records(np.ascontiguousarray(samples))
+        used: int = follow(self._criteria, memory, read, self._y, records(rows), to_verdict)
         self._row = rows[-1:]
         return used
 

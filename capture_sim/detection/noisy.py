@@ -33,7 +33,7 @@ from capture_sim.detection.exact import (
     new_memory,
     reason,
 )
-from capture_sim.kernels import plain
+from capture_sim.kernels import plain, records
 from capture_sim.model.equations import tip_motion
 from capture_sim.scene.parts import Scene
 
@@ -305,6 +305,13 @@ class TipPath:
         return (a1 - a0) / dt, (l1 - l0) / dt
 
 
+def _compile(criteria: Criteria) -> None:
+    """Have the criteria compiled before a run, not at its first measurement."""
+    memory, place = records(new_memory()), Place(0.0, 0.0, 0.0, 0.0, 0.0)
+    decide_place(criteria, memory, place, False, 0.0)
+    feel_push_at(criteria, memory, 0.0, 0.0, 0.0)
+
+
 class _Tip(NamedTuple):
     """The tip in the cone's frame, as measured."""
 
@@ -337,10 +344,12 @@ class NoisyDetector:
         self.aligner = Aligner(limits.gap)
         self._scene = scene
         self._criteria = Criteria.of(scene)
-        self._memory = new_memory()
+        self._memory = records(new_memory())
         # compiled before a run
-        decide_place(self._criteria, new_memory(), Place(0.0, 0.0, 0.0, 0.0, 0.0), False, 0.0)
-        feel_push_at(self._criteria, new_memory(), 0.0, 0.0, 0.0)
+        decide_place(
+            self._criteria, records(new_memory()), Place(0.0, 0.0, 0.0, 0.0, 0.0), False, 0.0
+        )
+        feel_push_at(self._criteria, records(new_memory()), 0.0, 0.0, 0.0)
         self._path = TipPath(
             radius=limits.radius,
             delay=limits.delay,

@@ -221,7 +221,7 @@ def changed(scene: Scene, parameters: Sequence[Parameter], values: Sequence[floa
 def respond(task: tuple[Scene, tuple[Parameter, ...], tuple[float, ...]]) -> tuple[Any, int]:
     """Return the quantities (q,) of a changed scene, and the touches of its first contact."""
     scene = changed(*task)
-    contact, outcome = run_first_contact(scene), run_to_verdict(scene, finer=10)
+    contact, outcome = run_first_contact(scene), run_to_verdict(scene)
     values = [getattr(contact, quantity.name) for quantity in QUANTITIES[:4]]
     return np.array([*values, outcome.nearest, float(outcome.captured)]), contact.touches
 
