@@ -1,6 +1,6 @@
 """Error rates of the capture detector on noisy replays; writes them into docs/detection.md.
 
-    .venv/bin/python benchmarks/detection.py
+    .venv/bin/python -m benchmarks.detection
 
 Takes about eight minutes.  `--replays 10` for a look.
 """

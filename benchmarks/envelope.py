@@ -1,6 +1,6 @@
 """The capture envelope: how fast, the same everywhere, and how far its verdicts can be trusted.
 
-    .venv/bin/python benchmarks/envelope.py [--runs 10000]
+    .venv/bin/python -m benchmarks.envelope [--runs 10000]
 
 writes docs/envelope.md and docs/envelope/map.png.  The same map is made by two processes (timed),
 by one, by a Dask cluster of two workers, and by the command killed half-way and started again.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import math
 import os
 import resource
@@ -24,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.machine import OthersAtWork
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.commands.envelope import read_axis
@@ -169,11 +171,59 @@ def verdict_errors(envelope: Envelope) -> list[str]:
     ]
 
 
+#: What an earlier checkout is asked: runs, seconds and processor time of the same map.
+_EARLIER = """
+import sys, envelope
+made = envelope.by_processes(envelope.the_plan(int(sys.argv[1])), 2)
+print(made.runs, made.seconds, made.busy)
+"""
+
+
+def earlier(checkout: Path, points: int, two: Timed, others: OthersAtWork) -> list[str]:
+    """Measure an earlier checkout, with its own interpreter, in turn with this one."""
+    root, python = Path(__file__).resolve().parent, checkout / ".venv/bin/python"
+    environment = os.environ | {"PYTHONPATH": f"{checkout}:{checkout / 'benchmarks'}"}
+
+    def ask(interpreter: Path | str, arguments: list[str], env: dict[str, str]) -> str:
+        called = [str(interpreter), *arguments]
+        return subprocess.run(called, env=env, check=True, capture_output=True, text=True).stdout
+
+    best: list[dict[str, float]] = []
+    for interpreter, env in ((python, environment), (sys.executable, dict(os.environ))):
+        rounds = [
+            json.loads(ask(interpreter, [str(root / "verdict.py")], dict(env))) for _ in range(3)
+        ]
+        best.append({name: min(each[name] for each in rounds) for name in rounds[0]})
+    runs, seconds, busy = map(
+        float, ask(python, ["-c", _EARLIER, str(points)], environment).split()
+    )
+    was, now = best
+    then, each = busy / runs * 1e4, two.busy / two.runs * 1e4
+    return [
+        "Against an earlier state, measured in turn, ms of a processor (the least of 3 times 15; "
+        f"others kept {others.cores():.1f} cores busy meanwhile):",
+        "",
+        "| what | before | now |",
+        "|---|---|---|",
+        f"| kernel, tilt_p10 to its verdict | {was['kernel']:.1f} | {now['kernel']:.1f} |",
+        f"| the run to its verdict | {was['run']:.1f} | {now['run']:.1f} |",
+        f"| ... over the kernel's time | {was['run'] / was['kernel']:.2f} | "
+        f"{now['run'] / now['kernel']:.2f} |",
+        f"| a point of a map | {was['point']:.2f} | {now['point']:.2f} |",
+        f"| 10 000 runs, 2 processes: s of processors | {then:.0f} | {each:.0f} "
+        f"({then / each:.1f} times less) |",
+        f"| ... on the clock | {seconds / runs * 1e4:.0f} | {two.seconds / two.runs * 1e4:.0f} |",
+        "",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=10_000, help="to a verdict, about")
+    parser.add_argument("--before", type=Path, help="checkout of an earlier state, to compare")
     options = parser.parse_args()
     compile_kernels()
+    others = OthersAtWork()
     points = round(options.runs / (1 + CHECKS))
     plan = the_plan(points)
     two = by_processes(plan, 2)
@@ -185,6 +235,7 @@ def main() -> None:
     print(f"Dask: {dask.seconds:.1f} s" if dask else "Dask: not installed", flush=True)
     resumed, kept = killed_and_resumed(plan, points)
     print(f"killed with {kept} points kept, resumed", flush=True)
+    compared = [] if options.before is None else earlier(options.before, points, two, others)
     envelope = two.envelope
     marks = [simulate(load_scene(name)) for name in ("tilt_0", "tilt_p10", "tilt_m10")]
     save(draw_envelope(envelope, marks), DOCS / "envelope" / "map.png")
@@ -205,7 +256,7 @@ def main() -> None:
         [
             "# The capture envelope",
             "",
-            "Made by `.venv/bin/python benchmarks/envelope.py"
+            "Made by `.venv/bin/python -m benchmarks.envelope"
             + (f" --runs {options.runs}`." if options.runs != 10_000 else "`."),
             "",
             "![Capture envelope of the bench](envelope/map.png)",
@@ -246,6 +297,7 @@ def main() -> None:
             + ". A full grid as fine as the finest cells would take "
             f"{grid} points, {grid / len(envelope.rows):.0f} times as many.",
             "",
+            *compared,
             "## The same everywhere",
             "",
             "Beside the file of 2 processes: "

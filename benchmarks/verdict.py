@@ -1,8 +1,8 @@
 """What a run to its verdict costs over the kernel's own time; prints JSON, ms of a processor.
 
-    .venv/bin/python benchmarks/verdict.py
+    .venv/bin/python -m benchmarks.verdict
 
-Also runs on an earlier checkout, by its interpreter and with ``PYTHONPATH`` set to it.
+Also runs on an earlier checkout: as a file, by its interpreter and with ``PYTHONPATH`` set to it.
 """
 
 from __future__ import annotations
