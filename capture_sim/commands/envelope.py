@@ -172,4 +172,4 @@ def report(envelope: Envelope) -> None:
         )
     failed = int(rows["failed"].sum())
     if failed:
-        say(f"{failed} runs had to stop: judged by what was run until then")
+        say(f"{failed} runs had to stop: their verdict is that of the run until then")

@@ -59,7 +59,7 @@ class _Track:
         self._turns = turns  # the third value is an angle that may wrap
 
     def add(self, t: float, values: Values) -> bool:
-        """Take in a measurement; False for a time that is there already."""
+        """Add a measurement; False for a time that is there already."""
         place = len(self.times)
         if place and t <= self.times[-1]:
             place = bisect_left(self.times, t)
@@ -125,7 +125,7 @@ class Aligner:
         self._waiting: list[tuple[float, Values]] = []
 
     def add(self, source: Source, t: float, values: Values) -> list[Observation]:
-        """Take in a measurement; return the observations that it completes, in order.
+        """Add a measurement; return the observations that it completes, in order.
 
         Parameters
         ----------

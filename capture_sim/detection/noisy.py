@@ -92,7 +92,7 @@ class NoiseEstimate:
         self._count = 0
 
     def add(self, left: float) -> None:
-        """Take in a third difference, see :func:`third_difference`."""
+        """Add a third difference, see :func:`third_difference`."""
         self._left.append(abs(left))
         self._count += 1
         # of many, one more does not change the median
@@ -162,7 +162,7 @@ class TipPath:
         rate: tuple[float, float] | None,
         buffer_noise: tuple[float, float] = (0.0, 0.0),
     ) -> list[Place]:
-        """Take in a measurement; return the places that it completes.
+        """Add a measurement; return the places that it completes.
 
         Parameters
         ----------
@@ -278,10 +278,10 @@ class TipPath:
         first = bisect_right(self._t, self._handed_out)
         # a rounding of the stamps must not put off a place
         last = bisect_right(self._t, newest - wait + 1e-9)
-        apart = SPACING - 1e-9 if self._half_window > 0.0 else 0.0
+        spacing = SPACING - 1e-9 if self._half_window > 0.0 else 0.0
         places = []
         for i in range(first, last):
-            if self._t[i] - self._handed_out >= apart:
+            if self._t[i] - self._handed_out >= spacing:
                 places.append(self._at(i))
                 self._handed_out = self._t[i]
         return places
