@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.samples import Event, EventKind
+from capture_sim.samples import EXTREMES, Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene
 
 
@@ -80,6 +81,54 @@ def impact_speed(events: Iterable[Event]) -> float | None:
     return None
 
 
+def extremes_in(samples: np.ndarray, events: Iterable[Event]) -> Extremes:
+    """Return the extremes among the samples of a run; those between them are not known."""
+    closed = next((e.t for e in events if e.kind is EventKind.LATCHED), math.inf)
+    parts = [samples[samples["t"] < closed], samples[samples["t"] >= closed]]
+    found = np.zeros(2, EXTREMES)
+    for row, part in zip(found, parts, strict=True):
+        # a latch holds the tip in place of the walls
+        depth = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
+        for name, values in (
+            ("compression", np.maximum(-part["axial_stroke"], 0.0)),
+            ("extension", np.maximum(part["axial_stroke"], 0.0)),
+            ("torsion", np.abs(part["torsion"])),
+            ("tip_distance", -part["tip_distance"]),
+            ("penetration", depth.max(axis=1, initial=0.0)),
+            ("normal_force", part["normal_force"].max(axis=1, initial=0.0)),
+        ):
+            if values.size:
+                largest = int(values.argmax())
+                row[name], row[f"{name}_time"] = values[largest], part["t"][largest]
+        row["tip_distance"] = -row["tip_distance"] if part.size else math.inf
+    return Extremes(found[0], found[1] if parts[1].size else None)
+
+
+def extremes_to_text(extremes: Extremes) -> str:
+    """Return extremes as a line of JSON, exactly."""
+    rows = (None if row is None else row.item() for row in extremes)
+    return json.dumps(dict(zip(Extremes._fields, rows, strict=True)))
+
+
+def extremes_from_text(text: str) -> Extremes:
+    """Return the extremes that a line of JSON says.
+
+    Raises
+    ------
+    ValueError
+        It is none of :func:`extremes_to_text`.
+    """
+    found = np.zeros(2, EXTREMES)
+    try:
+        before, after = (json.loads(text)[name] for name in Extremes._fields)
+        found[0] = tuple(before)
+        if after is not None:
+            found[1] = tuple(after)
+    except (TypeError, KeyError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+    return Extremes(found[0], None if after is None else found[1])
+
+
 def summarize(
     scene: Scene,
     samples: np.ndarray,
@@ -87,8 +136,14 @@ def summarize(
     events: Sequence[Event],
     verdict: str,
     wall_time: float | None,
+    extremes: Extremes | None = None,
 ) -> dict[str, Any]:
-    """Return the run in a few numbers, SI units; None where there was no contact or no clock."""
+    """Return the run in a few numbers, SI units; None where there was no contact or no clock.
+
+    Strokes and torsion are those up to the latch; those of the held tip are named ``latched``,
+    None where no latch has closed.  Without the bench's ``extremes`` they are the samples'.
+    """
+    before, after = extremes_in(samples, events) if extremes is None else extremes
     first = first_cluster(touches)
     met = first.size > 0
     simulated = float(samples["t"][-1]) if samples.size else 0.0
@@ -103,13 +158,23 @@ def summarize(
         "touches": int(touches.size),
         "peak_force": float(touches["peak_force"].max()) if met else None,
         "normal_impulse": float(touches["impulse"].sum()),
-        "max_axial_stroke": float(np.abs(samples["axial_stroke"]).max(initial=0.0)),
-        "max_torsion": float(np.abs(samples["torsion"]).max(initial=0.0)),
-        "nearest_distance": float(samples["tip_distance"].min(initial=math.inf)),
+        "max_axial_stroke": _stroke(before),
+        "max_torsion": float(before["torsion"]),
+        "max_penetration": max(float(before["penetration"]), 0.0),
+        "max_axial_stroke_latched": None if after is None else _stroke(after),
+        "max_torsion_latched": None if after is None else float(after["torsion"]),
+        "nearest_distance": min(
+            float(part["tip_distance"]) for part in (before, after) if part is not None
+        ),
         "energy_residual": _largest(samples["energy_residual"]),
         "wall_time": wall_time,
         "real_time_factor": simulated / wall_time if wall_time else None,
     }
+
+
+def _stroke(extremes: np.void) -> float:
+    """Return the largest stroke of the probe, inwards or outwards, m."""
+    return max(float(extremes["compression"]), float(extremes["extension"]))
 
 
 def _largest(values: np.ndarray) -> float | None:
@@ -148,7 +213,8 @@ _COLUMNS = (
 #: What the heads of the table mean.
 LEGEND = (
     "n: touches. First contact: of the wall met first, until the tip has done with chattering.",
-    "To BE: smallest distance of the tip's centre to that of BE. Energy error: of the ledger.",
+    "Buffer: until the latch closes. To BE: smallest distance of the tip's centre to that of BE.",
+    "Energy error: of the ledger.",
 )
 
 

@@ -24,7 +24,7 @@ from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import change_scene, load_scene
 from capture_sim.results import heads, summarize
 from capture_sim.results import rows as rows_of
-from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, columns_of
+from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, Extremes, columns_of
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.parts import Run, Scene
 from capture_sim.sensors import Sensors
@@ -71,6 +71,9 @@ class Result:
         Every touch of a wall, from located start to located end.
     events : list of Event
         In order, each with time and state.
+    extremes : Extremes
+        Largest strokes, torsion, penetration and force and the nearest approach, before and
+        after the latch, from the integrator's own steps: the same whatever is sampled.
     watched : ndarray (k,) of dtype SAMPLE
         What the detector judges by: the run on the grid of ``run.state_rate``.
     statistics : Statistics
@@ -97,6 +100,7 @@ class Result:
     samples: np.ndarray
     touches: np.ndarray
     events: list[Event]
+    extremes: Extremes
     watched: np.ndarray
     statistics: Statistics
     wall_time: float
@@ -141,7 +145,13 @@ class Result:
     def summary(self) -> dict[str, Any]:
         """The run in a few numbers, SI units; keys as in results.json."""
         return summarize(
-            self.scene, self.samples, self.touches, self.events, self.verdict.label, self.wall_time
+            self.scene,
+            self.samples,
+            self.touches,
+            self.events,
+            self.verdict.label,
+            self.wall_time,
+            self.extremes,
         )
 
     def __repr__(self) -> str:
@@ -267,6 +277,7 @@ def simulate(
         samples=samples if wanted is None else _at(samples, wanted),
         touches=bench.touches,
         events=bench.events,
+        extremes=bench.extremes,
         watched=samples if wanted is None else _at(samples, grid),
         statistics=bench.statistics,
         wall_time=time.perf_counter() - began,

@@ -300,7 +300,13 @@ class Opened:
 
         run = self.run
         return summarize(
-            run.scene, run.samples, run.touches, run.events, verdict(run), self.wall_time
+            run.scene,
+            run.samples,
+            run.touches,
+            run.events,
+            verdict(run),
+            self.wall_time,
+            run.extremes,
         )
 
 

@@ -120,7 +120,9 @@ def summary_of(run: Run) -> dict[str, Any]:
     from capture_sim.results import summarize
 
     verdict = run.verdict.label if run.verdict is not None else "none"
-    return summarize(run.scene, run.samples, run.touches, run.events, verdict, run.wall_time)
+    return summarize(
+        run.scene, run.samples, run.touches, run.events, verdict, run.wall_time, run.extremes
+    )
 
 
 def report(summaries: list[dict[str, Any]], folder: Path) -> None:

@@ -94,6 +94,7 @@ class MeasuredRun:
     events: Sequence[Event]
     statuses: Sequence[CaptureStatus]
     trace: np.ndarray | None = None
+    extremes: None = None
 
 
 def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:

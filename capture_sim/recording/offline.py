@@ -39,6 +39,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.write import RUN_METADATA, RunWriter
+from capture_sim.results import extremes_to_text
 
 if TYPE_CHECKING:
     from capture_sim.simulation import Result
@@ -100,6 +101,7 @@ def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
             # the counts carry no time: they come last
             writer.write(topic, data, None if topic is STREAM_COUNTS else stamp_ns(t))
         writer.closing["wall_time"] = repr(result.wall_time)
+        writer.closing["extremes"] = extremes_to_text(result.extremes)
 
 
 def is_simulated(path: Path) -> bool:

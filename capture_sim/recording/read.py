@@ -43,7 +43,8 @@ from capture_sim.recording.write import (
     SCENE_ATTACHMENT,
     describing,
 )
-from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind, Phase
+from capture_sim.results import extremes_from_text
+from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind, Extremes, Phase
 from capture_sim.scene.parts import Detector
 
 if TYPE_CHECKING:
@@ -216,6 +217,23 @@ class Run:
         if not 0.0 <= seconds < math.inf:
             raise RecordingError(f"{self.path}: wall_time = {text[:40]!r}: allowed is s, 0 or more")
         return seconds
+
+    @property
+    def extremes(self) -> Extremes | None:
+        """Strokes, torsion and forces between the samples too; None where not recorded.
+
+        Raises
+        ------
+        RecordingError
+            The file says something else.
+        """
+        text = self._contents.metadata.get(END_METADATA, {}).get("extremes")
+        if text is None:
+            return None
+        try:
+            return extremes_from_text(text)
+        except ValueError:
+            raise RecordingError(f"{self.path}: extremes = {text[:40]!r}: not as written") from None
 
     @property
     def has_scene(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import CaptureSimError, SimulationError
 from capture_sim.results import impact_speed
-from capture_sim.samples import Event, EventKind
+from capture_sim.samples import Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene, as_name
 from capture_sim.simulation import Result, simulate
 
@@ -40,6 +40,10 @@ class ViewableRun(Protocol):
     @property
     def events(self) -> Sequence[Event]:
         """By time."""
+
+    @property
+    def extremes(self) -> Extremes | None:
+        """Of the integrator's own steps, where they are known."""
 
     @property
     def trace(self) -> np.ndarray | None:
@@ -277,6 +281,7 @@ class CutRun:
     events: Sequence[Event]
     statuses: Sequence[CaptureStatus]
     trace: np.ndarray | None = None
+    extremes: None = None
 
 
 def cut(run: ViewableRun, window: tuple[float, float]) -> CutRun:
