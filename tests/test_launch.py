@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.kernels import plain
-from capture_sim.launch.plan import Launcher, LauncherPhase, expected_speed, plan_launch
+from capture_sim.launch.plan import plan_launch
+from capture_sim.launch.watch import Launcher, LauncherPhase, expected_speed
 from capture_sim.model.supports import ball_loads, load_factor, rolling_wrench
 
 

@@ -20,7 +20,7 @@ from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import Code, State
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import CaptureSimError
-from capture_sim.launch.plan import LauncherPhase
+from capture_sim.launch.watch import LauncherPhase
 from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE
 from capture_sim.nodes.node import message_class
 from capture_sim.nodes.supervisor import _claimed, run_suite

@@ -29,7 +29,8 @@ from capture_sim.samples import SAMPLE, TRACE, Event, Phase
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
-    from capture_sim.launch.plan import LauncherStatus, LaunchPlan
+    from capture_sim.launch.plan import LaunchPlan
+    from capture_sim.launch.watch import LauncherStatus
     from capture_sim.scene.parts import Detector, Scene
 
 #: Stamp of the release, t = 0, in ns.

@@ -55,7 +55,8 @@ from capture_sim.sensors import Sensors
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
-    from capture_sim.launch.plan import LauncherStatus, LaunchPlan
+    from capture_sim.launch.plan import LaunchPlan
+    from capture_sim.launch.watch import LauncherStatus
     from capture_sim.scene.parts import Detector, Scene
 
 

@@ -11,8 +11,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.launch.plan import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.launch.scenes import load_scene
+from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
@@ -42,7 +42,7 @@ _ACTUATORS = ("simulated", "output")
 class LauncherNode(Participant):
     """Sends ARM and RELEASE, and its state with every periodic sample; ABORT if need be.
 
-    What it decides stands in :class:`capture_sim.launch.plan.Launcher`.  ``~/launch`` releases
+    What it decides stands in :class:`capture_sim.launch.watch.Launcher`.  ``~/launch`` releases
     an armed chaser, ``~/abort`` gives a launch up.
     """
 

@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, is_device, whole_file
-from capture_sim.launch.plan import Launcher
+from capture_sim.launch.watch import Launcher
 from capture_sim.messages.convert import (
     LaunchAction,
     RunDescription,

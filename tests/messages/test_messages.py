@@ -14,7 +14,7 @@ from rosbags.interfaces import Nodetype
 
 import capture_sim
 from capture_sim.errors import CaptureSimError
-from capture_sim.launch.plan import Launcher
+from capture_sim.launch.watch import Launcher
 from capture_sim.messages import topics
 from capture_sim.messages.convert import (
     EPOCH_NS,

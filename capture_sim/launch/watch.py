@@ -1,0 +1,169 @@
+"""The launcher's state machine: whether a launch goes as planned."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from capture_sim.launch.plan import LaunchPlan, plan_launch, rolling_force
+from capture_sim.samples import Named
+from capture_sim.scene.parts import Scene
+
+#: A first touch may always be late by this much, s.
+GRACE = 0.5
+
+
+def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
+    """Return the chaser's speed that belongs to its travel before the first touch, m/s.
+
+    By energy, so it needs no clock: ``v^2 = v_L^2 x / H`` while the mass sinks, then
+    ``v_L^2 - 2 a_c (x - H)``.
+
+    Parameters
+    ----------
+    scene
+        What is launched.
+    plan
+        How.
+    travel
+        From where the chaser was released, m.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if travel < height:
+        return landing * math.sqrt(max(travel, 0.0) / height)
+    left = landing**2 - 2.0 * rolling_force(scene) / scene.chaser_total_mass * (travel - height)
+    return math.sqrt(max(left, 0.0))
+
+
+class LauncherPhase(Named):
+    """State of the launcher, as in msg/LauncherState.msg."""
+
+    IDLE = 0
+    ARMED = 1
+    RELEASED = 2
+    LANDED = 3
+    DELIVERED = 4
+    ABORTED = 5
+
+
+@dataclass(frozen=True)
+class LauncherStatus:
+    """What the launcher knows; fields as in msg/LauncherState.msg."""
+
+    state: LauncherPhase
+    hanging_mass: float
+    drop_height: float
+    wanted_speed: float
+    landing_speed: float
+    measured_speed: float
+    reason: str = ""
+
+
+class Launcher:
+    """Follows one launch from arming to the first contact.
+
+    Parameters
+    ----------
+    scene
+        With or without a string; without one the chaser is only let go.
+
+    Attributes
+    ----------
+    tolerance : float
+        The chaser's speed may differ from the expected one by this share of the wanted impact
+        speed, and the first touch may come later by this share of its time and
+        :data:`GRACE`; else the launch is aborted.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float = 0.2) -> None:
+        self.plan = plan_launch(scene)
+        self.tolerance = tolerance
+        self._scene = scene
+        self._state = LauncherPhase.ARMED
+        self._speed = 0.0
+        self._reason = ""
+
+    @property
+    def status(self) -> LauncherStatus:
+        """The present status."""
+        p = self.plan
+        return LauncherStatus(
+            self._state,
+            p.hanging_mass,
+            p.drop_height,
+            p.impact_speed,
+            p.landing_speed,
+            self._speed,
+            self._reason,
+        )
+
+    def release(self) -> LauncherStatus:
+        """Note that the release has been sent."""
+        if self._state is LauncherPhase.ARMED:
+            self._state = LauncherPhase.RELEASED
+        return self.status
+
+    def abort(self, reason: str) -> LauncherStatus:
+        """Give the launch up, for ``reason``; one that is over stays as it is."""
+        if self._state not in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
+            self._state, self._reason = LauncherPhase.ABORTED, reason
+        return self.status
+
+    def travelled(self, x: float, y: float) -> float:
+        """Return how far the chaser at (x, y), m, has come along its launch direction, m."""
+        start = self._scene.initial.chaser
+        return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
+
+    def observe(
+        self,
+        chaser_speed: float,
+        string_slack: bool,
+        touched: bool,
+        *,
+        t: float | None = None,
+        travel: float | None = None,
+    ) -> LauncherStatus:
+        """Take in a measurement; abort if the launch does not go as planned.
+
+        Parameters
+        ----------
+        chaser_speed
+            Along the rail, m/s.
+        string_slack
+            The mass has landed (or there is no string).
+        touched
+            The tip has met the cone since the release.
+        t
+            Since the release, s; without it no delay is noticed.
+        travel
+            Of the chaser since then, m; without it the speed is not judged.
+        """
+        if self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED):
+            if touched:
+                # the speed before the touch is the impact speed: keep the last one
+                self._state = LauncherPhase.DELIVERED
+            else:
+                self._speed = chaser_speed
+                if string_slack:
+                    self._state = LauncherPhase.LANDED
+                self._watch(t, travel)
+        return self.status
+
+    def _watch(self, t: float | None, travel: float | None) -> None:
+        plan = self.plan
+        if not (math.isfinite(plan.contact_time) and plan.impact_speed > 0.0):
+            return  # there is no impact to be launched for
+        if travel is not None:
+            wanted = expected_speed(self._scene, plan, travel)
+            slack = self.tolerance * plan.impact_speed
+            if abs(self._speed - wanted) > slack:
+                self.abort(
+                    f"speed {self._speed:.4g} m/s after {travel:.4g} m: "
+                    f"allowed is {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
+                )
+        latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
+        if t is not None and t > latest:
+            self.abort(
+                f"no contact {t:.4g} s after the release: expected at {plan.contact_time:.4g}, "
+                f"allowed is {latest:.4g}"
+            )
