@@ -8,8 +8,12 @@ from pathlib import Path
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
 from capture_sim.commands.output import say
-from capture_sim.viewing.report import ReportedRun, save_report
-from capture_sim.viewing.report_parts import error_statement, not_simulated
+from capture_sim.viewing.report import (
+    ReportedRun,
+    error_statement,
+    not_simulated,
+    save_report,
+)
 
 DESCRIPTION = (
     "Make one self-contained HTML page of runs: results, figures, energy, errors, parameters. "

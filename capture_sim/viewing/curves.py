@@ -30,12 +30,12 @@ LAYERS = (
     ("elastic, buffer", style.BLUE, ("elastic_axial", "elastic_torsion", "elastic_stop")),
     ("elastic, contact and latch", style.DARK, ("elastic_contact", "elastic_latch")),
     ("axial damper", style.ORANGE, ("dissipated_axial",)),
-    ("torsional damper", style.BROWN, ("dissipated_torsion",)),
+    ("torsional damper", "#006B4E", ("dissipated_torsion",)),
     ("contact hysteresis", style.VERMILION, ("dissipated_contact",)),
     ("friction of the tip", style.PURPLE, ("dissipated_friction",)),
     ("rolling", style.LIGHT, ("dissipated_rolling",)),
     ("latches", style.GREEN, ("dissipated_latch",)),
-    ("stops", style.GREY, ("dissipated_stop",)),
+    ("stops", style.BLACK, ("dissipated_stop",)),
     ("landing of the mass", style.YELLOW, ("dissipated_landing",)),
 )
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out

@@ -245,6 +245,7 @@ def snapshots(
     times: Sequence[float] | None = None,
     count: int = 6,
     labels: Sequence[str] | None = None,
+    first: int = 0,
 ) -> Figure:
     """Draw a run as a strip of pictures from above, or several as strips side by side.
 
@@ -261,8 +262,13 @@ def snapshots(
         Pictures of each run, at least 2, where no times are given.
     labels
         One for each run; None takes the scenes' names.
+    first
+        Number of the first run among others, for its colour.
     """
-    shown = as_shown(runs, labels)
+    shown = [
+        one._replace(colour=style.run_colour(first + i))
+        for i, one in enumerate(as_shown(runs, labels))
+    ]
     instants = [
         np.asarray(times, float) if times is not None else snapshot_times(one.run, count)
         for one in shown

@@ -3,36 +3,103 @@
 from __future__ import annotations
 
 import base64
+import datetime
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
-from html import escape
+from dataclasses import dataclass, fields, is_dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-from matplotlib.figure import Figure
+import numpy as np
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
 
-from capture_sim.errors import RecordingError
-from capture_sim.results import LEGEND, heads, rows
+import capture_sim
+from capture_sim.errors import RecordingError, SceneError, SimulationError
+from capture_sim.files import whole_file
+from capture_sim.results import LEGEND, first_cluster, heads, rows
+from capture_sim.samples import ENERGIES
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing import figures
-from capture_sim.viewing.curves import has_ledger
-from capture_sim.viewing.report_parts import (
-    STYLE,
-    ErrorStatement,
-    energy_rows,
-    parameter_rows,
-    table,
+from capture_sim.simulation import simulate
+from capture_sim.viewing import figures, report_figures
+from capture_sim.viewing.curves import as_shown, has_ledger
+from capture_sim.viewing.source import ViewableRun, decided_at, distinct_names, headline, start_word
+
+_SECTIONS = (
+    "Results",
+    "Figures",
+    "Energy",
+    "How far to trust the numbers",
+    "Events",
+    "Parameters",
+    "Versions",
 )
-from capture_sim.viewing.source import (
-    ViewableRun,
-    decided_at,
-    distinct_names,
-    headline,
-    resolved_or_not,
-    start_word,
-)
+
+
+@dataclass(frozen=True)
+class ErrorStatement:
+    """How far a run's numbers can be trusted, in words and numbers.
+
+    Attributes
+    ----------
+    text
+        For people.
+    reproduced
+        Largest difference of the run's states to a run made now, m and rad; None if not run.
+    error
+        Largest difference to a run with a finer integration, m, to the end of the first
+        contact and to the end of the run; None if not run.
+    same_touches
+        Whether the finer run has the same touches.
+    """
+
+    text: str
+    reproduced: float | None = None
+    error: tuple[float, float] | None = None
+    same_touches: bool = False
+
+
+def error_statement(run: ViewableRun) -> ErrorStatement:
+    """Run the scene of a simulated run again, as it was and finer, and compare."""
+    times = np.asarray(run.samples["t"])
+    try:
+        again = simulate(run.scene, t_eval=times, check=True)
+    except (SimulationError, SceneError) as error:
+        return ErrorStatement(f"The run cannot be made again to check it: {error}")
+    n = min(len(again.samples), len(times))
+    reproduced = float(np.abs(again.q[:n] - run.samples["q"][:n]).max(initial=0.0))
+    same = "bit for bit" if reproduced == 0.0 else f"to {reproduced:.1e} m and rad"
+    check = again.check
+    assert check is not None  # asked for
+    cluster = first_cluster(again.touches)
+    end = float(cluster["end"].max()) if cluster.size else float(again.t[-1])
+    early = float(check.error[again.t <= end].max(initial=0.0))
+    late = float(check.error[np.isfinite(check.error)].max(initial=0.0))
+    text = (
+        f"a run made now gives the same states {same}. One with a finer integration (a hundredth "
+        f"of the tolerance) differs by up to {early:.1e} m until the end of the first contact and "
+        f"{late:.1e} m until the end of the run, angles counted by what they move the tip. "
+    )
+    if check.same_touches:
+        text += "It has the same touches in the same order. "
+    else:
+        text += (
+            "Its sequence of touches is another: what follows the first difference is one of "
+            "several possible courses. "
+        )
+    residual = float(np.abs(run.samples["energy_residual"]).max())
+    text += f"The energy ledger closes to {residual:.1e} J."
+    return ErrorStatement(text, reproduced, (early, late), check.same_touches)
+
+
+def not_simulated() -> ErrorStatement:
+    """Return what can be said of measurements."""
+    return ErrorStatement(
+        "measured. Its errors are those of the sensors, which the recording does not tell; between "
+        "two messages lies what was not seen, and the length of a touch is known to one message."
+    )
 
 
 @dataclass(frozen=True)
@@ -79,11 +146,10 @@ def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    path = Path(path)
-    text = report(reported)
+    path, text = Path(path), report(reported)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        with whole_file(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
     return path
@@ -92,131 +158,55 @@ def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
 def report(reported: Sequence[ReportedRun]) -> str:
     """Return the report of runs as one page of HTML."""
     names = distinct_names([one.label or one.run.scene.name for one in reported])
-    title = f"Docking and capture: {', '.join(names)}"
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        _sources(reported, names),
-        "<h2>Results</h2>",
-        _results(reported, names),
-        "<h2>Figures</h2>",
-        *_figures(reported, names),
-        "<h2>Energy</h2>",
-        *_energy(reported, names),
-        "<h2>How far to trust the numbers</h2>",
-        *(f"<p><b>{escape(n)}</b>: {escape(r.error.text)}</p>" for n, r in _named(reported, names)),
-        "<h2>Events</h2>",
-        *(_events(one, name) for name, one in _named(reported, names)),
-        "<h2>Parameters</h2>",
-        *_parameters([one.run.scene for one in reported], names),
-        "<h2>Versions</h2>",
-        table(
-            ("run", "made by"),
-            [
-                (name, ", ".join(one.software) or "not told")
-                for name, one in _named(reported, names)
-            ],
-        ),
-    ]
-    body = "\n".join(parts)
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        # the page needs nothing from elsewhere, and the browser sees to it
-        '<meta http-equiv="Content-Security-Policy" '
-        "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n"
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        # no icon is asked of anyone
-        f'<link rel="icon" href="data:,">\n<title>{escape(title)}</title>\n'
-        f"<style>{STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
-    )
-
-
-def _named(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[tuple[str, ReportedRun]]:
-    return list(zip(names, reported, strict=True))
-
-
-def _sources(reported: Sequence[ReportedRun], names: Sequence[str]) -> str:
-    lines = []
-    for name, one in _named(reported, names):
-        what = f"<b>{escape(name)}</b>: {escape(one.run.scene.title)}; {escape(one.source)}."
-        for problem in one.problems:
-            what += f' <span class="problem">{escape(problem)}.</span>'
-        lines.append(f"<li>{what}</li>")
-    return f"<ul>{''.join(lines)}</ul>"
-
-
-def _results(reported: Sequence[ReportedRun], names: Sequence[str]) -> str:
-    groups: list[tuple[str, int]] = []
-    for group, _, _ in heads():
-        if groups and group and groups[-1][0] == group:
-            groups[-1] = (group, groups[-1][1] + 1)
-        else:
-            groups.append((group, 1))
-    top = "".join(f'<th colspan="{span}">{escape(group)}</th>' for group, span in groups)
-    second = "".join(
-        f"<th>{escape(name)}{f'<br>[{escape(unit)}]' if unit else ''}</th>"
-        for _, name, unit in heads()
-    )
-    lines = []
-    for name, cells in zip(names, rows([one.summary for one in reported]), strict=True):
-        lines.append("".join(f"<td>{escape(cell)}</td>" for cell in [name, *cells[1:]]))
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return (
-        f'<table class="results"><thead><tr>{top}</tr><tr>{second}</tr></thead>'
-        f"<tbody>{body}</tbody></table><p class=note>{escape(' '.join(LEGEND))}</p>"
-    )
-
-
-def _figures(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]:
     runs = [one.run for one in reported]
-    several = len(runs) > 1
-    shown: dict[str, Any] = {"labels": names}
-    timed = {**shown, "aligned": several}
-    when = "; time counts from each run's first touch" if several else ""
-    simulated = all(has_ledger(run) for run in runs)
-    across = "wide" if len(runs) > 2 else "medium"
-    found = [
-        (figures.trajectories(runs, **shown), "Way of the tip's centre in the cone", across),
-        (figures.impact_force(runs, **timed), f"Contact force with every touch{when}", "narrow"),
-        (figures.distance(runs, **timed), f"Distance of the tip to BE{when}", "narrow"),
-        (figures.axial_performance(runs, **timed), f"Axial buffer{when}", "narrow"),
-        (figures.torsional_performance(runs, **timed), f"Torsional buffer{when}", "narrow"),
-    ]
+    shown = as_shown(runs, names, aligned=len(runs) > 1)
+    known = [(one.label, one.run) for one in shown if has_ledger(one.run)]
+    panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
+    simulated = len(known) == len(runs)
+    drawn = [report_figures.trajectories(shown)]
+    drawn += [report_figures.over_time(panel, shown) for panel in panels]
     if simulated:  # neither is measured on a bench
-        found += [
-            (figures.load_stroke(runs, **shown), "Force over stroke of the axial buffer", "narrow"),
-            (
-                figures.intrusion([resolved_or_not(run) for run in runs], **timed),
-                f"Depth of the tip in the wall{when}",
-                "narrow",
-            ),
-        ]
-    found.append((figures.velocities(runs, **timed), f"Velocities{when}", "medium"))
-    for name, run in zip(names, runs, strict=True):
-        found.append((figures.snapshots(run, labels=[name]), f"{name}, from above", "medium"))
-    return [_picture(figure, caption, kind) for figure, caption, kind in found]
+        drawn.append(report_figures.load_stroke(shown))
+        drawn.append(report_figures.over_time("intrusion", shown))
+    drawn.append(report_figures.velocities(shown))
+    energies = report_figures.energy(shown)
+    differing, shared = parameter_rows([run.scene for run in runs])
+    groups = groupby(heads(), key=lambda head: head[0] or head)  # nameless ones stand alone
+    environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
+    return environment.get_template("report.html.j2").render(
+        title=f"Docking and capture: {', '.join(names)}",
+        date=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        version=capture_sim.__version__,
+        sections=_SECTIONS,
+        names=names,
+        runs=[_told(one, name) for one, name in zip(reported, names, strict=True)],
+        groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
+        columns=[(name, unit) for _, name, unit in heads()],
+        results=[
+            [name, *cells[1:]]
+            for name, cells in zip(names, rows([one.summary for one in reported]), strict=True)
+        ],
+        legend=" ".join(LEGEND),
+        figures=drawn,
+        pictures=[
+            _strip(run, name, i) for i, (run, name) in enumerate(zip(runs, names, strict=True))
+        ],
+        energies=[] if energies is None else [energies],
+        ledger=energy_rows([run for _, run in known]) if known else [],
+        ledger_names=[name for name, _ in known],
+        not_measured=[one.label for one in shown if not has_ledger(one.run)],
+        differing=differing,
+        shared=shared,
+        versions=[
+            (name, ", ".join(one.software) or "not known")
+            for name, one in zip(names, reported, strict=True)
+        ],
+        plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
+    )
 
 
-def _energy(reported: Sequence[ReportedRun], names: Sequence[str]) -> list[str]:
-    known = [(name, one.run) for name, one in _named(reported, names) if has_ledger(one.run)]
-    parts = []
-    if known:
-        labels, runs = [name for name, _ in known], [run for _, run in known]
-        caption = "Where the energy is and goes: the layers' sum against what was put in"
-        parts.append(
-            _picture(
-                figures.energy(runs, labels=labels), caption, "wide" if len(runs) > 2 else "medium"
-            )
-        )
-        parts.append(
-            table(("at the end of the run [mJ]", *labels), energy_rows(runs), kind="numbers")
-        )
-    without = [name for name, one in _named(reported, names) if not has_ledger(one.run)]
-    if without:
-        parts.append(f"<p>Not measured: {escape(', '.join(without))}.</p>")
-    return parts
-
-
-def _events(one: ReportedRun, name: str) -> str:
+def _told(one: ReportedRun, name: str) -> dict[str, Any]:
+    """Return what the page says of a run."""
     run = one.run
     lines = []
     touches = iter(run.touches)
@@ -227,36 +217,89 @@ def _events(one: ReportedRun, name: str) -> str:
             if touch is not None and not detail:
                 detail = f"{'+' if event.wall > 0 else '-'}y wall"
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
-    decided = decided_at(run)
     said = f"{headline(run, name)}."
+    decided = decided_at(run)
     if decided is not None:
         reason = next((s.reason for s in run.statuses if s.final), "")
         said += f" Decided at {decided:.3f} s: {reason}."
-    head = (f"since the {start_word(run.scene)} [s]", "event", "")
-    return (
-        f"<p>{escape(said)}</p><details><summary>{len(lines)} events"
-        f"</summary>{table(head, lines)}</details>"
-    )
+    return {
+        "name": name,
+        "title": run.scene.title,
+        "source": one.source,
+        "problems": one.problems,
+        "error": one.error.text,
+        "said": said,
+        "events": lines,
+        "event_head": (f"since the {start_word(run.scene)} [s]", "event", ""),
+    }
 
 
-def _parameters(scenes: Sequence[Scene], names: Sequence[str]) -> list[str]:
-    differing, shared = parameter_rows(scenes)
-    parts = []
-    if differing:
-        parts.append("<p>In these the runs differ:</p>")
-        parts.append(table(("parameter", "unit", *names, "meaning"), differing))
-        parts.append("<p>These they share:</p>")
-    return [*parts, table(("parameter", "unit", "value", "meaning"), shared)]
+def _strip(run: ViewableRun, name: str, i: int) -> dict[str, str]:
+    """Return the run from above in some instants, as an image within the page."""
+    buffer = io.BytesIO()
+    figures.snapshots(run, labels=[name], first=i).savefig(buffer, format="png", dpi=80)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return {"caption": f"{name}, from above", "source": f"data:image/png;base64,{data}"}
 
 
-def _picture(figure: Figure, caption: str, kind: str) -> str:
-    """Return a figure as a drawing within the page."""
-    buffer = io.StringIO()
-    with mpl.rc_context({"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    # as an image: names within one drawing must not meet those of another
-    data = base64.b64encode(buffer.getvalue().encode()).decode()
-    return (
-        f'<figure class="{kind}"><img alt="{escape(caption)}" '
-        f'src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
-    )
+def energy_rows(runs: Sequence[ViewableRun]) -> list[tuple[str, ...]]:
+    """Return the ledger at the end of each run, mJ, a row for each entry that is not zero."""
+    lines: list[tuple[str, ...]] = []
+    for name in ENERGIES:
+        if name == "energy_residual":
+            worst = [float(np.abs(run.samples[name]).max()) * 1e3 for run in runs]
+            lines.append(("largest residual of the ledger", *(f"{value:.1e}" for value in worst)))
+            continue
+        values = [float(run.samples[name][-1]) * 1e3 for run in runs]
+        if any(abs(value) >= 5e-4 for value in values):
+            lines.append((name.replace("_", " "), *(f"{value:.3f}" for value in values)))
+    start = tuple(f"{float(run.samples['kinetic'][0]) * 1e3:.3f}" for run in runs)
+    return [("kinetic at the start", *start), *lines]
+
+
+def parameter_rows(
+    scenes: Sequence[Scene],
+) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Return every parameter of the scenes: rows that differ, and rows that all share.
+
+    A row holds name, unit, a value (of each scene, where they differ) and the meaning.
+    """
+    described: dict[str, tuple[str, str]] = {}
+    values: list[dict[str, str]] = []
+    for scene in scenes:
+        found: dict[str, str] = {}
+        _walk("", scene, found, described)
+        values.append(found)
+    differing: list[tuple[str, ...]] = []
+    shared: list[tuple[str, ...]] = []
+    for name, (unit, doc) in described.items():
+        cells = [found.get(name, "-") for found in values]
+        if len(set(cells)) > 1:
+            differing.append((name, unit, *cells, doc))
+        else:
+            shared.append((name, unit, cells[0], doc))
+    return differing, shared
+
+
+def _walk(
+    prefix: str, part: Any, found: dict[str, str], described: dict[str, tuple[str, str]]
+) -> None:
+    for f in fields(part):
+        value, name = getattr(part, f.name), f"{prefix}{f.name}"
+        if is_dataclass(value):
+            _walk(f"{name}.", value, found, described)
+            continue
+        if name in ("name", "title"):
+            continue
+        unit = str(f.metadata.get("unit", ""))
+        unit = "" if unit == "1" else unit
+        described.setdefault(name, (unit, str(f.metadata.get("doc", ""))))
+        found[name] = _shown(value)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,6 +1,6 @@
 """One look for everything that is drawn: colours, marks, units, sizes.
 
-Colours are those of Okabe and Ito (2008), told apart by people with any common colour vision.
+Colours, most of them of Okabe and Ito (2008), differ for people with any common colour vision.
 Each means one thing in pictures, report and rerun: a run keeps its colour, a wall its marker, a
 verdict its colour and marker.  The bench itself is drawn in greys.
 """
@@ -21,15 +21,17 @@ YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
+ROSE = "#F29CC4"
+NAVY = "#1B2A6B"
 BROWN = "#8C510A"
 WINE = "#882255"
 DARK = "#404040"
 GREY = "#7F7F7F"
 LIGHT = "#D9D9D9"
-PALE = "#DCEAF3"
+PALE = "#E3EEF5"
 
 #: One for each run, in order; they repeat after that.
-RUNS = (BLUE, VERMILION, PURPLE, SKY, BROWN)
+RUNS = (BLUE, VERMILION, ROSE, NAVY, BROWN)
 #: The tip touches the cone.
 CONTACT = YELLOW
 #: The zone of capture, and what lies in it.
@@ -49,13 +51,13 @@ VERDICTS = {
     CaptureState.CAPTURED: Look(GREEN, "o"),
     CaptureState.REBOUND: Look(ORANGE, "D"),
     CaptureState.STUCK: Look(WINE, "s"),
-    CaptureState.MISSED: Look(LIGHT, "X"),
+    CaptureState.MISSED: Look("#6FA5C4", "X"),
 }
-#: Of the lanes over time; what comes before any contact is pale.
+#: Of the lanes over time.
 PHASES = {
-    "held": LIGHT,
-    "taut": "#B8CFDD",
-    "coast": "#CBDDE8",
+    "held": "#BFBFBF",
+    "taut": "#8F7CB5",
+    "coast": "#2A5B7C",
     "free": PALE,
     "contact": CONTACT,
     "latched": ZONE,
