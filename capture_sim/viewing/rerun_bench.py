@@ -33,7 +33,6 @@ _STRING_PERIOD = 0.01  # s, between two positions of the string
 _BLACK = style.rgb(style.BLACK)
 _DARK = style.rgb(style.DARK)
 _GREY = style.rgb(style.GREY)
-_ORANGE = style.rgb(style.ORANGE)
 _SIDES = (("plus", 1, "+y wall"), ("minus", -1, "-y wall"))
 _X_AXIS = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])  # turns z to x
 _Y_AXIS = rr.Quaternion(xyzw=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # turns z to -y
@@ -148,7 +147,7 @@ class BenchLog:
             rr.Mesh3D(
                 vertex_positions=vertices,
                 triangle_indices=triangles,
-                albedo_factor=(*style.rgb(style.SKY), 255),
+                albedo_factor=(*style.rgb(style.CONE), 255),
             ),
         )
         for name, side, _ in _SIDES:
@@ -177,7 +176,7 @@ class BenchLog:
         # one length unit of spring; the motion stretches it
         self._shape(
             "chaser/cylinder/spring",
-            rr.LineStrips3D([bench_model.helix(1.5 * radius)], radii=0.0014, colors=_ORANGE),
+            rr.LineStrips3D([bench_model.helix(1.5 * radius)], radii=0.0014, colors=_GREY),
         )
         if scene.stops is not None:
             rest = scene.rest_length - self._collar
@@ -188,7 +187,7 @@ class BenchLog:
                 x = rest + stroke
                 self._shape(
                     f"chaser/cylinder/stop_{name}",
-                    _rod(x - 0.001, x + 0.001, 2.4 * radius, style.rgb(style.VERMILION)),
+                    _rod(x - 0.001, x + 0.001, 2.4 * radius, _BLACK),
                 )
 
     def _log_surroundings(self) -> None:
@@ -200,7 +199,7 @@ class BenchLog:
             place = np.array([start.x, start.y, bench_model.FLOOR + 0.004])
             ends = [place - 0.13 * along, place + (scene.rail.length + 0.13) * along]
             strips = [[end + s for end in ends] for s in (side, -side)]
-            self._shape("rail", rr.LineStrips3D(strips, radii=0.004, colors=_ORANGE))
+            self._shape("rail", rr.LineStrips3D(strips, radii=0.004, colors=_GREY))
         if scene.string is not None:
             self._shape("string", rr.LineStrips3D.from_fields(colors=_BLACK, radii=0.0015))
             self._shape(
@@ -214,7 +213,7 @@ class BenchLog:
                     radii=bench_model.PULLEY_RADIUS,
                     centers=[bench_model.pulley_place(scene)],
                     quaternions=_Y_AXIS,
-                    colors=_ORANGE,
+                    colors=_GREY,
                     fill_mode="solid",
                 ),
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import rerun.blueprint as rrb
@@ -12,6 +13,7 @@ from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME
 from capture_sim.viewing.shapes import wall
 
 _MM = 1e3
+_PLAYED = 5.0  # s (wall), that a short timeline takes at least
 _WHITE = rrb.Background(color=(255, 255, 255), kind=rrb.BackgroundKind.SolidColor)
 
 
@@ -23,6 +25,7 @@ def blueprint(
     aligned: bool,
     live: bool = False,
     energies: bool = True,
+    length: float = math.inf,
 ) -> rrb.Blueprint:
     """Return the layout of runs side by side and overlaid.
 
@@ -36,6 +39,8 @@ def blueprint(
         Follow what comes, instead of standing still at the beginning.
     energies
         Whether they are known: those of a measured run are not.
+    length
+        Of the timeline it opens on, s: a short one is played slower.
     """
     rows = []
     for scene, name, title in zip(scenes, names, titles, strict=True):
@@ -62,7 +67,11 @@ def blueprint(
         rrb.Horizontal(
             rrb.Vertical(*rows),
             rrb.Tabs(
-                _time_series(len(names), energies=energies),
+                _time_series(
+                    len(names),
+                    energies=energies,
+                    string=any(scene.string is not None for scene in scenes),
+                ),
                 rrb.TextLogView(origin="/events", name="events"),
                 rrb.Grid(
                     *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
@@ -75,7 +84,7 @@ def blueprint(
         rrb.TimePanel(
             timeline=ALIGNED if aligned else SIM_TIME,
             state="collapsed",
-            playback_speed=1.0 if live else 0.1,
+            playback_speed=1.0 if live else min(0.1, length / _PLAYED),
             play_state="following" if live else "paused",
         ),
         rrb.BlueprintPanel(state="hidden"),
@@ -91,7 +100,7 @@ def _all_so_far() -> rrb.VisibleTimeRanges:
     )
 
 
-def _time_series(count: int, *, energies: bool) -> rrb.Vertical:
+def _time_series(count: int, *, energies: bool, string: bool) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
     plots = {
         plot.entity: rrb.TimeSeriesView(
@@ -102,6 +111,7 @@ def _time_series(count: int, *, energies: bool) -> rrb.Vertical:
             ),
         )
         for plot in PLOTS
+        if string or plot.entity != "string_tension"
     }
     states = rrb.StateTimelineView(origin="/states", name="phase and verdict")
     rows: list[tuple[rrb.View, ...]] = [
@@ -109,10 +119,10 @@ def _time_series(count: int, *, energies: bool) -> rrb.Vertical:
         (plots["axial_stroke"], plots["torsion"]),
     ]
     lanes = 0.75 + 0.3 * count  # two for each run
-    if energies:
-        rows += [(plots["speed"], plots["energy"]), (states, plots["string_tension"])]
-    else:
-        rows += [(plots["speed"], plots["string_tension"]), (states,)]
+    last = [plots[name] for name in ("speed", "energy", "string_tension") if name in plots]
+    if not energies:
+        last.remove(plots["energy"])
+    rows += [tuple(last[:2]), (states, *last[2:])]
     return rrb.Vertical(
         *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, lanes], name="time series"
     )

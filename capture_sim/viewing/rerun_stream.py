@@ -26,21 +26,28 @@ _TRAIL = 0.15
 
 
 class Span(NamedTuple):
-    """What the aligned timeline holds of a run, s since the start."""
+    """What the aligned timeline holds of a run: from when to when, and its zero; s."""
 
     touch: float
+    begin: float
     end: float
 
 
 def aligned_span(run: ViewableRun) -> Span | None:
-    """Return the span of a run's contact; None for a run without samples of one."""
+    """Return the span of a run's contact; None for a run without samples of one.
+
+    Of a run that is cut to a window, it is no longer than the window: a viewer opens at the
+    first sample, and what happened outside does not widen the axes.
+    """
     touch, t = first_touch(run), run.samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
     last = max((end for _, end in contacts(run)), default=touch.t)
     decided = decided_at(run)
     end = max(last, touch.t if decided is None else decided) + _TRAIL
-    return Span(touch.t, end) if t[0] <= end else None
+    if t[0] > end:
+        return None
+    return Span(touch.t, max(touch.t - LEAD, float(t[0])), min(end, float(t[-1])))
 
 
 class RunStream:
@@ -84,7 +91,7 @@ class RunStream:
         first = last = 0
         if self._span is not None:
             # with the sample before, so that something is there from the beginning on
-            first = max(int(np.searchsorted(t, self._span.touch - LEAD, side="right")) - 1, 0)
+            first = max(int(np.searchsorted(t, self._span.begin, side="right")) - 1, 0)
             last = max(int(np.searchsorted(t, self._span.end, side="right")), first)
         self._send(path, t, slice(0, first), archetype, values, None)
         self._send(path, t, slice(first, last), archetype, values, self._span)
@@ -98,7 +105,7 @@ class RunStream:
             return
         indexes = [rr.TimeColumn(SIM_TIME, duration=t)]
         if span is not None:
-            indexes.append(rr.TimeColumn(ALIGNED, duration=np.maximum(t - span.touch, -LEAD)))
+            indexes.append(rr.TimeColumn(ALIGNED, duration=np.maximum(t, span.begin) - span.touch))
         columns = archetype.columns(**{name: value[rows] for name, value in values.items()})
         self._recording.send_columns(path, indexes=indexes, columns=columns)
 

@@ -70,6 +70,7 @@ def save_rrd(
         names,
         titles,
         aligned=any(span is not None for span in spans),
+        length=max((span.end - span.begin for span in spans if span is not None), default=np.inf),
         energies=any(np.isfinite(run.samples["kinetic"]).any() for run in runs),
     )
     try:
@@ -118,12 +119,12 @@ def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> N
     limits: list[tuple[str, str, str, float]] = []
     radii = {run.scene.detector.radius for run in runs}
     if len(radii) == 1:
-        limits.append(("distance", "capture radius", style.YELLOW, radii.pop()))
+        limits.append(("distance", "capture radius", style.ZONE, radii.pop()))
     all_stops = {run.scene.stops for run in runs}
     stops = all_stops.pop() if len(all_stops) == 1 else None
     if stops is not None:
-        limits.append(("axial_stroke", "stop, inwards", style.YELLOW, -stops.compression))
-        limits.append(("axial_stroke", "stop, outwards", style.YELLOW, stops.extension))
+        limits.append(("axial_stroke", "stop, inwards", style.GREY, -stops.compression))
+        limits.append(("axial_stroke", "stop, outwards", style.GREY, stops.extension))
     # as long as the longest run on either timeline
     longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest))

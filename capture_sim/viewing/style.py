@@ -22,16 +22,17 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 ROSE = "#F29CC4"
-NAVY = "#1B2A6B"
+CRIMSON = "#C04060"
 BROWN = "#8C510A"
 WINE = "#882255"
 DARK = "#404040"
 GREY = "#7F7F7F"
 LIGHT = "#D9D9D9"
+CONE = "#9CC3DB"
 PALE = "#E3EEF5"
 
 #: One for each run, in order; they repeat after that.
-RUNS = (BLUE, VERMILION, ROSE, NAVY, BROWN)
+RUNS = (BLUE, VERMILION, ROSE, CRIMSON, BROWN)
 #: The tip touches the cone.
 CONTACT = YELLOW
 #: The zone of capture, and what lies in it.

@@ -198,6 +198,37 @@ def test_window_of_a_touch_is_drawn_finely(runs, tmp_path):
     assert np.diff(times).max() < 1000  # ns
 
 
+def test_window_opens_at_its_first_sample_and_is_no_longer_than_its_samples(runs, tmp_path):
+    touch = runs[1].touches[0]
+    window = (float(touch["start"]) - 2e-4, float(touch["end"]) + 2e-4)
+    found = chunks(save_rrd([resolved(runs[1], window)], tmp_path / "window.rrd"))
+    times = []
+    for path in found:
+        for chunk in found[path]:
+            batch = chunk.to_record_batch()
+            if "since_first_touch" in batch.schema.names:
+                times += batch.column("since_first_touch").to_numpy().astype("i8").tolist()
+    late = first_touch_of(runs[1])
+    assert min(times) * 1e-9 == pytest.approx(window[0] - late, abs=2e-6)
+    assert max(times) * 1e-9 == pytest.approx(window[1] - late, abs=2e-6)
+
+
+def test_scene_without_a_string_has_no_diagram_of_its_tension(tmp_path):
+    from capture_sim.viewing.rerun_layout import blueprint
+
+    def views(scene):
+        layout = blueprint([scene], ["a"], ["a"], aligned=False)
+        found, pending = [], [layout.root_container]
+        while pending:
+            part = pending.pop()
+            pending += getattr(part, "contents", []) if hasattr(part, "kind") else []
+            found.append(str(part.name))
+        return found
+
+    assert "string tension, N" in views(capture_sim.load_scene("tilt_0"))
+    assert "string tension, N" not in views(capture_sim.load_scene("paper_designed"))
+
+
 def test_run_without_a_touch_is_saved_too(tmp_path):
     run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=1.0)
     found = chunks(save_rrd([run], tmp_path / "x.rrd"))
@@ -279,7 +310,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         assert grey_area(bench) > 0.12 * bench.shape[0] * bench.shape[1]
         # the tip is drawn shaded: count by hue
         assert hue_area(bench, to_rgb(colour)) > 60
-        rows, columns = np.nonzero(hue_mask(bench, to_rgb(style.SKY)))
+        rows, columns = np.nonzero(hue_mask(bench, to_rgb(style.CONE)))
         opening.append(rows.mean() / bench.shape[0])
         assert 0.4 < columns.mean() / bench.shape[1] < 0.8
         cone = picture(viewer, by_title[f"{name}: in the cone, mm"])
@@ -305,7 +336,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         # without tension the curves lie over each other: the last one hides the others
         assert hidden == (2 if plot.entity == "string_tension" else 0), plot.title
     states = picture(viewer, by_title["phase and verdict"])
-    for colour in (style.SKY, style.VERMILION, style.GREEN):
+    for colour in (style.CONTACT, style.ZONE):
         assert hue_area(states, to_rgb(colour)) > 300
 
 
