@@ -22,8 +22,9 @@ from benchmarks.machine import clock_rate, describe
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.commands.inputs import open_runs
-from capture_sim.viewing import save_figure, save_overview, save_rrd
+from capture_sim.viewing.plots import save_figure, save_overview
 from capture_sim.viewing.report import ReportedRun, error_statement, save_report
+from capture_sim.viewing.rerun_view import save_rrd
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "viewing.md"

@@ -123,7 +123,7 @@ def test_it_is_drawn_by_everything(recorded, tmp_path):
     assert seen.scene.name == "trial_of_6_May"  # a scene's name, whatever the file is called
     assert plots.save_figure(seen, tmp_path / "x.png").stat().st_size > 50_000
     pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing import save_rrd
+    from capture_sim.viewing.rerun_view import save_rrd
 
     assert save_rrd([seen], tmp_path / "x.rrd").stat().st_size > 10_000
 

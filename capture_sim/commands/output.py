@@ -171,7 +171,7 @@ def draw(
     except ImportError as error:
         say(f"no pictures: {error}")
     try:
-        from capture_sim.viewing import save_rrd
+        from capture_sim.viewing.rerun_view import save_rrd
 
         path = folder / RRD if rrd is None else rrd
         say(f"for rerun in {save_rrd(runs, path, labels)}")
@@ -181,7 +181,7 @@ def draw(
 
 
 def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
-    from capture_sim.viewing import save_figure, save_overview
+    from capture_sim.viewing.plots import save_figure, save_overview
 
     for run, label in zip(runs, labels, strict=True):
         # that name is taken

@@ -86,7 +86,7 @@ class AlignedMeasurements:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """A run known from measurements alone; fits :class:`capture_sim.viewing.ViewableRun`."""
+    """A run known from measurements alone; fits :class:`capture_sim.viewing.source.ViewableRun`."""
 
     scene: Scene
     samples: np.ndarray

@@ -341,7 +341,7 @@ def test_run_without_a_touch_is_drawn_too(tmp_path):
     assert "no touch" in headline(run)
     assert plots.save_figure(run, tmp_path / "x.png").stat().st_size > 10_000
     pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing import save_rrd
+    from capture_sim.viewing.rerun_view import save_rrd
 
     assert save_rrd([run], tmp_path / "x.rrd").stat().st_size > 10_000
 
@@ -351,7 +351,7 @@ def test_unwritable_folder_is_refused_in_one_line(runs, tmp_path):
     with pytest.raises(RecordingError, match="cannot write"):
         plots.save_figure(runs[0], tmp_path / "file" / "x.png")
     pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing import save_rrd
+    from capture_sim.viewing.rerun_view import save_rrd
 
     with pytest.raises(RecordingError, match="cannot write"):
         save_rrd(runs, tmp_path / "file" / "x.rrd")

@@ -24,9 +24,9 @@ from capture_sim.viewing.source import in_contact, resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
-from capture_sim.viewing import save_rrd
 from capture_sim.viewing.rerun_plots import PLOTS, phases
 from capture_sim.viewing.rerun_server import program
+from capture_sim.viewing.rerun_view import save_rrd
 
 NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
 SHOWN = 0.18  # s after the first touch: one tip is latched, one touches, one is free
