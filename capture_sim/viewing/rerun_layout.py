@@ -42,6 +42,7 @@ def blueprint(
     length
         Of the timeline it opens on, s: a short one is played slower.
     """
+    string = any(scene.string is not None for scene in scenes)
     rows = []
     for scene, name, title in zip(scenes, names, titles, strict=True):
         bench = rrb.Spatial3DView(
@@ -70,8 +71,10 @@ def blueprint(
                 _time_series(
                     len(names),
                     energies=energies,
-                    string=any(scene.string is not None for scene in scenes),
+                    string=string and not aligned,
                 ),
+                # slack long before the contact, which is all that the aligned time shows
+                *([_tension()] if string and aligned else []),
                 rrb.TextLogView(origin="/events", name="events"),
                 rrb.Grid(
                     *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
@@ -90,6 +93,10 @@ def blueprint(
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
     )
+
+
+def _tension() -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin="/plots/string_tension", name="string tension, N")
 
 
 def _all_so_far() -> rrb.VisibleTimeRanges:

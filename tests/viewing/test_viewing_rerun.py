@@ -328,13 +328,11 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
     # the cones in 3D open to the left: +10 degrees further down (to -y), -10 further up
     assert opening[1] > opening[0] + 0.01 > opening[2] + 0.02
     for plot in PLOTS:
+        if plot.entity == "string_tension":
+            continue  # slack by then: behind its tab
         diagram = picture(viewer, by_title[plot.title])
-        hidden = 0
         for colour in style.RUNS[:3]:
-            found = hue_area(diagram, to_rgb(colour))
-            hidden += found < 40
-        # without tension the curves lie over each other: the last one hides the others
-        assert hidden == (2 if plot.entity == "string_tension" else 0), plot.title
+            assert hue_area(diagram, to_rgb(colour)) >= 40, plot.title
     states = picture(viewer, by_title["phase and verdict"])
     for colour in (style.CONTACT, style.ZONE):
         assert hue_area(states, to_rgb(colour)) > 300
