@@ -3,11 +3,64 @@
 import dataclasses
 
 import pytest
-from bad_overrides import BAD
 
 from capture_sim import Bench, SceneError, load_scene, scene_names
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
+
+# what is wrong, and what the one line must say: field, value, unit, range
+BAD = [
+    ("chaser.mass=-1", ["chaser.mass = -1 kg", "> 0"]),
+    ("target.inertia=0", ["target.inertia = 0 kg m^2", "> 0"]),
+    ("probe.density=heavy", ["probe.density = 'heavy' kg/m^3", "a number, > 0"]),
+    ("contact.restitution=1.2", ["contact.restitution = 1.2", ">= 0 and <= 1"]),
+    ("contact.restitution=-0.1", ["contact.restitution = -0.1", ">= 0 and <= 1"]),
+    ("contact.law=hertz", ["contact.law = 'hertz'", "lankarani_nikravesh", "exact"]),
+    ("cone.L_c=0", ["cone.L_c = 0 m", "> 0"]),
+    ("cone.beta=1.6", ["cone.beta = 1.6 rad", "< 1.5708"]),
+    ("cone.R_c=0.01", ["cone.R_c = 0.01 m", ">= 0.015", "tip"]),
+    ("buffer.k_A=.nan", ["buffer.k_A = nan N/m", ">= 0"]),
+    ("buffer.c_A=-13", ["buffer.c_A = -13 N s/m", ">= 0"]),
+    ("buffer.stiffness=500", ["buffer.stiffness: unknown field", "k_A"]),
+    ("bufer.k_A=500", ["bufer: unknown field", "did you mean buffer?"]),
+    ("buffer=12", ["buffer = 12", "mapping"]),
+    ("friction.mu=-0.3", ["friction.mu = -0.3", ">= 0"]),
+    ("rail.length=0.5", ["rail.length = 0.5 m", "< 0.20", "before the contact"]),
+    ("rail=null", ["string", "rail"]),
+    ("string.drop_height=0.2", ["string.drop_height = 0.2 m", "<= 0.15"]),
+    ("string.hanging_mass=0.2", ["string", "exactly two of"]),
+    ("string.impact_speed=1.5", ["string.drop_height = 0.1 m", "1.5 m/s in free fall"]),
+    ("supports.chaser.c_rr=2", ["supports.chaser.c_rr = 2", ">= 0 and <= 1"]),
+    (
+        "supports.target.balls=[[0.1,0],[0.2,0.1],[0.2,-0.1]]",
+        ["supports.target.balls", "m: allowed", "would lift off"],
+    ),
+    ("supports.chaser.balls=[[0,0],[0.1,0],[0.2,0]]", ["supports.chaser.balls", "in one line"]),
+    ("supports.chaser.balls=[[0,0]]", ["supports.chaser.balls", "three points"]),
+    ("latch.radius=0.2", ["latch.radius = 0.2 m", "< 0.05"]),
+    ("initial.target.x=0.45", ["initial: the tip starts", "m inside", "initial.target.x"]),
+    ("initial.target.vx=-0.1", ["initial.target.vx = -0.1 m/s", "0 while the scene has a rail"]),
+    ("initial.target.y=0.5", ["passes the cone by"]),
+    ("initial.chaser.omega=0.1", ["initial.chaser.omega = 0.1 rad/s", "0 on the rail"]),
+    ("initial.target.theta=10", ["initial.target.theta = 10 rad", "<= 3.14159"]),
+    ("run.rate=300", ["run.rate = 300", "Hz", "whole number"]),
+    ("run.t_end=0", ["run.t_end = 0 s", "> 0"]),
+    ("run.method=euler", ["run.method = 'euler'", "dop853"]),
+    ("run.max_steps=1e3.5", ["run.max_steps", "whole number"]),
+    ("gravity=true", ["gravity = True m/s^2", "a number"]),
+    ("chaser.mass", ["override 'chaser.mass'", "part.field=value"]),
+    ("chaser.mass=[", ["override", "not valid YAML"]),
+    ("detector.radius=0", ["detector.radius = 0 m", "> 0"]),
+    ("detector.radius=5", ["detector.radius = 5 m", "> 0 and <= 1"]),
+    ("detector.leave=20", ["detector.leave = 20 m", "> 0 and <= 1"]),
+    ("name=../../evil", ["name = '../../evil'", "up to 64 letters", "digits and _ . -"]),
+    ("name=sub/evil", ["name = 'sub/evil'", "beginning with neither . nor -"]),
+    ("name='a b \"c\"'", ["name = 'a b \"c\"'", "up to 64 letters"]),
+    ("name=-x", ["name = '-x'", "beginning with neither . nor -"]),
+    ("name=..", ["name = '..'", "beginning with neither . nor -"]),
+    ("name=''", ["name = ''", "beginning with neither . nor -"]),
+    ("name=" + 65 * "x", ["name = 'xxx", "up to 64 letters"]),
+]
 
 
 @pytest.mark.parametrize("override, says", BAD, ids=[b[0] for b in BAD])
