@@ -268,6 +268,7 @@ class _Part:
     def __init__(self, run: ViewableRun, samples: np.ndarray) -> None:
         self.scene, self.samples, self.trace = run.scene, samples, None
         self.touches, self.events, self.statuses = run.touches, run.events, run.statuses
+        self.extremes = None
 
 
 def main(folder: Path) -> None:
