@@ -107,7 +107,9 @@ def test_check_never_compares_a_run_with_itself(overrides):
     """Fixed steps have no tolerance to refine, and below 1e-13 there is none left."""
     scene = load_scene("paper_designed", overrides)
     checked = simulate(scene, t_end=0.35, check=True)
-    exact = simulate(load_scene("paper_designed", ["run.rtol=1e-12", "run.method=dopri5"]), 0.35)
+    exact = simulate(
+        load_scene("paper_designed", ["run.rtol=1e-12", "run.method=dopri5"]), t_end=0.35
+    )
     error = difference(checked, exact).max()
     assert checked.check.error[-1] > error / TRUST - 1e-12
     assert checked.check.error[-1] > 0.0
