@@ -6,10 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.inputs import not_negative, number, prepare_folder
+from capture_sim.commands.inputs import number, prepare_folder
 from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
+from capture_sim.recording.playback import Playback
+from capture_sim.scene.quantities import Range
 
 DESCRIPTION = (
     "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
@@ -34,7 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(
-        "--start", type=not_negative, default=0.0, metavar="S", help="begin S seconds later"
+        "--start",
+        type=number(Range(0.0, 1e9)),
+        default=0.0,
+        metavar="S",
+        help="begin S seconds later",
     )
     parser.add_argument("--paused", action="store_true", help="start paused")
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="play these alone")
@@ -55,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     if not Path(options.recording).exists():
         raise RecordingError(f"{options.recording}: no such file or folder")
+    Playback(Path(options.recording))  # what cannot be played is refused before a node starts
     parameters: dict[str, Any] = {
         "bag": str(options.recording),
         "rate": options.rtf,
