@@ -8,6 +8,7 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.commands import sensitivity as command
 from capture_sim.errors import SceneError
 from capture_sim.studies import sensitivity
 from capture_sim.studies.approach import approach_of
@@ -183,7 +184,7 @@ def test_unknown_parameters_are_refused():
 
 def test_the_command_leaves_numbers_and_pictures(tmp_path, capsys, monkeypatch):
     few = default_parameters()[3:6]
-    monkeypatch.setattr(sensitivity, "default_parameters", lambda part: few)
+    monkeypatch.setattr(command, "default_parameters", lambda part: few)
     arguments = ["sensitivity", "--samples=4", "--workers=1", "--out", str(tmp_path)]
     assert main(arguments) == 0
     text = capsys.readouterr().out
