@@ -83,20 +83,12 @@ def check_scene(scene: Scene) -> LaunchPlan:
     SceneError
         For the first rule that the scene breaks.
     """
+    rules = (_contact, _friction, _throat, _rates, _start, _supports, _rail, _string, _latch)
     try:
-        for rule in (
-            _contact,
-            _friction,
-            _throat,
-            _rates,
-            _start,
-            _supports,
-            _rail,
-            _string,
-            _latch,
-        ):
-            rule(scene)
-        return plan_launch(scene)
+        with np.errstate(all="ignore"):  # what is not finite is refused by name
+            for rule in rules:
+                rule(scene)
+            return plan_launch(scene)
     except ArithmeticError:
         raise SceneError(
             f"{scene.name}: its values differ too much in size to be computed with"
