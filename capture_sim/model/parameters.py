@@ -174,9 +174,12 @@ def pack(
     return record
 
 
-#: m/s: an approach slower than this is measured against it; rounding of the places (1e-17 m)
-#: over a touch's time (seconds, at such speeds) lies far below.
+#: m/s: vehicles that float free and approach slower than this are measured against it; rounding of
+#: the places (1e-17 m) over a touch's time (seconds, at such speeds) lies far below.
 _SLOWEST = 1e-8
+#: Likewise on the floor, whose resistance may set vehicles against each other that are at rest to
+#: each other at the release.
+_SLOWEST_ON_FLOOR = 1e-3
 
 
 def speed_scale(scene: Scene, impact_speed: float) -> float:
@@ -192,7 +195,7 @@ def speed_scale(scene: Scene, impact_speed: float) -> float:
     elif scene.string.impact_speed is not None:
         impact_speed = scene.string.impact_speed
     return max(
-        _SLOWEST,
+        _SLOWEST if scene.supports is None else _SLOWEST_ON_FLOOR,
         math.hypot(c.vx - t.vx, c.vy - t.vy),
         impact_speed,
         abs(c.omega) * (scene.buffer.a + scene.rest_length),
