@@ -80,11 +80,11 @@ def test_a_node_brings_its_profile_of_dds_unless_another_is_named(named):
     program = """
 import os
 from capture_sim.errors import CaptureSimError
-from capture_sim.nodes import running
+from capture_sim.nodes import node
 def make():
     names = [name for name in os.environ if name.endswith("_DEFAULT_PROFILES_FILE")]
     raise CaptureSimError(" ".join(f"{name}={os.environ[name]}" for name in names))
-raise SystemExit(running.run(make))
+raise SystemExit(node.run(make))
 """
     environment = {k: v for k, v in os.environ.items() if "PROFILES_FILE" not in k}
     if named:

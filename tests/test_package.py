@@ -80,15 +80,37 @@ def test_interface_dependencies_are_declared():
     assert set(cmake_list("interface_dependencies")) == {e.text for e in MANIFEST.iter("depend")}
 
 
-def test_ros_imports_are_declared():
-    depends = {e.text for tag in ("depend", "exec_depend") for e in MANIFEST.iter(tag)}
-    ros = re.compile(
-        r"^\s*(?:from|import)\s+((?:rclpy|launch|launch_ros|\w+_msgs|\w+_interfaces))\b"
-    )
+def imported_packages(path):
+    """Return the packages that a file imports or takes message types of, Python's own left out."""
+    tree, names = ast.parse(path.read_text()), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add(node.module.partition(".")[0])
+        elif isinstance(node, ast.Constant):
+            found = re.fullmatch(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]\w*", str(node.value))
+            names |= {found[1]} if found else set()
+    return names - sys.stdlib_module_names - {"capture_sim"}
+
+
+def test_all_that_is_imported_is_declared():
+    """What ROS brings in package.xml; what PyPI brings, where rosdep has not all, in pyproject."""
+    ros = {e.text for tag in ("depend", "exec_depend") for e in MANIFEST.iter(tag)}
+    extras = [line for lines in PROJECT["optional-dependencies"].values() for line in lines]
+    pip = {
+        re.match(r"[\w-]+", line)[0].lower().replace("-", "_")
+        for line in (*PROJECT["dependencies"], *extras)
+    }
+    # modules of another name, and what a package brings along by its own metadata
+    brought = {"yaml": "pyyaml", "rerun": "rerun_sdk", "llvmlite": "numba"}
+    brought |= {"lz4": "mcap", "zstandard": "mcap"}
+    pip |= {name for name, package in brought.items() if package in pip}
+    used = {}
     for path in [*ROOT.glob("capture_sim/**/*.py"), *ROOT.glob("launch/*.py")]:
-        for line in path.read_text().splitlines():
-            if match := ros.match(line):
-                assert match.group(1) in depends, f"{path.relative_to(ROOT)}: {line.strip()}"
+        for name in imported_packages(path):
+            used.setdefault(name, path.relative_to(ROOT))
+    assert {n: path for n, path in used.items() if not {n, n.lower()} & (ros | pip)} == {}
 
 
 @pytest.mark.parametrize("path", INTERFACES, ids=lambda p: p.name)
