@@ -46,7 +46,8 @@ def generate_launch_description():
         "state": f"of the simulation at the start: {', '.join(STATES)} (playing)",
         "out": "folder of the recordings (runs)",
         "overrides": "changes of the scenes, as buffer.c_A=13, separated by commas (none)",
-        "scene": "of a bench without simulator, for launcher and detector (none)",
+        "scene": "of a bench without simulator: the launcher begins its trials and drives the real "
+        "release; without launcher the detector judges by it from the start (none)",
         "params": "YAML file of parameters, as config/nodes.yaml; what is set here wins",
         "namespace": "of all nodes and topics (/)",
         "view_python": "Python with rerun for the viewer, as `make setup` makes it, since rerun "
@@ -89,10 +90,8 @@ def suite(context):
     parameters["simulator"] |= checked(argument)
     if started:  # ROS has no empty list
         parameters["simulator"]["consumers"] = list(started)
-    if argument("scene") and not wanted("simulator"):
-        for name in started:
-            if name == "launcher":
-                parameters[name] |= {"scene": argument("scene"), "actuator": "output"}
+    if argument("scene"):
+        parameters |= of_a_bench(argument, started, parameters)
     if argument("out") and wanted("record"):
         parameters["recorder"]["out"] = argument("out")
     if wanted("simulator"):
@@ -124,12 +123,14 @@ def checked(argument):
     """Return the simulator's parameters that are given as arguments."""
     found = {}
     if argument("experiment"):
-        found["scenes"] = [name.strip() for name in argument("experiment").split(",")]
+        found["scenes"] = listed(argument("experiment"))
     if argument("overrides"):
-        found["overrides"] = [change.strip() for change in argument("overrides").split(",")]
-    for name in ("experiment", "overrides", "rtf", "state"):
+        found["overrides"] = listed(argument("overrides"))
+    for name in ("experiment", "rtf", "state"):
         if argument(name) and argument("simulator") != "true":
             refuse(name, argument(name), "nothing where simulator:=false")
+    if argument("overrides") and argument("simulator") != "true" and not argument("scene"):
+        refuse("overrides", argument("overrides"), "nothing where simulator:=false and no scene:=")
     if argument("scene") and argument("simulator") == "true":
         refuse("scene", argument("scene"), "nothing but with simulator:=false")
     if argument("rtf"):
@@ -146,6 +147,23 @@ def checked(argument):
     if argument("params") and not Path(argument("params")).is_file():
         refuse("params", argument("params"), "a YAML file that exists")
     return found
+
+
+def of_a_bench(argument, started, parameters):
+    """Return the parameters of the node that begins the trials of a bench without simulator."""
+    begins = next((name for name in ("launcher", "capture_detector") if name in started), None)
+    if begins is None:
+        refuse("scene", argument("scene"), "nothing where neither launcher nor detector is started")
+    found = parameters[begins] | {"scene": argument("scene")}
+    if begins == "launcher":
+        found["actuator"] = "output"
+    if argument("overrides"):
+        found["overrides"] = listed(argument("overrides"))
+    return {begins: found}
+
+
+def listed(text):
+    return [word.strip() for word in text.split(",")]
 
 
 def refuse(name, value, allowed):
