@@ -450,9 +450,6 @@ class _Interrupt:
 def run(
     make: Callable[[], BenchNode],
     args: Sequence[str] | None = None,
-    *,
-    interrupted: int = OK,
-    command: bool = False,
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
@@ -462,21 +459,12 @@ def run(
         Makes the node.
     args
         Command line; ``None`` for that of the process.
-    interrupted
-        What Ctrl-C makes of the status: to stop a node is its ordinary end.
-    command
-        Whether it runs inside a command, which says itself what is wrong.
 
     Returns
     -------
     int
-        0 done; ``interrupted`` when ended by Ctrl-C; 1 failed; 2 refused: a parameter or the
-        scene is wrong.
-
-    Raises
-    ------
-    CaptureSimError
-        A parameter is wrong, inside a command.
+        0 done, or ended by Ctrl-C, which is a node's ordinary end; 1 failed; 2 refused: a
+        parameter or the scene is wrong.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         print(_usage(make), flush=True)
@@ -490,20 +478,18 @@ def run(
             os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            status = _live(make, interrupted)
+            status = _live(make)
         finally:
             rclpy.try_shutdown()
         leave_if_busy(status)  # compiling goes on behind a Ctrl-C
         return status
     except CaptureSimError as error:
-        if command:
-            raise
         return _refuse(str(error))
     except RuntimeError as error:  # rclpy's RCLError: arguments that it cannot parse
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
-        leave_if_busy(interrupted)
-        return interrupted
+        leave_if_busy(OK)
+        return OK
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
@@ -513,7 +499,7 @@ def _refuse(reason: str) -> int:
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
+def _live(make: Callable[[], BenchNode]) -> int:
     node = make()
     log = node.get_logger()
     callbacks = None
@@ -525,7 +511,7 @@ def _live(make: Callable[[], BenchNode], when_interrupted: int) -> int:
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True
-        status = when_interrupted
+        status = OK
     except CaptureSimError as error:
         log.error(str(error))
     finally:

@@ -80,8 +80,8 @@ FAREWELL = 3.0
 
 
 def readers(topic: Topic, roles: Sequence[str]) -> int:
-    """Return how many subscribers a topic has once all that take part are matched."""
-    return sum(topic in READ.get(role, ()) for role in roles) + (topic is LAUNCH_COMMAND)
+    """Return how many of these roles subscribe to a topic."""
+    return sum(topic in READ.get(role, ()) for role in roles)
 
 
 class Participant(BenchNode):
@@ -252,17 +252,19 @@ class Participant(BenchNode):
                 )
         except CaptureSimError as error:
             raise MessageError(str(error)) from None
-        self._wait_for_readers(info.consumers)
+        self._wait_for_readers(info)
         self._came.clear()
         self._counts, self._deadline = None, math.inf
         self.run = info
         self.begin(info, scene)
 
-    def _wait_for_readers(self, roles: Sequence[str]) -> None:
+    def _wait_for_readers(self, info: Any) -> None:
         """Wait until those read this node that take part; callbacks come in order afterwards."""
         deadline = time.monotonic() + MATCHING
         for topic in topics_of(self.role):
-            while self.matched(topic) < readers(topic, roles) and time.monotonic() < deadline:
+            commands = topic is LAUNCH_COMMAND and SIMULATOR in info.publishers
+            wanted = readers(topic, info.consumers) + commands
+            while self.matched(topic) < wanted and time.monotonic() < deadline:
                 time.sleep(0.002)
 
     def _counted(self, counts: Any) -> None:

@@ -27,6 +27,8 @@ from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.scene.parts import Scene
 
 OK, FAILED, REFUSED = 0, 1, 2
+#: How the line begins by which a node refuses its parameters.
+REFUSAL = "error: "
 RECORDER, PLAYER = "recorder", "player"
 
 #: After the announcer has ended, or a node died, the others get this long to end too, s.
@@ -91,7 +93,7 @@ def run_suite(
         parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "pace": float(pace)}
         if record:
             parameters[RECORDER] = {"out": str(out)}
-        return _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)
+        return _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)[0]
 
 
 def replay(parameters: Mapping[str, Any], out: Path) -> int:
@@ -111,6 +113,8 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
 
     Raises
     ------
+    CaptureSimError
+        A node has refused its parameters; the text is its reason.
     KeyboardInterrupt
         After Ctrl-C, when all nodes have ended in order.
     """
@@ -118,7 +122,10 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
     for name in parameters.get("consumers", ()):
         nodes[name] = {"out": str(out)} if name == RECORDER else {}
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
-        return _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
+        status, refusals = _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
+    if refusals:
+        raise CaptureSimError(refusals[0])
+    return status
 
 
 def _run_nodes(
@@ -128,8 +135,8 @@ def _run_nodes(
     namespace: str,
     folder: Path,
     log: Path | None,
-) -> int:
-    """Run nodes to their end; see :func:`run_suite`."""
+) -> tuple[int, list[str]]:
+    """Run nodes to their end; return the status (see :func:`run_suite`) and refusals' reasons."""
     file = folder / "parameters.yaml"
     content = {}
     for name, values in parameters.items():
@@ -145,7 +152,8 @@ def _run_nodes(
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
     _say(f"starting {', '.join(parameters)} {where}")
     with _interruptible(), _Processes(list(parameters), arguments, environment) as processes:
-        return processes.supervise(announcer, limit)
+        status = processes.supervise(announcer, limit)
+    return status, processes.refusals
 
 
 def _domain() -> int:
@@ -236,6 +244,7 @@ class _Processes:
         self._environment = environment
         self._running: dict[str, subprocess.Popen[str]] = {}
         self._readers: list[threading.Thread] = []
+        self.refusals: list[str] = []  # why nodes have refused their parameters
 
     def __enter__(self) -> _Processes:
         try:
@@ -286,7 +295,7 @@ class _Processes:
             process_group=0,  # Ctrl-C reaches them through us alone
         )
         self._running[name] = process
-        reader = threading.Thread(target=_forward, args=(name, process.stdout), daemon=True)
+        reader = threading.Thread(target=self._forward, args=(name, process.stdout), daemon=True)
         reader.start()
         self._readers.append(reader)
 
@@ -316,10 +325,11 @@ class _Processes:
             for reader in self._readers:
                 reader.join(1.0)
 
-
-def _forward(name: str, stream: Any) -> None:
-    for line in stream:
-        _say(line.rstrip(), name)
+    def _forward(self, name: str, stream: Any) -> None:
+        for line in stream:
+            _say(line.rstrip(), name)
+            if line.startswith(REFUSAL):
+                self.refusals.append(line.removeprefix(REFUSAL).rstrip())
 
 
 def _describe(code: int) -> str:
