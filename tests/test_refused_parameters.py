@@ -41,7 +41,7 @@ WRONG = {
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """All nodes within a run in real time, who talks to them, and where it is recorded."""
+    """All nodes within a run that lasts as long as it is asked, and where it is recorded."""
     compile_kernels()
     out = tmp_path_factory.mktemp("refused") / "out"
     with processes(out.parent) as start, Client() as client:
@@ -50,7 +50,7 @@ def bench(tmp_path_factory):
             "capture_detector": start("capture_detector"),
             "launcher": start("launcher"),
             "simulator": start(
-                "simulator", pace=0.5, consumers="[recorder, capture_detector, launcher]"
+                "simulator", pace=0.001, consumers="[recorder, capture_detector, launcher]"
             ),
         }
         nodes["simulator"].wait_for("released")
@@ -120,7 +120,8 @@ def test_reasons_say_what_is_wrong(bench):
 
 
 def test_run_notices_nothing_of_the_refusals(bench):
-    nodes, _, path = bench
+    nodes, client, path = bench
+    assert client.set("simulator", pace=0.0) == (True, "")
     assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(NODES, 0)
     run = read_run(path)
     assert run.complete
