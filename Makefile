@@ -9,7 +9,7 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test test-numpy1 lint benchmark faults picture format clean
+.PHONY: help setup run test test-numpy1 lint docs benchmark faults picture format clean
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
@@ -17,6 +17,7 @@ help:
 	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint        only check style, types and layers"
+	@echo "make docs        build the pages in docs/ as a site, in build/site"
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (8 min)"
 	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
@@ -49,6 +50,9 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: setup
+	$(BIN)/mkdocs build
 
 benchmark: setup
 	$(BIN)/python -m benchmarks.speed

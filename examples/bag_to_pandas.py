@@ -1,0 +1,17 @@
+"""A recording into pandas, by libraries that know nothing of capture_sim."""
+
+import sys
+
+import pandas as pd
+from mcap_ros2.reader import read_ros2_messages
+
+rows = [
+    {
+        "t": message.ros_msg.header.stamp.sec + 1e-9 * message.ros_msg.header.stamp.nanosec,
+        "x": message.ros_msg.pose.pose.position.x,
+        "y": message.ros_msg.pose.pose.position.y,
+    }
+    for message in read_ros2_messages(sys.argv[1], topics=["/chaser/odom"])
+]
+table = pd.DataFrame(rows).set_index("t")
+print(table.describe())
