@@ -99,7 +99,7 @@ class Quantity(NamedTuple):
 
 
 STROKE = Quantity("axial_stroke", "axial stroke", "mm", 1e3, "compression < 0")
-TORSION = Quantity("torsion", "torsion", "mrad", 1e3, "counterclockwise > 0")
+TORSION = Quantity("torsion", "torsion", "mrad", 1e3, "ccw > 0")
 DISTANCE = Quantity("tip_distance", "tip to the centre of BE", "mm", 1e3)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import warnings
 
@@ -23,6 +22,7 @@ from capture_sim.viewing.curves import LAYERS
 from capture_sim.viewing.drawing import draw_bench, key_moments
 from capture_sim.viewing.shapes import tip_bound, tip_in_cone, tip_in_world, wall
 from capture_sim.viewing.source import (
+    CutRun,
     contacts,
     decided_at,
     headline,
@@ -58,12 +58,12 @@ def interrupted(runs):
     run = runs[0]
     longest = run.touches[np.argmax(run.touches["end"] - run.touches["start"])]
     until = 0.5 * (longest["start"] + longest["end"])
-    return dataclasses.replace(
-        run,
-        samples=run.samples[run.samples["t"] <= until],
-        touches=run.touches[run.touches["end"] <= until],
-        events=[event for event in run.events if event.t <= until],
-        statuses=[status for status in run.statuses if status.t <= until],
+    return CutRun(
+        run.scene,
+        run.samples[run.samples["t"] <= until],
+        run.touches[run.touches["end"] <= until],
+        [event for event in run.events if event.t <= until],
+        [status for status in run.statuses if status.t <= until],
     )
 
 
