@@ -70,6 +70,14 @@ def measurements(scene, samples):
     return samples_of(scene, measured)
 
 
+def holds_a_recording(path):
+    """Return whether more than the layout has come, which the server sends first."""
+    try:
+        return bool(chunks(path))
+    except ValueError:
+        return False
+
+
 def received(address, path, enough):
     """Connect to a server as a viewer does, now; return what comes, by entity."""
     command = [str(program()), address, "--save", str(path)]
@@ -80,7 +88,7 @@ def received(address, path, enough):
         for _ in range(60):
             time.sleep(0.25)
             now = path.stat().st_size if path.exists() else 0
-            if now == size and now > enough:
+            if now == size and now > enough and holds_a_recording(path):
                 break
             size = now
     finally:
