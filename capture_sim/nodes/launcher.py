@@ -89,6 +89,7 @@ class LauncherNode(Participant):
         self._zero: int | None = None  # ns, a bench's stamp when the chaser was let go
         self.open(topics_of(LAUNCHER))
         self._hold_output: Any = None
+        self._held: bool | None = None  # as last published
         if actuator == "output":
             # latched, so that a driver which starts late holds from its first message on
             qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -131,7 +132,8 @@ class LauncherNode(Participant):
         self.publish(self._telemetry.state(t, status), latch=latch)
 
     def _hold(self, hold: bool) -> None:
-        if self._hold_output is not None:
+        if self._hold_output is not None and hold != self._held:
+            self._held = hold
             self._hold_output.publish(self._bool(data=hold))
 
     def _release(self, launcher: Launcher) -> None:

@@ -190,8 +190,8 @@ class BenchNode(Node):
                     value = None
             else:
                 value = self.declare_parameter(name, default, descriptor).value
-        except (InvalidParameterTypeException, InvalidParameterValueException):
-            value = None
+        except (InvalidParameterTypeException, InvalidParameterValueException, ValueError):
+            value = None  # ValueError: a list given as [] has no type
         if value is None:
             shown = "[]" if given is None else repr(given)  # ROS has no empty list
             raise ParameterError(

@@ -149,6 +149,8 @@ def _run_nodes(
     if log is not None and "ROS_HOME" not in environment:
         environment.setdefault("ROS_LOG_DIR", str(log.absolute() / "log"))
     arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:=/{namespace.strip('/')}"]
+    if namespace:
+        arguments += ["-r", "/clock:=clock"]  # another suite's time must not mix with this one's
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
     _say(f"starting {', '.join(parameters)} {where}")
     with _interruptible(), _Processes(list(parameters), arguments, environment) as processes:

@@ -90,7 +90,13 @@ def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
     whole = evidence.run(case)
     assert point.verdict == whole.verdict.label
     final = next((s for s in whole.statuses if s.final), whole.statuses[-1])
-    assert point.nearest == pytest.approx(final.nearest_distance, abs=1e-5)
+    # the run to a verdict goes on for up to 0.2 s; its nearest distance is that of the motion
+
+    def nearest(end):
+        t = whole.samples["t"]
+        return whole.samples["tip_distance"][t <= end].min()
+
+    assert nearest(final.t + 0.2) - 1e-5 < point.nearest < nearest(final.t) + 1e-9
 
 
 def test_the_first_touch_is_at_b():
