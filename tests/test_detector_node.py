@@ -124,20 +124,6 @@ def setting(name, value):
 # parameters
 
 
-@pytest.mark.parametrize(
-    "given, said",
-    [
-        ({"radius": "-0.001"}, "parameter radius = -0.001 m: allowed is > 0 and <= 1"),
-        ({"dwell": "1"}, "parameter dwell = 1: allowed is a number with a decimal point, >= 0 s"),
-        ({"still_speed": ".nan"}, "parameter still_speed = nan m/s: allowed is finite and > 0"),
-    ],
-)
-def test_a_wrong_criterion_ends_the_node_in_a_line(start, given, said):
-    node = start("capture_detector", **given)
-    assert node.wait(60.0) == 2
-    assert node.log.read_text().strip() == f"error: {said}"
-
-
 def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
     names = [field.name for field in fields(Detector)]
     nodes = [
@@ -156,7 +142,7 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
             assert descriptor.description.startswith(f"{field.metadata['unit']}, ")
             assert field.metadata["doc"] in descriptor.description
             allowed = f"{field.metadata['allowed']} {field.metadata['unit']}"
-            assert descriptor.additional_constraints == allowed
+            assert descriptor.additional_constraints.endswith(f"decimal point, {allowed}")
         (refused,) = call(SetParameters, "set_parameters", setting("radius", 0.0)).results
         assert not refused.successful
         assert refused.reason == "parameter radius = 0.0 m: allowed is > 0 and <= 1"

@@ -1,5 +1,10 @@
-"""No parameter of any node takes a wrong value while a run is on, and the run notices nothing."""
+"""No parameter of any node takes a wrong value, at its start or while a run is on."""
 
+import json
+import os
+import re
+import subprocess
+import sys
 from dataclasses import fields
 
 import pytest
@@ -37,6 +42,59 @@ WRONG = {
     },
     "recorder": {},
 }
+# name of the case: node, its parameters or remappings, words of the refusal
+AT_THE_START = {
+    "pace out of range": ("simulator", {"pace": "-1.0"}, ["pace = -1.0", "0 to 1000"]),
+    "pace without point": ("simulator", {"pace": "1"}, ["pace = 1", "decimal point"]),
+    "no such role": ("simulator", {"consumers": "[nobody]"}, ["consumers", "capture_detector"]),
+    "empty role": ("simulator", {"consumers": "['']"}, ["consumers = ['']", "allowed"]),
+    "no consumer": ("simulator", {"consumers": "[]"}, ["consumers = []", "allowed"]),
+    "no override": ("simulator", {"overrides": "[]"}, ["overrides = []", "PART.FIELD=VALUE"]),
+    "no topics": ("recorder", {"topics": "[]"}, ["topics = []", "one at least"]),
+    "topics are numbers": ("recorder", {"topics": "[3]"}, ["topics = [3]", "texts"]),
+    "no folder": ("recorder", {"out": "[]"}, ["out = []", "a text"]),
+    "no topics to play": ("player", {"bag": "x", "topics": "[]"}, ["topics = []", "one at least"]),
+    "no radius": ("capture_detector", {"radius": "[]"}, ["radius = []", "> 0 and <= 1 m"]),
+    "radius is a text": ("capture_detector", {"radius": "big"}, ["radius = 'big'", "a number"]),
+    "radius below 0": (
+        "capture_detector",
+        {"radius": "-0.001"},
+        ["parameter radius = -0.001 m: allowed is > 0 and <= 1"],
+    ),
+    "dwell without point": ("capture_detector", {"dwell": "1"}, ["dwell = 1", "point, >= 0 s"]),
+    "speed is NaN": (
+        "capture_detector",
+        {"still_speed": ".nan"},
+        ["parameter still_speed = nan m/s: allowed is finite and > 0"],
+    ),
+    "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
+    "no override of a scene": ("launcher", {"scene": "tilt_0", "overrides": "[x]"}, ["x", "="]),
+    "rclpy's own parameter": ("launcher", {"use_sim_time": "[]"}, ["use_sim_time"]),
+    "no name": ("launcher", {"__node": "a-b"}, ["a-b"]),
+    "unknown scene": ("simulator", {"scenes": "[tilt_1]"}, ["tilt_1", "did you mean"]),
+    "bad override": (
+        "simulator",
+        {"overrides": '["buffer.c_A=-1"]'},
+        ["buffer.c_A = -1", "N s/m", ">= 0"],
+    ),
+    "same scene twice": ("simulator", {"scenes": "[tilt_0, tilt_0]"}, ["different names"]),
+    "no scene": ("simulator", {"scenes": "[]"}, ["scenes = []", "names of scenes"]),
+    "same consumer twice": (
+        "simulator",
+        {"consumers": "[launcher, launcher]"},
+        ["consumers", "once"],
+    ),
+    "out is no folder": ("recorder", {"out": os.devnull}, [os.devnull, "folder"]),
+    "no syntax": ("launcher", {"auto_release": "["}, ["auto_release"]),
+    "no bool": ("launcher", {"auto_release": "3"}, ["auto_release = 3", "true or false"]),
+}
+# one process for all: what takes long is the start of Python
+START_ALL = """
+import importlib, json, sys
+for name, arguments in json.loads(sys.argv[1]):
+    print(f"status {importlib.import_module('capture_sim.nodes.' + name).main(arguments)}",
+          file=sys.stderr, flush=True)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +184,26 @@ def test_run_notices_nothing_of_the_refusals(bench):
     run = read_run(path)
     assert run.complete
     assert run.samples.tobytes() == simulate(load_scene("tilt_0")).samples.tobytes()
+
+
+def test_wrong_parameters_are_refused_at_the_start_with_one_line():
+    starts = []
+    for name, parameters, _ in AT_THE_START.values():
+        arguments = ["node", "--ros-args"]
+        for key, value in parameters.items():
+            arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={value}"]
+        starts.append((name, arguments))
+    done = subprocess.run(
+        [sys.executable, "-c", START_ALL, json.dumps(starts)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    *refusals, rest = re.split(r"status (\d)\n", done.stderr)
+    assert rest == ""
+    assert refusals[1::2] == ["2"] * len(AT_THE_START)
+    for (case, (_, _, words)), text in zip(AT_THE_START.items(), refusals[::2], strict=True):
+        assert "Traceback" not in text, case
+        [line] = [line for line in text.splitlines() if line.startswith("error:")]
+        for word in words:
+            assert word in line, case

@@ -7,16 +7,12 @@ from dataclasses import Field, fields, replace
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
 from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
-from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
 from capture_sim.messages.measurements import detector_sources, measured
 from capture_sim.messages.telemetry import DetectorTelemetry
@@ -67,14 +63,10 @@ class CaptureDetectorNode(Participant):
         self.open(topics_of(CAPTURE_DETECTOR))
         for topic in READ[CAPTURE_DETECTOR]:
             self.follow(topic, partial(self._take, topic), raw=True)
-        name = self.declare(
-            "scene",
-            "",
-            "judge by this scene from the start, for a bench where nobody announces runs: "
-            "name in config/scenes, or file; empty to wait for a run",
+        self._scene = self.declare_scene(
+            "judge by this scene from the start, for a bench where nobody announces runs; "
+            "empty to wait for a run"
         )
-        overrides = self.declare("overrides", list, "changes of that scene (SI)")
-        self._scene = load_scene(name, overrides) if name else None
 
     def work(self) -> int:
         """Take part until the process is to end; return the exit status."""
@@ -175,7 +167,6 @@ class Criteria:
         self._fields: dict[str, Field[Any]] = {field.name: field for field in fields(Detector)}
         for field in self._fields.values():
             self._declare(field)
-        node.add_on_set_parameters_callback(self._check)
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene with the criteria that are set; the others are its own."""
@@ -192,41 +183,21 @@ class Criteria:
         )
 
     def _declare(self, field: Field[Any]) -> None:
-        unit, allowed = field.metadata["unit"], field.metadata["allowed"]
-        descriptor = ParameterDescriptor(
-            description=f"{unit}, {field.metadata['doc']}; not set: the scene's",
-            additional_constraints=f"{allowed} {unit}",
+        def check(value: float) -> None:
+            try:
+                Detector(**{field.name: value})
+            except SceneError as error:
+                raise ParameterError(f"parameter {str(error).removeprefix('Detector.')}") from None
+
+        self._node.declare(
+            field.name,
+            float,
+            f"{field.metadata['unit']}, {field.metadata['doc']}; not set: the scene's",
+            allowed="a number with a decimal point, "
+            f"{field.metadata['allowed']} {field.metadata['unit']}",
+            read_only=False,
+            check=check,
         )
-        name = field.name
-        given = self._node.take_given(name)
-        try:
-            self._node.declare_parameter(name, Parameter.Type.DOUBLE, descriptor)
-        except InvalidParameterTypeException:
-            raise ParameterError(
-                f"parameter {name} = {given!r}: allowed is a number with a decimal point, "
-                f"{allowed} {unit}"
-            ) from None
-        parameter = self._node.get_parameter_or(name)
-        if reason := self._wrong(parameter):
-            raise ParameterError(reason)
-
-    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse what a scene would refuse."""
-        for parameter in parameters:
-            if reason := self._wrong(parameter):
-                return SetParametersResult(successful=False, reason=reason)
-        return SetParametersResult(successful=True)
-
-    def _wrong(self, parameter: Parameter) -> str:
-        """Return why a value is not allowed; empty if it is."""
-        field = self._fields.get(parameter.name)
-        if field is None or parameter.value is None:
-            return ""
-        try:
-            Detector(**{parameter.name: parameter.value})
-        except SceneError as error:
-            return f"parameter {str(error).removeprefix('Detector.')}"
-        return ""
 
 
 def main(args: Sequence[str] | None = None) -> int:

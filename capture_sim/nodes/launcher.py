@@ -11,7 +11,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.launch.scenes import load_scene
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.telemetry import LauncherTelemetry
@@ -76,14 +75,9 @@ class LauncherNode(Participant):
             allowed=" or ".join(_ACTUATORS),
             check=_check_actuator,
         )
-        name = self.declare(
-            "scene",
-            "",
-            "of a bench without simulator: ~/launch begins a trial of it, ~/end_trial ends it; "
-            "name in config/scenes, or file",
+        self._scene = self.declare_scene(
+            "of a bench without simulator: ~/launch begins a trial of it, ~/end_trial ends it"
         )
-        overrides = self.declare("overrides", list, "changes of that scene (SI)")
-        self._scene = load_scene(name, overrides) if name else None
         self._asked = False  # to launch the trial that is begun
         self._place: tuple[float, float] | None = None  # s and m, of a bench's chaser before
         self._zero: int | None = None  # ns, a bench's stamp when the chaser was let go

@@ -29,7 +29,12 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    NameValidationException,
+    ParameterException,
+)
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -62,6 +67,7 @@ IN_ORDER = 1.0
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_TYPES = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -106,7 +112,7 @@ class BenchNode(Node):
     waits = False
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        super().__init__(name)
         self.messages = Messages(message_class, serialize_message, sequence=array.array)
         self.failure: Exception | None = None  # that ended the callbacks
         self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
@@ -115,11 +121,12 @@ class BenchNode(Node):
         self._retired: list[Any] = []
         self._latches: dict[Topic, Any] = {}  # of streams whose last state is kept
         self._checks: dict[str, Callable[[Any], None]] = {}
-        self._given: dict[str, Any] = {}
-        for given in self.list_parameters([], 0).names:
-            if given.split(".")[0] not in _COMMON_PARAMETERS:
-                self._given[given] = self.get_parameter(given).value
-                self.undeclare_parameter(given)
+        # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
+        self._given = {
+            given: parameter.value
+            for given, parameter in self._parameter_overrides.items()
+            if given.split(".")[0] not in _COMMON_PARAMETERS
+        }
         self.add_on_set_parameters_callback(self._check_parameters)
 
     def work(self) -> int:
@@ -151,8 +158,8 @@ class BenchNode(Node):
         Parameters
         ----------
         name, default, description
-            The description says the unit.  A default that is a type, as ``list``, means a
-            list of texts that is empty unless given.
+            The description says the unit.  A default that is a type: ``list`` for texts, none
+            unless given, ``float`` for a number, None unless given.  [] is refused.
         low, high
             Bounds of a number, both or neither.
         read_only
@@ -169,7 +176,7 @@ class BenchNode(Node):
             One line that says what is allowed.
         """
         descriptor = ParameterDescriptor(description=description, read_only=read_only)
-        allowed = allowed or ("a list of texts" if default is list else _kind(default))
+        allowed = allowed or _kind(default)
         if low is not None and high is not None:
             if isinstance(default, float):
                 span = FloatingPointRange(from_value=float(low), to_value=float(high))
@@ -179,38 +186,36 @@ class BenchNode(Node):
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
         descriptor.additional_constraints = allowed
-        given = self.take_given(name, default)
-        value: Any
+        given = self._given.pop(name, default)
+        wrong = given is None or (isinstance(given, list) and not all(given))  # rclpy: [] is None
+        value: Any = None
         try:
-            if default is list:
+            if isinstance(default, type):
                 # an empty list has no type in ROS: declared by type, and unset when empty
-                self.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor)
-                value = list(self.get_parameter_or(name).value or ())
-                if given is None or (given is not list and not all(given)):
-                    value = None
+                self.declare_parameter(name, _TYPES[default], descriptor)
+                value = self.get_parameter_or(name).value
+                if default is list:
+                    value = list(value or ())
             else:
                 value = self.declare_parameter(name, default, descriptor).value
-        except (InvalidParameterTypeException, InvalidParameterValueException, ValueError):
-            value = None  # ValueError: a list given as [] has no type
-        if value is None:
-            shown = "[]" if given is None else repr(given)  # ROS has no empty list
+        except (InvalidParameterTypeException, InvalidParameterValueException):
+            wrong = True
+        if wrong:
+            shown = "[]" if given is None else repr(given)
             raise ParameterError(
                 f"parameter {name} = {shown}: allowed is {allowed} ({description})"
             )
         if check is not None:
-            check(value)
+            if value is not None:
+                check(value)
             self._checks[name] = check
         return value
-
-    def take_given(self, name: str, default: Any = None) -> Any:
-        """Return the value that a parameter is given at the start, once it is known here."""
-        return self._given.pop(name, default)
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             check = self._checks.get(parameter.name)
             try:
-                if check is not None:
+                if check is not None and parameter.value is not None:
                     check(parameter.value)
             except CaptureSimError as error:
                 return SetParametersResult(successful=False, reason=str(error))
@@ -374,8 +379,14 @@ def acknowledged(publisher: Any, limit: float) -> bool:
 
 
 def _kind(default: object) -> str:
-    kinds = {float: "a number, with a decimal point", int: "a whole number", bool: "true or false"}
-    return kinds.get(type(default), "a list of texts" if isinstance(default, list) else "a text")
+    kinds = {
+        float: "a number, with a decimal point",
+        int: "a whole number",
+        bool: "true or false",
+        list: "a list of texts, one at least, none of them empty",
+        str: "a text",
+    }
+    return kinds[default if isinstance(default, type) else type(default)]
 
 
 class _Spinner:
@@ -485,7 +496,8 @@ def run(
         return status
     except CaptureSimError as error:
         return _refuse(str(error))
-    except RuntimeError as error:  # rclpy's RCLError: arguments that it cannot parse
+    # arguments that rclpy cannot parse (RCLError), parameters of every node, names
+    except (RuntimeError, ParameterException, NameValidationException) as error:
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
         leave_if_busy(OK)

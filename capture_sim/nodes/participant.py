@@ -50,7 +50,14 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import FAILED, OK, BenchNode, MessageError, message_class
+from capture_sim.nodes.node import (
+    FAILED,
+    OK,
+    BenchNode,
+    MessageError,
+    ParameterError,
+    message_class,
+)
 from capture_sim.scene.parts import Scene
 from capture_sim.srv import BeginTrial
 
@@ -150,6 +157,16 @@ class Participant(BenchNode):
         return not self.missing()
 
     # what a subclass calls
+
+    def declare_scene(self, description: str) -> Scene | None:
+        """Declare ``scene`` and ``overrides`` of a bench; return the scene if one is given."""
+        name = self.declare("scene", "", f"{description}; name in config/scenes, or file")
+        overrides = self.declare("overrides", list, "changes of that scene (SI)")
+        if overrides and not name:
+            raise ParameterError(
+                f"parameter overrides = {overrides!r}: allowed are none without a scene"
+            )
+        return load_scene(name, overrides) if name else None
 
     @property
     def simulated(self) -> bool:
