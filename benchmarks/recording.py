@@ -118,7 +118,7 @@ def measure_live(folder: Path, seconds: float) -> str:
     out = folder / "live"
     followers = ["launcher", "capture_detector", "recorder"]
     of_node: dict[str, dict[str, object]] = {name: {} for name in ("simulator", *followers)}
-    of_node["simulator"] = {"scenes": [str(scene)], "consumers": followers, "pace": 1.0}
+    of_node["simulator"] = {"scenes": [str(scene)], "consumers": followers, "rtf": 1.0}
     of_node["recorder"] = {"out": str(out)}
     parameters = folder / "parameters.yaml"
     parameters.write_text(

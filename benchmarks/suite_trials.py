@@ -78,7 +78,7 @@ class Paced:
         folder.mkdir()
         overrides = str([*LONG, f"run.t_end={seconds}"])
         with processes(folder) as start:
-            nodes = start_all(start, folder / "out", pace=1.0, overrides=overrides)
+            nodes = start_all(start, folder / "out", rtf=1.0, overrides=overrides)
             nodes["simulator"].wait_for("released")
             command = [sys.executable, "-c", BARE, str(int(1000 * seconds))]
             bare = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -180,7 +180,7 @@ class SameBits:
                 out = folder / str(i)
                 nodes = {}
                 for name in order:
-                    given = {"simulator": {"pace": pace, "scenes": "[tilt_p10]"}}
+                    given = {"simulator": {"rtf": pace, "scenes": "[tilt_p10]"}}
                     given["recorder"] = {"out": out}
                     nodes[name] = start(name, **given.get(name, {}))
                     time.sleep(rng.uniform(0.0, 1.5))
@@ -333,7 +333,7 @@ class Latency:
             sender = Latency.SENDER.format(cls="SimulatorNode", path=paths["simulator"])
             taker = Latency.SENDER.format(cls="CaptureDetectorNode", path=paths["detector"])
             nodes = [
-                start("simulator", sender, pace=1.0, overrides=overrides),
+                start("simulator", sender, rtf=1.0, overrides=overrides),
                 start("capture_detector", taker),
                 start("launcher"),
                 start("recorder", out=folder / "out"),
@@ -425,7 +425,7 @@ class _LastingBench:
         self._start = start
         self._out = out
         self._parameters = {
-            "simulator": {"initial_state": "stopped", "pace": 2.0, "consumer_timeout": 1.0},
+            "simulator": {"initial_state": "stopped", "rtf": 2.0, "consumer_timeout": 1.0},
             "recorder": {"out": out, "drain_timeout": 1.0},
         }
         self.nodes = {name: self._new(name) for name in NODES}

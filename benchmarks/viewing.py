@@ -120,7 +120,7 @@ def suite(folder, seconds, rate):
         "from capture_sim.nodes.supervisor import run_suite\n"
         f"scene = load_scene('tilt_p10', ['run.rate={rate}', 'run.t_end={seconds}', "
         "'run.after_latch=null'])\n"
-        f"status = run_suite([scene], Path({str(folder)!r}), record=False, pace=1.0)\n"
+        f"status = run_suite([scene], Path({str(folder)!r}), record=False, rtf=1.0)\n"
         "used = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
         "print('USED', used.ru_utime + used.ru_stime)\n"
         "sys.exit(status)\n"

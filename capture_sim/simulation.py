@@ -335,7 +335,7 @@ def _compare(coarse: Result, fine: Result) -> Check:
     """Return how far two runs of one scene agree, at the times that both have."""
     n = min(coarse.t.size, fine.t.size)
     difference = np.abs(coarse.q[:n] - fine.q[:n])
-    arm = coarse.scene.buffer.a + coarse.scene.rest_length
+    arm = coarse.scene.buffer.hinge_offset + coarse.scene.rest_length
     at_target = coarse.scene.cone.L_T + coarse.scene.cone.R_c
     difference *= np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])
     worst = np.maximum.accumulate(difference.max(axis=1, initial=0.0))

@@ -135,10 +135,10 @@ def checked(argument):
         refuse("scene", argument("scene"), "nothing but with simulator:=false")
     if argument("rtf"):
         try:
-            found["pace"] = float(argument("rtf"))
+            found["rtf"] = float(argument("rtf"))
         except ValueError:
-            found["pace"] = -1.0
-        if not 0.0 <= found["pace"] <= FASTEST:
+            found["rtf"] = -1.0
+        if not 0.0 <= found["rtf"] <= FASTEST:
             refuse("rtf", argument("rtf"), f"a number from 0 to {FASTEST:g}, 1")
     if argument("state"):
         if argument("state") not in STATES:

@@ -1,4 +1,4 @@
-"""Play a recording: ros2 launch capture_sim replay.launch.py bag:=runs/tilt_0.mcap rate:=2.0."""
+"""Play a recording: ros2 launch capture_sim replay.launch.py bag:=runs/tilt_0.mcap rtf:=2.0."""
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
@@ -15,10 +15,11 @@ def generate_launch_description():
         [
             DeclareLaunchArgument("bag", description="an .mcap file, or a bag's folder"),
             DeclareLaunchArgument(
-                "rate",
+                "rtf",
                 default_value="1.0",
-                description="recorded seconds per second; 0 as fast as it goes",
+                description="real-time factor: recorded seconds per second; 0 as fast as it goes",
             ),
+            DeclareLaunchArgument("rate", default_value="", description="earlier name of rtf"),
             DeclareLaunchArgument(
                 "start", default_value="0.0", description="begin so many seconds later"
             ),
@@ -41,9 +42,13 @@ def nodes(context):
     def argument(name):
         return LaunchConfiguration(name).perform(context)
 
+    factor = "rtf"
+    if argument("rate"):
+        print("argument rate is now called rtf")
+        factor = "rate"
     parameters = {
         "bag": argument("bag"),
-        "rate": number("rate", argument("rate"), FASTEST),
+        "rtf": number(factor, argument(factor), FASTEST),
         "start": number("start", argument("start")),
         "loop": argument("loop") == "true",
         "paused": argument("paused") == "true",

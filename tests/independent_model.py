@@ -39,7 +39,7 @@ def positions(scene: Scene, q: np.ndarray) -> np.ndarray:
     rod = p.density * np.pi * p.radius**2 * p.length
     ball = p.density * 4 / 3 * np.pi * p.tip_radius**3
     behind = rod * (p.tip_radius + p.length / 2) / (rod + ball)
-    hinge = q[0:2] + scene.buffer.a * np.array([np.cos(q[2]), np.sin(q[2])])
+    hinge = q[0:2] + scene.buffer.hinge_offset * np.array([np.cos(q[2]), np.sin(q[2])])
     e = np.array([np.cos(q[3]), np.sin(q[3])])
     cylinder = hinge - scene.cylinder.length / 2 * e
     probe = hinge + (q[4] - behind) * e
@@ -57,8 +57,8 @@ def tip(scene: Scene, q: np.ndarray) -> np.ndarray:
     """Position of the tip's centre, (2,), eq. (11)."""
     return np.array(
         [
-            q[0] + scene.buffer.a * np.cos(q[2]) + q[4] * np.cos(q[3]),
-            q[1] + scene.buffer.a * np.sin(q[2]) + q[4] * np.sin(q[3]),
+            q[0] + scene.buffer.hinge_offset * np.cos(q[2]) + q[4] * np.cos(q[3]),
+            q[1] + scene.buffer.hinge_offset * np.sin(q[2]) + q[4] * np.sin(q[3]),
         ]
     )
 

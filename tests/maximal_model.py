@@ -101,7 +101,7 @@ def constants(scene: Scene) -> Constants:
         ahead = (m_C * (b.a - L_C / 2.0) + m_P * (b.a + h_0 - behind)) / total
         balls[0] = ball_limits(scene.supports.chaser, total * scene.gravity, ahead)
         balls[1] = ball_limits(scene.supports.target, scene.target.mass * scene.gravity, 0.0)
-        v_eps_ball = scene.supports.v_eps
+        v_eps_ball = scene.supports.rolling_regularization_speed
     sigma = sum((1.0 - m.nu**2) / m.E for m in (scene.contact.tip, scene.contact.wall))
     return Constants(
         inverse_mass=1.0 / np.array(masses),
@@ -116,13 +116,15 @@ def constants(scene: Scene) -> Constants:
         c_T=b.c_T,
         R_t=p.tip_radius,
         inner=np.column_stack([np.full(2, -cone.L_T), sides * cone.R_c]),
-        along=np.column_stack([np.full(2, -math.cos(cone.beta)), sides * math.sin(cone.beta)]),
+        along=np.column_stack(
+            [np.full(2, -math.cos(cone.half_angle)), sides * math.sin(cone.half_angle)]
+        ),
         L_c=cone.L_c,
         K=4.0 * math.sqrt(p.tip_radius) / (3.0 * sigma),
         damping=0.75 * (1.0 - scene.contact.restitution**2),
-        v_0_floor=scene.contact.v_0_floor,
+        v_0_floor=scene.contact.min_approach_speed,
         mu=scene.friction.mu,
-        v_eps=scene.friction.v_eps,
+        v_eps=scene.friction.slip_regularization_speed,
         balls=balls,
         v_eps_ball=v_eps_ball,
     )

@@ -25,7 +25,7 @@ RTOLS = (1e-6, 1e-8, 1e-10)
 
 def arms(scene: Scene) -> np.ndarray:
     """Metres per unit of each coordinate."""
-    front = scene.buffer.a + scene.rest_length
+    front = scene.buffer.hinge_offset + scene.rest_length
     return np.array([1.0, 1.0, front, front, 1.0, 1.0, 1.0, scene.cone.L_T + scene.cone.R_c])
 
 

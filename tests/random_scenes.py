@@ -50,7 +50,7 @@ def random_scene(rng: np.random.Generator, with_supports: bool, base: Scene | No
             ),
         )
     buffer = Buffer(
-        a=base.buffer.a,
+        hinge_offset=base.buffer.hinge_offset,
         k_A=log_uniform(rng, 100.0, 3000.0),
         c_A=float(rng.uniform(0.0, 30.0)),
         k_T=log_uniform(rng, 50.0, 2000.0),
@@ -104,7 +104,7 @@ def wide_scene(rng: np.random.Generator) -> Scene:
         paper,
         chaser=vehicles[0],
         target=vehicles[1],
-        cone=replace(paper.cone, beta=float(rng.uniform(0.5, 1.1))),
+        cone=replace(paper.cone, half_angle=float(rng.uniform(0.5, 1.1))),
         contact=replace(
             paper.contact,
             law=str(rng.choice(CONTACT_LAWS)),

@@ -24,10 +24,15 @@ def head_on(e=1.0, law="lankarani_nikravesh", speed=0.1, rtol=1e-10):
     scene = load_scene("paper_designed")
     cone = scene.cone
     lip = np.array(
-        [-cone.L_T - cone.L_c * math.cos(cone.beta), cone.R_c + cone.L_c * math.sin(cone.beta)]
+        [
+            -cone.L_T - cone.L_c * math.cos(cone.half_angle),
+            cone.R_c + cone.L_c * math.sin(cone.half_angle),
+        ]
     )
     theta = math.pi - math.atan2(lip[1], lip[0])
-    ahead = scene.buffer.a + scene.rest_length + scene.probe.tip_radius + math.hypot(*lip)
+    ahead = (
+        scene.buffer.hinge_offset + scene.rest_length + scene.probe.tip_radius + math.hypot(*lip)
+    )
     return load_scene(
         "paper_designed",
         [

@@ -143,39 +143,41 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
             assert field.metadata["doc"] in descriptor.description
             allowed = f"{field.metadata['allowed']} {field.metadata['unit']}"
             assert descriptor.additional_constraints.endswith(f"decimal point, {allowed}")
-        (refused,) = call(SetParameters, "set_parameters", setting("radius", 0.0)).results
+        (refused,) = call(SetParameters, "set_parameters", setting("capture_radius", 0.0)).results
         assert not refused.successful
-        assert refused.reason == "parameter radius = 0.0 m: allowed is > 0 and <= 1"
+        assert refused.reason == "parameter capture_radius = 0.0 m: allowed is > 0 and <= 1"
         (taken,) = call(SetParameters, "set_parameters", setting("leave", 0.03)).results
         assert taken.successful
         nodes.append(
-            start("simulator", pace=1.0, consumers="[launcher, capture_detector, recorder]")
+            start("simulator", rtf=1.0, consumers="[launcher, capture_detector, recorder]")
         )
         wait_for(nodes[-1], "released")
-        (refused,) = call(SetParameters, "set_parameters", setting("dwell", -1.0)).results
+        (refused,) = call(SetParameters, "set_parameters", setting("min_dwell", -1.0)).results
         assert not refused.successful
-        assert refused.reason == "parameter dwell = -1.0 s: allowed is >= 0"
+        assert refused.reason == "parameter min_dwell = -1.0 s: allowed is >= 0"
         # right, but of no effect on the run that is on
-        (taken,) = call(SetParameters, "set_parameters", setting("radius", 1e-6)).results
+        (taken,) = call(SetParameters, "set_parameters", setting("capture_radius", 1e-6)).results
         assert taken.successful
     assert [node.wait(60.0) for node in nodes] == [0, 0, 0, 0]
     said = nodes[0].log.read_text()
-    assert "judged by dwell = 0.3 s, leave = 0.03 m; else by the scene" in said
+    assert "parameter dwell is now called min_dwell" in said
+    assert "parameter leave is now called min_retreat" in said
+    assert "judged by min_dwell = 0.3 s, min_retreat = 0.03 m; else by the scene" in said
     assert "captured, within 5 mm of BE for 0.3 s" in said
     path = tmp_path / "tilt_0.mcap"
     run = read_run(path)
     assert run.problems == ()
-    assert run.criteria == replace(run.scene.detector, dwell=0.3, leave=0.03)
+    assert run.criteria == replace(run.scene.detector, min_dwell=0.3, min_retreat=0.03)
     assert detect_again(run) == list(run.statuses)
     assert main(["detect", str(path)]) == 0
     said = capsys.readouterr().out
-    assert "recorded limit: dwell = 0.3 s (the scene's: 0.2 s)" in said
+    assert "recorded limit: min_dwell = 0.3 s (the scene's: 0.2 s)" in said
     assert "; the same" in said
     # a change stands over what was recorded, and over nothing else
-    assert main(["detect", str(path), "--set", "detector.dwell=0.2"]) == 0
+    assert main(["detect", str(path), "--set", "detector.min_dwell=0.2"]) == 0
     said = capsys.readouterr().out
     assert "within 5 mm of BE for 0.2 s" in said
-    assert "recorded limit: leave = 0.03 m" in said
+    assert "recorded limit: min_retreat = 0.03 m" in said
     # an older recording does not tell them
     older = LiveRecorder(tmp_path / "older")
     for topic in (*topics_of(SIMULATOR), *topics_of(CAPTURE_DETECTOR)):
@@ -227,7 +229,7 @@ def test_live_offline_and_the_bag_agree_on_sensed_poses(tmp_path, capsys):
     assert f"{since:10.3f} s  captured  within 5 mm of BE for 0.2 s, told at {told:.3f} s" in said
     assert f"verdict: captured since {since:.3f} s" in said
     assert f"recorded: captured since {since:.3f} s" in said
-    assert main(["detect", path, "--set", "detector.radius=1e-4"]) == 0
+    assert main(["detect", path, "--set", "detector.capture_radius=1e-4"]) == 0
     assert "verdict: captured" not in capsys.readouterr().out
 
 

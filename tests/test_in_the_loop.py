@@ -252,7 +252,7 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
     """A soft plate works; slowed down, so that a busy machine does not decide."""
     rig = start("contact_rig", lag=2)
     report = tmp_path / "report.json"
-    loop = start("loop_simulator", report=report, pace=0.2, timeout=1.0, mass=plate_mass(plate))
+    loop = start("loop_simulator", report=report, rtf=0.2, timeout=1.0, mass=plate_mass(plate))
     assert loop.wait(60.0) == 0, loop.log.read_text()
     rig.send_signal(signal.SIGINT)
     assert rig.wait(10.0) == 0
@@ -274,7 +274,7 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
 
 def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     rig = start("contact_rig")
-    loop = start("loop_simulator", overrides="[run.t_end=30]", pace=0.5)
+    loop = start("loop_simulator", overrides="[run.t_end=30]", rtf=0.5)
     deadline = time.monotonic() + 30.0
     while "waiting for the first wrench" not in loop.log.read_text():
         assert time.monotonic() < deadline
@@ -287,6 +287,6 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     assert "Traceback" not in said
     stiffness = load_scene("paper_designed").contact_stiffness
     start("contact_rig", scene="paper_designed", stiffness=stiffness, exponent=1.5)
-    loop = start("loop_simulator", scene="paper_designed", pace=0.2, timeout=1.0)
+    loop = start("loop_simulator", scene="paper_designed", rtf=0.2, timeout=1.0)
     assert loop.wait(60.0) == 1
     assert "N came: allowed is <= 500" in loop.log.read_text()

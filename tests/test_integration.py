@@ -141,12 +141,12 @@ def test_first_touches_agree_with_scipy_touch_by_touch():
 
     def gap(t, y):
         # distance of the tip's centre to the -y wall as a segment, from its two ends
-        tip = y[0:2] + scene.buffer.a * np.array([math.cos(y[2]), math.sin(y[2])])
+        tip = y[0:2] + scene.buffer.hinge_offset * np.array([math.cos(y[2]), math.sin(y[2])])
         tip = tip + y[4] * np.array([math.cos(y[3]), math.sin(y[3])])
         c, s = math.cos(y[7]), math.sin(y[7])
         turn = np.array([[c, -s], [s, c]])
         inner = y[5:7] + turn @ [-cone.L_T, -cone.R_c]
-        along = turn @ [-math.cos(cone.beta), -math.sin(cone.beta)]
+        along = turn @ [-math.cos(cone.half_angle), -math.sin(cone.half_angle)]
         x = min(max((tip - inner) @ along, 0.0), cone.L_c)
         return float(np.hypot(*(tip - inner - x * along)) - R)
 

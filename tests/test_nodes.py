@@ -28,7 +28,7 @@ from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
 NAMES = ("tilt_0", "tilt_p10")
-AWAITED = {"pace": "0.0", "consumers": "[launcher, capture_detector, recorder]"}
+AWAITED = {"rtf": "0.0", "consumers": "[launcher, capture_detector, recorder]"}
 # These carry the run's id, or what was computed from odometry instead of the state.
 OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/stream_counts"}
 JUDGED = {"capture/status"}
@@ -172,7 +172,7 @@ def test_second_suite_in_a_domain_is_refused_in_a_line(scenes, tmp_path):
 
 
 def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
-    first = start("simulator", pace="0.1")
+    first = start("simulator", rtf="0.1")
     first.wait_for("released")
     second = start("simulator")
     assert second.status(60.0) == 1
@@ -279,7 +279,7 @@ def test_dropped_messages_are_named(start_all):
 
 
 def test_killed_simulator_leaves_a_readable_file_and_ends_the_others(start_all, tmp_path):
-    nodes = start_all(pace=2.0)
+    nodes = start_all(rtf=2.0)
     nodes["simulator"].wait_for("released")
     time.sleep(1.5)
     nodes["simulator"].process.kill()
@@ -297,7 +297,7 @@ def test_killed_simulator_leaves_a_readable_file_and_ends_the_others(start_all, 
 
 @pytest.mark.parametrize("victim", ["capture_detector", "recorder"])
 def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
-    nodes = start_all(pace=0.5)
+    nodes = start_all(rtf=0.5)
     nodes["simulator"].wait_for("released")
     nodes["recorder"].wait_for("recording in")
     time.sleep(0.5)
@@ -344,13 +344,13 @@ def test_slow_reader_loses_nothing(start):
         node.LauncherNode._take = late
     """
     launcher = start("launcher", slow)
-    simulator = start("simulator", pace="0.0", consumers="[launcher]")
+    simulator = start("simulator", rtf="0.0", consumers="[launcher]")
     assert [launcher.status(), simulator.status()] == [0, 0], launcher.text
 
 
 def test_chaser_is_held_until_the_release_is_given(start, tmp_path):
     nodes = [
-        start("simulator", pace="0.0", consumers="[launcher, capture_detector]"),
+        start("simulator", rtf="0.0", consumers="[launcher, capture_detector]"),
         start("launcher", auto_release="false"),
         start("capture_detector"),
     ]
@@ -371,7 +371,7 @@ def test_launcher_aborts_a_launch_that_goes_wrong(start):
         node.SimulatorNode._commanded_plan = wrong
     """
     with Client() as client:
-        simulator = start("simulator", heavier, consumers="[launcher]", pace="2.0")
+        simulator = start("simulator", heavier, consumers="[launcher]", rtf="2.0")
         launcher = start("launcher", actuator="output", auto_release="false")
         holds = []
         kind = message_class("std_msgs/msg/Bool")
@@ -453,7 +453,7 @@ def interrupted_suite(tmp_path, wait):
         from capture_sim import load_scene
         from capture_sim.nodes.supervisor import run_suite
         try:
-            run_suite([load_scene("tilt_0")], Path(sys.argv[1]), pace=1.0)
+            run_suite([load_scene("tilt_0")], Path(sys.argv[1]), rtf=1.0)
         except KeyboardInterrupt:
             sys.exit(130)
     """

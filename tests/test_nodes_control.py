@@ -43,7 +43,7 @@ def simulation(nodes):
 @pytest.fixture
 def stopped(simulation):
     simulation.set(State.STOPPED)
-    simulation.client.set("simulator", pace=0.0)
+    simulation.client.set("simulator", rtf=0.0)
     simulation.client.set("launcher", auto_release=True)
     simulation.settle()
     simulation.states.clear()
@@ -108,7 +108,7 @@ def test_step_needs_a_paused_simulation(stopped):
     code, text = stopped.step()
     assert code == Code.OPERATION_FAILED
     assert "stopped" in text
-    stopped.client.set("simulator", pace=0.1)
+    stopped.client.set("simulator", rtf=0.1)
     stopped.set(State.PLAYING)
     code, text = stopped.step()
     assert code == Code.OPERATION_FAILED
@@ -148,7 +148,7 @@ def test_step_without_release_says_so(stopped):
 
 
 def test_pause_holds_and_play_goes_on_without_a_gap(stopped):
-    stopped.client.set("simulator", pace=1.0)
+    stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: len(stopped.states) > 50)
     assert stopped.set(State.PAUSED) == (Code.OK, "")
@@ -190,7 +190,7 @@ def test_reset_of_a_part_is_refused(paused, scope):
 
 
 def test_reset_while_playing_plays_on(stopped):
-    stopped.client.set("simulator", pace=1.0)
+    stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: len(stopped.states) > 20)
     assert stopped.reset() == (Code.OK, "")
@@ -247,8 +247,8 @@ REFUSED = {
         {"overrides": ["buffer.c_A=-1"]},
         r"N s/m: allowed is >= 0",
     ),
-    "pace out of range": ("simulator", {"pace": 1e4}, r"Max: 1000"),
-    "pace of another type": ("simulator", {"pace": "fast"}, r"[Tt]ype"),
+    "rtf out of range": ("simulator", {"rtf": 1e4}, r"Max: 1000"),
+    "rtf of another type": ("simulator", {"rtf": "fast"}, r"[Tt]ype"),
     "fixed": ("simulator", {"start_timeout": 50.0}, "read-only"),
     "tolerance out of range": ("launcher", {"speed_tolerance": 0.0}, "Min: 0.01"),
     "fixed actuator": ("launcher", {"actuator": "output"}, "read-only"),
@@ -310,7 +310,7 @@ def test_launch_without_a_run_is_refused(stopped):
 
 def test_abort_ends_the_run_and_stays(stopped):
     commands, states = (stopped.client.listen(t) for t in (LAUNCH_COMMAND, LAUNCHER_STATE))
-    stopped.client.set("simulator", pace=1.0)
+    stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: len(stopped.states) > 20)
     assert stopped.client.ask(Trigger, "/launcher/abort").success
@@ -324,7 +324,7 @@ def test_diagnostics_say_how_it_goes(stopped):
     found = []
     kind = message_class("diagnostic_msgs/msg/DiagnosticArray")
     stopped.client.node.create_subscription(kind, "/diagnostics", found.append, 10)
-    stopped.client.set("simulator", pace=1.0)
+    stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: stopped.state is State.STOPPED)
 

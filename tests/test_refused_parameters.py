@@ -28,7 +28,7 @@ COMMON = ("use_sim_time", "start_type_description_service", "qos_overrides")
 # what may be changed while a node runs, with values that may not: all others are read-only
 WRONG = {
     "simulator": {
-        "pace": [-0.5, 1001.0, float("nan"), "fast", 2],
+        "rtf": [-0.5, 1001.0, float("nan"), "fast", 2],
         "scenes": [["tilt_1"], ["tilt_0", "tilt_0"], ["tilt_p10"], "tilt_p10"],
         "overrides": [["buffer.c_A=-1"], ["buffer.c_B=1"], ["buffer.c_A=13"], 3.0],
     },
@@ -44,8 +44,8 @@ WRONG = {
 }
 # name of the case: node, its parameters or remappings, words of the refusal
 AT_THE_START = {
-    "pace out of range": ("simulator", {"pace": "-1.0"}, ["pace = -1.0", "0 to 1000"]),
-    "pace without point": ("simulator", {"pace": "1"}, ["pace = 1", "decimal point"]),
+    "rtf out of range": ("simulator", {"rtf": "-1.0"}, ["rtf = -1.0", "0 to 1000"]),
+    "rtf without point": ("simulator", {"rtf": "1"}, ["rtf = 1", "decimal point"]),
     "no such role": ("simulator", {"consumers": "[nobody]"}, ["consumers", "capture_detector"]),
     "empty role": ("simulator", {"consumers": "['']"}, ["consumers = ['']", "allowed"]),
     "no consumer": ("simulator", {"consumers": "[]"}, ["consumers = []", "allowed"]),
@@ -54,18 +54,30 @@ AT_THE_START = {
     "topics are numbers": ("recorder", {"topics": "[3]"}, ["topics = [3]", "texts"]),
     "no folder": ("recorder", {"out": "[]"}, ["out = []", "a text"]),
     "no topics to play": ("player", {"bag": "x", "topics": "[]"}, ["topics = []", "one at least"]),
-    "no radius": ("capture_detector", {"radius": "[]"}, ["radius = []", "> 0 and <= 1 m"]),
-    "radius is a text": ("capture_detector", {"radius": "big"}, ["radius = 'big'", "a number"]),
+    "no radius": (
+        "capture_detector",
+        {"capture_radius": "[]"},
+        ["capture_radius = []", "> 0 and <= 1 m"],
+    ),
+    "radius is a text": (
+        "capture_detector",
+        {"capture_radius": "big"},
+        ["capture_radius = 'big'", "a number"],
+    ),
     "radius below 0": (
         "capture_detector",
-        {"radius": "-0.001"},
-        ["parameter radius = -0.001 m: allowed is > 0 and <= 1"],
+        {"capture_radius": "-0.001"},
+        ["parameter capture_radius = -0.001 m: allowed is > 0 and <= 1"],
     ),
-    "dwell without point": ("capture_detector", {"dwell": "1"}, ["dwell = 1", "point, >= 0 s"]),
+    "dwell without point": (
+        "capture_detector",
+        {"min_dwell": "1"},
+        ["min_dwell = 1", "point, >= 0 s"],
+    ),
     "speed is NaN": (
         "capture_detector",
-        {"still_speed": ".nan"},
-        ["parameter still_speed = nan m/s: allowed is finite and > 0"],
+        {"max_still_speed": ".nan"},
+        ["parameter max_still_speed = nan m/s: allowed is finite and > 0"],
     ),
     "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
     "no override of a scene": ("launcher", {"scene": "tilt_0", "overrides": "[x]"}, ["x", "="]),
@@ -108,7 +120,7 @@ def bench(tmp_path_factory):
             "capture_detector": start("capture_detector"),
             "launcher": start("launcher"),
             "simulator": start(
-                "simulator", pace=0.001, consumers="[recorder, capture_detector, launcher]"
+                "simulator", rtf=0.001, consumers="[recorder, capture_detector, launcher]"
             ),
         }
         nodes["simulator"].wait_for("released")
@@ -167,9 +179,9 @@ def test_reasons_say_what_is_wrong(bench):
     _, client, _ = bench
     for node, name, value, words in (
         ("simulator", "scenes", ["tilt_p10"], "stopped; it is playing"),
-        ("simulator", "pace", 1001.0, "1000"),
+        ("simulator", "rtf", 1001.0, "1000"),
         ("launcher", "speed_tolerance", 0.0, "0.01"),
-        ("capture_detector", "dwell", -1.0, "dwell = -1.0 s: allowed is >= 0"),
+        ("capture_detector", "min_dwell", -1.0, "min_dwell = -1.0 s: allowed is >= 0"),
         ("recorder", "out", "elsewhere", "read-only"),
         ("recorder", "split_time", 1.0, "read-only"),
         ("recorder", "paused", True, "read-only"),
@@ -179,7 +191,7 @@ def test_reasons_say_what_is_wrong(bench):
 
 def test_run_notices_nothing_of_the_refusals(bench):
     nodes, client, path = bench
-    assert client.set("simulator", pace=0.0) == (True, "")
+    assert client.set("simulator", rtf=0.0) == (True, "")
     assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(NODES, 0)
     run = read_run(path)
     assert run.complete

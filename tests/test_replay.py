@@ -276,7 +276,7 @@ def test_nothing_played_is_a_failure(bench_bag, play):
     pytest.importorskip("rclpy", reason="needs ROS")
     # looped, it would play nothing for ever
     for loop in (False, True):
-        node = play(bag=str(bench_bag), topics=["/target/odom"], rate=0.0, delay=0.0, loop=loop)
+        node = play(bag=str(bench_bag), topics=["/target/odom"], rtf=0.0, delay=0.0, loop=loop)
         said, _ = node.communicate(timeout=30)
         assert node.returncode == 1, said
         assert "nothing was played" in said
@@ -297,7 +297,7 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
 
 def test_pause_step_and_latched_topics(path, play, listen):
     pytest.importorskip("rclpy", reason="needs ROS")
-    play(bag=str(path), paused=True, rate=0.0, delay=0.5)
+    play(bag=str(path), paused=True, rtf=0.0, delay=0.5)
     answer = listen(
         """
 listen("/bench/state", "capture_sim/msg/BenchState")
@@ -328,7 +328,7 @@ answer["more"] = spin(lambda: len(got["/bench/state"]) > 1000)
 def test_services_of_simulation_interfaces(path, play, listen):
     pytest.importorskip("rclpy", reason="needs ROS")
     # at real time: an unpaced one is through before it can be asked again
-    play(bag=str(path), paused=True, rate=1.0, delay=0.5)
+    play(bag=str(path), paused=True, rtf=1.0, delay=0.5)
     answer = listen(
         """
 from importlib import import_module
@@ -406,7 +406,7 @@ spin(lambda: len(got["/hello"]) >= 20)
 answer = {"hello": [m.hex() for m in got["/hello"]], "clocks": len(got["/clock"])}
 """
     )
-    process = play(bag=str(folder), rate=2.0, paused=True)
+    process = play(bag=str(folder), rtf=2.0, paused=True)
     answer = hear()
     assert process.wait(30) == 0
     assert "/strange: type foo_msgs/msg/Bar is not installed" in process.stdout.read()
@@ -420,7 +420,7 @@ answer = {"hello": [m.hex() for m in got["/hello"]], "clocks": len(got["/clock"]
     [
         ({}, "parameter bag"),
         ({"bag": "/nowhere.mcap"}, "/nowhere.mcap: cannot read"),
-        ({"rate": -1.0}, "parameter rate"),
+        ({"rtf": -1.0}, "parameter rtf"),
         ({"start": 100.0}, "parameter start = 100 s: allowed is 0 to 6.0"),
         ({"topics": ["/no/such"]}, "/no/such not in the recording"),
     ],

@@ -79,7 +79,7 @@ def build(
     _add_bodies(scene, plant, stiffness, dissipation)
     plant.set_contact_model(multibody.ContactModel.kPoint)
     plant.Finalize()
-    plant.set_stiction_tolerance(scene.friction.v_eps)
+    plant.set_stiction_tolerance(scene.friction.slip_regularization_speed)
     simulator = analysis.Simulator(builder.Build())
     analysis.ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
     integrator = simulator.get_mutable_integrator()
@@ -155,14 +155,16 @@ def _add_bodies(scene: Scene, plant: Any, stiffness: float, dissipation: float) 
         tip, math_.RigidTransform(), geometry.Sphere(probe.tip_radius), "tip", soft
     )
     for name, side in (("plus", 1.0), ("minus", -1.0)):
-        middle_x = -cone.L_T - 0.5 * cone.L_c * math.cos(cone.beta)
-        middle_y = side * (cone.R_c + 0.5 * cone.L_c * math.sin(cone.beta))
+        middle_x = -cone.L_T - 0.5 * cone.L_c * math.cos(cone.half_angle)
+        middle_y = side * (cone.R_c + 0.5 * cone.L_c * math.sin(cone.half_angle))
         place = [
-            middle_x + _THICKNESS * math.sin(cone.beta),
-            middle_y + side * _THICKNESS * math.cos(cone.beta),
+            middle_x + _THICKNESS * math.sin(cone.half_angle),
+            middle_y + side * _THICKNESS * math.cos(cone.half_angle),
             0.0,
         ]
-        turned = math_.RigidTransform(math_.RotationMatrix.MakeZRotation(-side * cone.beta), place)
+        turned = math_.RigidTransform(
+            math_.RotationMatrix.MakeZRotation(-side * cone.half_angle), place
+        )
         box = geometry.Box(cone.L_c, 2.0 * _THICKNESS, 0.2)
         plant.RegisterCollisionGeometry(target, turned, box, name, hard)
 

@@ -148,8 +148,8 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
     walls = system.AddMarker(items.MarkerBodyRigid(bodyNumber=target, localPosition=[0.0] * 3))
     for side in (1.0, -1.0):
         x, y = -cone.L_T, side * cone.R_c  # the wall's inner end, in the target's frame
-        lip_x = x - cone.L_c * math.cos(cone.beta)
-        lip = [lip_x, y + side * cone.L_c * math.sin(cone.beta), 0.0]
+        lip_x = x - cone.L_c * math.cos(cone.half_angle)
+        lip = [lip_x, y + side * cone.L_c * math.sin(cone.half_angle), 0.0]
         data = items.NodeGenericData(
             initialCoordinates=[0.1, 0.0, 0.0, 0.0], numberOfDataCoordinates=4
         )
@@ -161,12 +161,12 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
                 trianglePoints=exu.Vector3DList([[x, y, -_HALF_WIDTH], [x, y, _HALF_WIDTH], lip]),
                 includeEdges=7,
                 dynamicFriction=mu,
-                frictionProportionalZone=scene.friction.v_eps,
+                frictionProportionalZone=scene.friction.slip_regularization_speed,
                 contactStiffness=stiffness,
                 contactStiffnessExponent=1.5,
                 # 3/2 (1 - e) is to be our factor
                 restitutionCoefficient=1.0 - damping / 1.5,
-                minimumImpactVelocity=contact.v_0_floor,
+                minimumImpactVelocity=contact.min_approach_speed,
                 impactModel=1,
             )
         )

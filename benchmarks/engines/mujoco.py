@@ -100,13 +100,13 @@ def build(scene: Scene, step: float, integrator: str, solref: tuple[float, float
     pairs = ""
     for name, side in (("plus", 1.0), ("minus", -1.0)):
         # the face's middle, and the box's centre behind it
-        middle_x = -cone.L_T - 0.5 * cone.L_c * math.cos(cone.beta)
-        middle_y = side * (cone.R_c + 0.5 * cone.L_c * math.sin(cone.beta))
-        x = middle_x + _THICKNESS * math.sin(cone.beta)
-        y = middle_y + side * _THICKNESS * math.cos(cone.beta)
+        middle_x = -cone.L_T - 0.5 * cone.L_c * math.cos(cone.half_angle)
+        middle_y = side * (cone.R_c + 0.5 * cone.L_c * math.sin(cone.half_angle))
+        x = middle_x + _THICKNESS * math.sin(cone.half_angle)
+        y = middle_y + side * _THICKNESS * math.cos(cone.half_angle)
         walls += (
             f'<geom name="{name}" type="box" size="{0.5 * cone.L_c!r} {_THICKNESS!r} 0.1" '
-            f'pos="{x!r} {y!r} 0" axisangle="0 0 1 {-side * cone.beta!r}"/>'
+            f'pos="{x!r} {y!r} 0" axisangle="0 0 1 {-side * cone.half_angle!r}"/>'
         )
         pairs += (
             f'<pair geom1="tip" geom2="{name}" condim="3" '

@@ -75,15 +75,17 @@ class NumpyModel:
         cone, sides = scene.cone, np.array([1.0, -1.0])
         # of the walls, in the target's frame: inner ends, and directions out to the lips
         self.inner = np.column_stack([[-cone.L_T, -cone.L_T], sides * cone.R_c])
-        self.along = np.column_stack([np.full(2, -np.cos(cone.beta)), sides * np.sin(cone.beta)])
+        self.along = np.column_stack(
+            [np.full(2, -np.cos(cone.half_angle)), sides * np.sin(cone.half_angle)]
+        )
         self.L_c = cone.L_c
         tip, wall = scene.contact.tip, scene.contact.wall
         sigma = (1.0 - tip.nu**2) / tip.E + (1.0 - wall.nu**2) / wall.E
         self.K = 4.0 * np.sqrt(p.tip_radius) / (3.0 * sigma)
         self.damping = 0.75 * (1.0 - scene.contact.restitution**2)
-        self.v_0_floor = scene.contact.v_0_floor
+        self.v_0_floor = scene.contact.min_approach_speed
         self.mu = scene.friction.mu if scene.friction.law == "tanh" else 0.0
-        self.v_eps = scene.friction.v_eps
+        self.v_eps = scene.friction.slip_regularization_speed
         self.touching = [False, False]
         self.chi = [0.0, 0.0]
 
@@ -99,8 +101,8 @@ class NumpyModel:
     def contact(self, q: np.ndarray, v: np.ndarray, wall: int) -> Contact:
         """Return how the tip stands to a wall (0: +y, 1: -y)."""
         e_S, e_P = direction(q[2]), direction(q[3])
-        tip = q[0:2] + self.buffer.a * e_S + q[4] * e_P
-        tip_rate = v[0:2] + self.buffer.a * v[2] * turned(e_S) + v[4] * e_P
+        tip = q[0:2] + self.buffer.hinge_offset * e_S + q[4] * e_P
+        tip_rate = v[0:2] + self.buffer.hinge_offset * v[2] * turned(e_S) + v[4] * e_P
         tip_rate = tip_rate + q[4] * v[3] * turned(e_P)
         x_T = direction(q[7])
         to_world = np.column_stack([x_T, turned(x_T)])
@@ -127,7 +129,7 @@ class NumpyModel:
     def rate_of_change(self, y: np.ndarray) -> np.ndarray:
         """Return dy/dt (16,) of q and v."""
         q, v = y[:8], y[8:]
-        a, b = self.buffer.a, self.buffer
+        a, b = self.buffer.hinge_offset, self.buffer
         h, spin, swing = q[4], v[3], v[2]
         e_S, e_P = direction(q[2]), direction(q[3])
         n_S, n_P = turned(e_S), turned(e_P)

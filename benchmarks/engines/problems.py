@@ -59,7 +59,7 @@ def into_wall(scene: Scene, depth: float = 3e-6) -> float:
     parameters = packed(scene)
     for _ in range(20):
         gap, _ = gap_of_wall(parameters, y, -1.0)
-        y[0] += (gap + depth) / np.sin(scene.cone.beta)
+        y[0] += (gap + depth) / np.sin(scene.cone.half_angle)
     return float(y[0])
 
 

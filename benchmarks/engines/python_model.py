@@ -92,7 +92,7 @@ class PythonModel:
 
     def _set_contact(self, scene: Scene) -> None:
         real, cone = self.real, scene.cone
-        L_T, R_c, L_c, beta = map(real, (cone.L_T, cone.R_c, cone.L_c, cone.beta))
+        L_T, R_c, L_c, beta = map(real, (cone.L_T, cone.R_c, cone.L_c, cone.half_angle))
         self.L_c = L_c
         # walls in the target's frame: inner end, and direction out to the lip
         self.walls = [
@@ -103,8 +103,11 @@ class PythonModel:
             sigma = sigma + (1 - real(material.nu) ** 2) / real(material.E)
         self.K = 4 * self.sqrt(self.R_t) / (3 * sigma)
         self.damping = real(3) / 4 * (1 - real(scene.contact.restitution) ** 2)
-        self.v_0_floor = real(scene.contact.v_0_floor)
-        self.mu, self.v_eps = real(scene.friction.mu), real(scene.friction.v_eps)
+        self.v_0_floor = real(scene.contact.min_approach_speed)
+        self.mu, self.v_eps = (
+            real(scene.friction.mu),
+            real(scene.friction.slip_regularization_speed),
+        )
 
     def latch(self, wall: int, approach: Any) -> None:
         """Begin a touch of a wall (0: +y, 1: -y) at an approach speed, m/s."""

@@ -35,7 +35,7 @@ REFERENCES = {
 def scales(scene: Scene) -> np.ndarray:
     """Scale of each state (18,): the tip's radius, the approach's speed, and 0.01 N s."""
     length, speed = scene.probe.tip_radius, 0.1
-    arm, at_target = scene.buffer.a + scene.rest_length, scene.cone.L_T + scene.cone.R_c
+    arm, at_target = scene.buffer.hinge_offset + scene.rest_length, scene.cone.L_T + scene.cone.R_c
     shape = np.array([1, 1, 1 / arm, 1 / arm, 1, 1, 1, 1 / at_target])
     return np.concatenate([length * shape, speed * shape, [0.01, 0.01]])
 

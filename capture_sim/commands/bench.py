@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     before = set(options.out.glob("*.mcap"))
-    status = run_suite(scenes, options.out, pace=options.rtf)
+    status = run_suite(scenes, options.out, rtf=options.rtf)
     # an earlier recording is never overwritten: what is new may have a number behind its name
     fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
     runs = [run for run in map(read_run, fresh) if run.samples.size]

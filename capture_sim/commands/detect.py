@@ -12,6 +12,7 @@ from capture_sim.commands.output import say
 from capture_sim.errors import SceneError
 from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.scene.parts import Detector
+from capture_sim.scene.paths import current_name
 
 # stamps are decimal fractions
 _TICK = 1e-9
@@ -19,10 +20,11 @@ _TICK = 1e-9
 DESCRIPTION = (
     "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
     "detector's limits as they were when it was recorded (capture/criteria; the scene's, where the "
-    "recording does not tell them) or changed by --set detector.radius=0.004. Unchanged it must "
-    "come to the recorded verdict, else the exit status is 1. Times are s since the release."
+    "recording does not tell them) or changed by --set detector.capture_radius=0.004. Unchanged "
+    "it must come to the recorded verdict, else the exit status is 1. Times are s since the "
+    "release."
 )
-EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.radius=0.004"
+EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.capture_radius=0.004"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +99,7 @@ def _limits_changed(overrides: Sequence[str]) -> set[str]:
     changed = set()
     for override in overrides:
         path, _, _ = override.partition("=")
-        part, _, name = path.strip().partition(".")
+        part, _, name = current_name(path.strip()).partition(".")
         if part != "detector" or name not in allowed:
             raise SceneError(
                 f"--set {override}: what is recorded is judged, so allowed are "

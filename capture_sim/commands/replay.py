@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     Playback(Path(options.recording))  # what cannot be played is refused before a node starts
     parameters: dict[str, Any] = {
         "bag": str(options.recording),
-        "rate": options.rtf,
+        "rtf": options.rtf,
         "loop": options.loop,
         "start": options.start,
         "paused": options.paused,

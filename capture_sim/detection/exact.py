@@ -97,19 +97,19 @@ class Criteria(NamedTuple):
         """Return those of a scene."""
         limits, cone = scene.detector, scene.cone
         return cls(
-            limits.radius,
-            limits.dwell,
-            limits.leave,
-            limits.contact_gap,
-            limits.still_speed,
-            limits.still_time,
+            limits.capture_radius,
+            limits.min_dwell,
+            limits.min_retreat,
+            limits.max_contact_gap,
+            limits.max_still_speed,
+            limits.min_still_time,
             scene.probe.tip_radius,
             scene.rest_length,
-            scene.buffer.a,
+            scene.buffer.hinge_offset,
             cone.R_c,
             cone.L_c,
-            math.cos(cone.beta),
-            math.sin(cone.beta),
+            math.cos(cone.half_angle),
+            math.sin(cone.half_angle),
         )
 
 
@@ -377,11 +377,11 @@ def reason(criteria: Criteria, cause: int, value: float) -> str:
 class ExactDetector:
     """Follows one run, known exactly, from the approach to a verdict.
 
-    The tip is *captured* when its centre stays within ``detector.radius`` of the centre of
-    BE for ``detector.dwell``, or passes BE inside the throat; it has *rebounded* when it
-    has been in contact and then retreats by ``detector.leave`` from its nearest approach;
+    The tip is *captured* when its centre stays within ``detector.capture_radius`` of the centre of
+    BE for ``detector.min_dwell``, or passes BE inside the throat; it has *rebounded* when it
+    has been in contact and then retreats by ``detector.min_retreat`` from its nearest approach;
     *missed* when it does so without contact or passes BE outside the throat; it is *stuck*
-    when it stands still for ``detector.still_time`` outside the radius.
+    when it stands still for ``detector.min_still_time`` outside the radius.
 
     Parameters
     ----------

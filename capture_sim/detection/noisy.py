@@ -326,7 +326,7 @@ class NoisyDetector:
 
     Measurements may scatter, be missing and come late or in any order.  Where they scatter
     the path is smoothed (:class:`TipPath`): then a status is about an instant up to
-    ``detector.delay`` before, and decisions allow for what is left of the noise.
+    ``detector.max_delay`` before, and decisions allow for what is left of the noise.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ class NoisyDetector:
 
     def __init__(self, scene: Scene) -> None:
         limits = scene.detector
-        self.aligner = Aligner(limits.gap)
+        self.aligner = Aligner(limits.max_data_gap)
         self._scene = scene
         self._criteria = Criteria.of(scene)
         self._memory = records(new_memory())
@@ -351,11 +351,11 @@ class NoisyDetector:
         )
         feel_push_at(self._criteria, records(new_memory()), 0.0, 0.0, 0.0)
         self._path = TipPath(
-            radius=limits.radius,
-            delay=limits.delay,
-            clean=limits.contact_gap / 4.0,
-            gap=limits.gap,
-            keep=_LONGEST_STAND * limits.still_time,
+            radius=limits.capture_radius,
+            delay=limits.max_delay,
+            clean=limits.max_contact_gap / 4.0,
+            gap=limits.max_data_gap,
+            keep=_LONGEST_STAND * limits.min_still_time,
         )
         self._place: Place | None = None  # the last that was decided on
         self._last: tuple[Observation, _Tip] | None = None

@@ -31,7 +31,7 @@ class ContactRig:
 
     def __init__(self, scene: Scene, stiffness: float, exponent: float = 1.0) -> None:
         self._cone, self._radius = scene.cone, scene.probe.tip_radius
-        self._cos, self._sin = math.cos(scene.cone.beta), math.sin(scene.cone.beta)
+        self._cos, self._sin = math.cos(scene.cone.half_angle), math.sin(scene.cone.half_angle)
         self._stiffness, self._exponent = stiffness, exponent
 
     def wrench(self, tip: TipState) -> Wrench:

@@ -54,7 +54,7 @@ def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
     """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
     chaser, target = scene.initial.chaser, scene.initial.target
     along, across = math.cos(chaser.theta), math.sin(chaser.theta)
-    reach = scene.buffer.a + scene.rest_length
+    reach = scene.buffer.hinge_offset + scene.rest_length
     dx = chaser.x + reach * along - target.x
     dy = chaser.y + reach * across - target.y
     c, s = math.cos(target.theta), math.sin(target.theta)
@@ -78,7 +78,7 @@ def travel_to_touch(scene: Scene) -> float:
             scene.probe.tip_radius,
             cone.R_c,
             cone.L_c,
-            cone.beta,
+            cone.half_angle,
         )
         for side in (1.0, -1.0)
     )

@@ -24,6 +24,7 @@ from capture_sim.scene.files import (
     read_scene,
 )
 from capture_sim.scene.parts import Scene, as_mapping
+from capture_sim.scene.paths import with_current_names
 
 
 def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
@@ -56,8 +57,11 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
 
 
 def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
-    """Make a scene of resolved YAML text (no ``extends``); see :func:`load_scene`."""
-    return _changed(parse_scene(text, "scene"), overrides)
+    """Make a scene of resolved YAML text (no ``extends``), as recordings hold it.
+
+    See :func:`load_scene`.  Names that fields had before are read without a word.
+    """
+    return _changed(with_current_names(parse_scene(text, "scene")), overrides)
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
@@ -223,7 +227,7 @@ def _string(scene: Scene) -> None:
 def _latch(scene: Scene) -> None:
     if scene.latch is None:
         return
-    mouth = scene.cone.L_c * math.cos(scene.cone.beta)
+    mouth = scene.cone.L_c * math.cos(scene.cone.half_angle)
     if scene.latch.radius >= mouth:
         raise SceneError(
             f"latch.radius = {scene.latch.radius!r} m: allowed is < {mouth:.6g}, the cone's depth"
@@ -239,8 +243,8 @@ def _start(scene: Scene) -> None:
             side * py,
             cone.R_c,
             cone.L_c,
-            math.cos(cone.beta),
-            math.sin(cone.beta),
+            math.cos(cone.half_angle),
+            math.sin(cone.half_angle),
         )
         gap = distance - scene.probe.tip_radius
         # a start at contact: the places' own rounding

@@ -18,7 +18,7 @@ import math
 import platform
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture_sim.samples import SAMPLE, TRACE, Event, Phase
+from capture_sim.scene.paths import RENAMED
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
@@ -46,6 +47,13 @@ SLIDE_JOINT = "buffer_slide"
 
 #: Packages whose version decides about a run's numbers or its file.
 _SOFTWARE = ("capture_sim", "numpy", "numba", "mcap", "rosbags")
+
+#: Fields of CaptureCriteria, and those of a scene's ``detector``, which were called so before.
+CRITERIA = {
+    name.removeprefix("detector."): field
+    for name, field in RENAMED.items()
+    if name.startswith("detector.")
+}
 
 # indices into q and v, see samples.COORDINATES
 _CHASER = slice(0, 3)
@@ -496,7 +504,7 @@ class Messages:
             "capture_sim/msg/CaptureCriteria",
             header=self.header(0.0, CONE_FRAME),
             run_id=run_id,
-            **asdict(limits),
+            **{name: getattr(limits, field) for name, field in CRITERIA.items()},
         )
 
     def launcher_state(self, seq: int, t: float, status: LauncherStatus) -> Message:

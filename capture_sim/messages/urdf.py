@@ -59,7 +59,7 @@ def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
     """Yield the transforms that the motion changes, from q (8,), m and rad."""
     yield Transform(WORLD, CHASER_FRAME, q[0], q[1], q[2])
     yield Transform(WORLD, TARGET_FRAME, q[5], q[6], q[7])
-    yield Transform(CHASER_FRAME, CYLINDER_FRAME, scene.buffer.a, 0.0, q[3] - q[2])
+    yield Transform(CHASER_FRAME, CYLINDER_FRAME, scene.buffer.hinge_offset, 0.0, q[3] - q[2])
     yield Transform(CYLINDER_FRAME, PROBE_FRAME, q[4] - scene.rest_length, 0.0, 0.0)
 
 
@@ -82,7 +82,7 @@ def urdf(scene: Scene) -> str:
         ElementTree.SubElement(material, "color", rgba=colour)
     ElementTree.SubElement(robot, "link", name=WORLD)
 
-    front = 0.9 * scene.buffer.a
+    front = 0.9 * scene.buffer.hinge_offset
     body = _link(robot, CHASER_FRAME)
     _box(body, "chaser", (_REAR + front, 2 * _HALF_WIDTH, _HEIGHT), (0.5 * (front - _REAR), 0, 0))
     cylinder = _link(robot, CYLINDER_FRAME)
@@ -102,7 +102,13 @@ def urdf(scene: Scene) -> str:
     _joint(robot, "chaser", "planar", WORLD, CHASER_FRAME, axis="0 0 1")
     _joint(robot, "target", "planar", WORLD, TARGET_FRAME, axis="0 0 1")
     hinge = _joint(
-        robot, HINGE_JOINT, "revolute", CHASER_FRAME, CYLINDER_FRAME, scene.buffer.a, axis="0 0 1"
+        robot,
+        HINGE_JOINT,
+        "revolute",
+        CHASER_FRAME,
+        CYLINDER_FRAME,
+        scene.buffer.hinge_offset,
+        axis="0 0 1",
     )
     _limit(hinge, -math.pi, math.pi)
     slide = _joint(robot, SLIDE_JOINT, "prismatic", CYLINDER_FRAME, PROBE_FRAME, axis="1 0 0")
@@ -163,17 +169,17 @@ def _ball(link: _Element, material: str, radius: float) -> None:
 def _plates(link: _Element, scene: Scene) -> None:
     """Add the cone as a ring of plates; two of them are the walls of the plane model."""
     cone = scene.cone
-    lip = cone.R_c + cone.L_c * math.sin(cone.beta)
+    lip = cone.R_c + cone.L_c * math.sin(cone.half_angle)
     width = 2.0 * lip * math.tan(math.pi / _PLATES)
-    ahead = -0.5 * cone.L_c * math.cos(cone.beta)
+    ahead = -0.5 * cone.L_c * math.cos(cone.half_angle)
     # the plates' inner faces are the walls: the boxes lie outside of them
-    radius = 0.5 * (cone.R_c + lip) + 0.5 * _PLATE * math.cos(cone.beta)
-    ahead += 0.5 * _PLATE * math.sin(cone.beta)
+    radius = 0.5 * (cone.R_c + lip) + 0.5 * _PLATE * math.cos(cone.half_angle)
+    ahead += 0.5 * _PLATE * math.sin(cone.half_angle)
     for i in range(_PLATES):
         angle = 2.0 * math.pi * i / _PLATES + math.pi / 2
         at = (ahead, radius * math.cos(angle), radius * math.sin(angle))
         # x along the generatrix, y round the axis: pitched by the half-angle, rolled into place
-        rpy = _roll_after_yaw(angle, math.pi - cone.beta)
+        rpy = _roll_after_yaw(angle, math.pi - cone.half_angle)
         _box(link, "cone", (cone.L_c, _PLATE, width), at, rpy)
 
 

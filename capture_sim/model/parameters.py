@@ -81,8 +81,8 @@ PARAMETERS = np.dtype(
 
 def chaser_com_offset(scene: Scene) -> float:
     """Return how far the whole chaser's centre of mass lies ahead of the body's, m."""
-    cylinder = scene.buffer.a - scene.cylinder.length / 2.0
-    probe = scene.buffer.a + scene.rest_length - scene.probe.com_offset
+    cylinder = scene.buffer.hinge_offset - scene.cylinder.length / 2.0
+    probe = scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset
     moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe
     return moment / scene.chaser_total_mass
 
@@ -125,7 +125,7 @@ def pack(
     p["inverse_m_SC"] = 1.0 / (scene.chaser.mass + scene.cylinder.mass)
     p["inverse_m_P"], p["inverse_m_T"] = 1.0 / scene.probe.mass, 1.0 / scene.target.mass
     p["inverse_I_T"] = 1.0 / scene.target.inertia
-    p["a"], p["d"] = scene.buffer.a, scene.probe.com_offset
+    p["a"], p["d"] = scene.buffer.hinge_offset, scene.probe.com_offset
     p["first_moment_0"] = scene.cylinder.mass * l_C - scene.probe.mass * scene.probe.com_offset
     p["hinge_inertia_0"] = (
         scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
@@ -134,18 +134,18 @@ def pack(
         p[name] = getattr(scene.buffer, name)
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"], p["R_c"], p["L_c"] = scene.cone.L_T, scene.cone.R_c, scene.cone.L_c
-    p["cos_b"], p["sin_b"] = math.cos(scene.cone.beta), math.sin(scene.cone.beta)
+    p["cos_b"], p["sin_b"] = math.cos(scene.cone.half_angle), math.sin(scene.cone.half_angle)
     p["K"] = scene.contact_stiffness
     p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
-    p["v_0_floor"] = scene.contact.v_0_floor
+    p["v_0_floor"] = scene.contact.min_approach_speed
     p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
     p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
     p["friction_law"] = FRICTION_LAWS[scene.friction.law]
-    p["inverse_v_eps"] = 1.0 / scene.friction.v_eps
+    p["inverse_v_eps"] = 1.0 / scene.friction.slip_regularization_speed
     p["gravity"] = scene.gravity
     if scene.supports is not None:
         p["has_supports"] = 1
-        p["v_eps_ball"] = scene.supports.v_eps
+        p["v_eps_ball"] = scene.supports.rolling_regularization_speed
         p["balls_S"] = _limits(scene.supports.chaser, loads(scene, "chaser"))
         p["balls_T"] = _limits(scene.supports.target, loads(scene, "target"))
         p["rolling_limit_S"] = p["balls_S"][:, 2].sum()
@@ -198,6 +198,6 @@ def speed_scale(scene: Scene, impact_speed: float) -> float:
         _SLOWEST if scene.supports is None else _SLOWEST_ON_FLOOR,
         math.hypot(c.vx - t.vx, c.vy - t.vy),
         impact_speed,
-        abs(c.omega) * (scene.buffer.a + scene.rest_length),
+        abs(c.omega) * (scene.buffer.hinge_offset + scene.rest_length),
         abs(t.omega) * (scene.cone.L_T + scene.cone.R_c),
     )

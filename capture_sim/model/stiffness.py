@@ -41,12 +41,18 @@ def stiffest_part(
         "torsional damper (probe.density, cylinder.mass, buffer.c_T)": (inertia, par["c_T"]),
         "stroke stops (probe.density, stops.damping)": (m, par["c_stop"]),
         "latch (probe.density, latch.damping)": (m, par["c_L"]),
-        "friction of the tip (friction.v_eps)": (m, par["mu"] * force * par["inverse_v_eps"]),
+        "friction of the tip (friction.slip_regularization_speed)": (
+            m,
+            par["mu"] * force * par["inverse_v_eps"],
+        ),
     }
     if par["has_supports"]:
         for name, mass, balls in (("chaser", "m_total", "balls_S"), ("target", "m_T", "balls_T")):
             limit = par[balls][:, 2].sum() / par["v_eps_ball"]
-            dampers[f"rolling resistance of the {name} (supports.v_eps)"] = float(par[mass]), limit
+            dampers[f"rolling resistance of the {name} (supports.rolling_regularization_speed)"] = (
+                float(par[mass]),
+                limit,
+            )
     times = {name: math.sqrt(mass / k) for name, (mass, k) in springs.items() if k > 0.0}
     times |= {name: float(mass / c) for name, (mass, c) in dampers.items() if c > 0.0}
     part = min(times, key=times.__getitem__)

@@ -13,7 +13,7 @@ from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
-from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
+from capture_sim.messages.convert import CRITERIA, EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
 from capture_sim.messages.measurements import detector_sources, measured
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import (
@@ -150,6 +150,10 @@ def _joints(message: Any) -> Values:
     return values
 
 
+#: Earlier names of the criteria, by which they are still taken.
+_FORMERLY = {field: name for name, field in CRITERIA.items()}
+
+
 class Criteria:
     """The scene's criteria as parameters of the node, with their units and ranges.
 
@@ -197,6 +201,7 @@ class Criteria:
             f"{field.metadata['allowed']} {field.metadata['unit']}",
             read_only=False,
             check=check,
+            formerly=_FORMERLY[field.name],
         )
 
 

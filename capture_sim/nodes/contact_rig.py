@@ -20,7 +20,9 @@ class ContactRigNode(BenchNode):
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)
         name = self.declare("scene", "_loop", "whose cone it is: name in config/scenes, or file")
-        overrides = self.declare("overrides", list, "changes of the scene, as cone.beta=0.8 (SI)")
+        overrides = self.declare(
+            "overrides", list, "changes of the scene, as cone.half_angle=0.8 (SI)"
+        )
         stiffness = self.declare("stiffness", 2000.0, "N/m^exponent, of a wall", low=0.0, high=1e12)
         exponent = self.declare(
             "exponent", 1.0, "of the depth: 1 a spring, 1.5 Hertz", low=1.0, high=3.0

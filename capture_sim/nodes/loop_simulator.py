@@ -40,7 +40,14 @@ class LoopSimulatorNode(BenchNode):
         name = self.declare("scene", "_loop", "name in config/scenes, or file")
         overrides = self.declare("overrides", list, "changes of the scene, as buffer.c_A=13 (SI)")
         rate = self.declare("rate", 1000.0, "Hz, of steps and messages", low=10.0, high=10000.0)
-        self._pace = self.declare("pace", 1.0, "simulated seconds per second", low=0.001, high=1.0)
+        self._rtf = self.declare(
+            "rtf",
+            1.0,
+            "real-time factor: simulated seconds per second",
+            low=0.001,
+            high=1.0,
+            formerly="pace",
+        )
         timeout = self.declare(
             "timeout", 0.02, "s, age up to which a wrench is held", low=0.001, high=10.0
         )
@@ -83,11 +90,11 @@ class LoopSimulatorNode(BenchNode):
         steps = round(self._stage.scene.run.t_end / self._stage.step)
         try:
             for k in range(steps):
-                due = began + k * self._stage.step / self._pace
+                due = began + k * self._stage.step / self._rtf
                 delay = due - time.monotonic()
                 if delay > 0.0:
                     time.sleep(delay)
-                late += delay < -self._stage.step / self._pace
+                late += delay < -self._stage.step / self._rtf
                 with self._lock:
                     wrench = self._hold.at(self._now)
                 self._watch.before(wrench)

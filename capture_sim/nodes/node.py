@@ -127,6 +127,8 @@ class BenchNode(Node):
             for given, parameter in self._parameter_overrides.items()
             if given.split(".")[0] not in _COMMON_PARAMETERS
         }
+        self._renamed: dict[str, str] = {}
+        self.add_pre_set_parameters_callback(self._with_current_names)
         self.add_on_set_parameters_callback(self._check_parameters)
 
     def work(self) -> int:
@@ -152,6 +154,7 @@ class BenchNode(Node):
         read_only: bool = True,
         allowed: str = "",
         check: Callable[[Any], None] | None = None,
+        formerly: str = "",
     ) -> Any:
         """Declare a parameter and return its value.
 
@@ -169,6 +172,8 @@ class BenchNode(Node):
         check
             Called with the value, now and before every change; raises CaptureSimError if it
             is not usable.
+        formerly
+            The parameter's earlier name, by which it is still taken.
 
         Raises
         ------
@@ -186,6 +191,8 @@ class BenchNode(Node):
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
         descriptor.additional_constraints = allowed
+        if formerly:
+            self._rename(formerly, name)
         given = self._given.pop(name, default)
         wrong = given is None or (isinstance(given, list) and not all(given))  # rclpy: [] is None
         value: Any = None
@@ -210,6 +217,22 @@ class BenchNode(Node):
                 check(value)
             self._checks[name] = check
         return value
+
+    def _rename(self, formerly: str, name: str) -> None:
+        """Take a parameter by its earlier name, at the start and later."""
+        self._renamed[formerly] = name
+        if formerly in self._given:
+            value = self._given.pop(formerly)
+            self._given.setdefault(self._current_name(formerly), value)
+            self._parameter_overrides.setdefault(name, Parameter(name, value=value))
+
+    def _with_current_names(self, parameters: list[Parameter]) -> list[Parameter]:
+        return [Parameter(self._current_name(p.name), p.type_, p.value) for p in parameters]
+
+    def _current_name(self, name: str) -> str:
+        if name in self._renamed:
+            self.get_logger().warning(f"parameter {name} is now called {self._renamed[name]}")
+        return self._renamed.get(name, name)
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -61,12 +61,13 @@ class PlayerNode(BenchNode):
         path = self.declare("bag", "", "recording: an .mcap file, or a bag's folder")
         if not path:
             raise ParameterError("parameter bag = '': allowed is an .mcap file or a bag's folder")
-        rate = self.declare(
-            "rate",
+        factor = self.declare(
+            "rtf",
             1.0,
-            "recorded seconds per second; 0 as fast as it goes",
+            "real-time factor: recorded seconds per second; 0 as fast as it goes",
             low=FACTORS.low,
             high=FACTORS.high,
+            formerly="rate",
         )
         self._loop = self.declare("loop", False, "play again and again")
         self._offset = self.declare(
@@ -110,7 +111,7 @@ class PlayerNode(BenchNode):
             )
         self._control = SimulationControl(
             State.PAUSED if paused else State.PLAYING,
-            Pacer(rate),
+            Pacer(factor),
             states=(State.PLAYING, State.PAUSED),
             resets=False,
         )

@@ -99,12 +99,13 @@ class SimulatorNode(BenchNode):
             allowed="PART.FIELD=VALUE each, within the field's own range",
         )
         factor = self.declare(
-            "pace",
+            "rtf",
             1.0,
             "real-time factor: simulated seconds per second; 0 as fast as it goes",
             low=FACTORS.low,
             high=FACTORS.high,
             read_only=False,
+            formerly="pace",
         )
         state = self.declare(
             "initial_state",
@@ -181,7 +182,7 @@ class SimulatorNode(BenchNode):
 
     def _parameters_set(self, parameters: list[Parameter]) -> None:
         for parameter in parameters:
-            if parameter.name == "pace":
+            if parameter.name == "rtf":
                 self.control.set_factor(parameter.value)
             elif parameter.name in ("scenes", "overrides"):
                 self._scenes = _load(*self._scene_parameters({}))

@@ -48,7 +48,7 @@ def run_suite(
     out: Path,
     *,
     record: bool = True,
-    pace: float = 0.0,
+    rtf: float = 0.0,
     namespace: str = "",
 ) -> int:
     """Run experiments with the ROS 2 nodes, in the caller's ROS_DOMAIN_ID as any ROS program.
@@ -61,7 +61,7 @@ def run_suite(
         Folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs.
     record
         Whether the recorder takes part.
-    pace
+    rtf
         Simulated seconds per second; 0 as fast as it goes.
     namespace
         Of all nodes and topics but ``/clock`` and ``/tf``, beside another suite in the domain.
@@ -82,7 +82,7 @@ def run_suite(
     consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
     limit = START_LIMIT
     for scene in scenes:
-        limit += scene.run.t_end * (SLOWEST if pace == 0.0 else 1.5 / pace)
+        limit += scene.run.t_end * (SLOWEST if rtf == 0.0 else 1.5 / rtf)
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder, _claimed(namespace):
         files = []
         for number, scene in enumerate(scenes):
@@ -90,7 +90,7 @@ def run_suite(
             path.write_text(scene.to_yaml(), encoding="utf-8")
             files.append(str(path))
         parameters: dict[str, dict[str, Any]] = {name: {} for name in (SIMULATOR, *consumers)}
-        parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "pace": float(pace)}
+        parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "rtf": float(rtf)}
         if record:
             parameters[RECORDER] = {"out": str(out)}
         return _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)[0]

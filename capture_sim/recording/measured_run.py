@@ -125,7 +125,7 @@ def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
     samples["tip_distance"] = np.hypot(*tip.T)
     gaps = np.stack([_gap(scene, tip, side) for side in (1, -1)], axis=-1)
     samples["penetration"] = -gaps
-    in_reach = (gaps < scene.detector.contact_gap) @ np.array([1, 2])
+    in_reach = (gaps < scene.detector.max_contact_gap) @ np.array([1, 2])
     samples["walls"] = in_reach if measured.walls is None else measured.walls
     _fill_forces(samples, measured, gaps)
     if measured.string is not None:
@@ -173,7 +173,7 @@ def _tip_in_cone(scene: Scene, q: np.ndarray) -> np.ndarray:
     """Return the tip's centre in the cone's frame, (n, 2), m."""
     heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
     probe = np.stack([np.cos(q[:, 3]), np.sin(q[:, 3])], axis=-1)
-    offset = q[:, :2] + scene.buffer.a * heading + q[:, 4, None] * probe - q[:, 5:7]
+    offset = q[:, :2] + scene.buffer.hinge_offset * heading + q[:, 4, None] * probe - q[:, 5:7]
     c, s = np.cos(q[:, 7]), np.sin(q[:, 7])
     along = c * offset[:, 0] + s * offset[:, 1] + scene.cone.L_T
     return np.stack([along, c * offset[:, 1] - s * offset[:, 0]], axis=-1)
@@ -183,7 +183,7 @@ def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
     """Return the gap between the tip and a wall, (n,), m."""
     cone = scene.cone
     inner = np.array([0.0, side * cone.R_c])
-    along = np.array([-np.cos(cone.beta), side * np.sin(cone.beta)])
+    along = np.array([-np.cos(cone.half_angle), side * np.sin(cone.half_angle)])
     reach = np.clip((tip - inner) @ along, 0.0, cone.L_c)
     return np.asarray(
         np.linalg.norm(tip - inner - reach[:, None] * along, axis=1) - scene.probe.tip_radius

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
 from capture_sim.launch.scenes import load_scene_text
-from capture_sim.messages.convert import RunDescription, stamp_seconds
+from capture_sim.messages.convert import CRITERIA, RunDescription, stamp_seconds
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -417,7 +416,7 @@ class Run:
         limits = self.columns(CAPTURE_CRITERIA)
         if not limits:
             return None
-        return Detector(**{f.name: float(limits[f.name][-1]) for f in fields(Detector)})
+        return Detector(**{field: float(limits[name][-1]) for name, field in CRITERIA.items()})
 
     @property
     def verdict(self) -> CaptureState | None:

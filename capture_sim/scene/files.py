@@ -22,6 +22,7 @@ import yaml
 from capture_sim.errors import SceneError
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import current_name, with_current_names
 from capture_sim.scene.quantities import accept, declared, refuse, shown
 
 #: Longest text of a scene, characters: the package's own are 3000 at most.
@@ -197,7 +198,7 @@ def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise SceneError(f"scene file {path.name}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise SceneError(f"scene file {path.name}: cannot be read: no UTF-8: {error}") from None
-    data = parse_scene(text, path.name)
+    data = with_current_names(parse_scene(text, path.name), path.name)
     parent = data.pop("extends", None)
     if parent is None:
         return data
@@ -233,10 +234,10 @@ def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, An
     items = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
     changes = []
     for name, value in items:
-        over = value
+        name, over = current_name(name), value
         for part in reversed(name.split(".", MAX_DEPTH)):
             over = {part: over}
-        data = _laid_over(data, over)
+        data = _laid_over(data, with_current_names(over))
         changes.append(f"{name}={value if isinstance(value, str) else shown(value)}")
     return data, changes
 

@@ -112,7 +112,7 @@ class Probe(Checked):
 class Buffer(Checked):
     """The 2-DOF buffer: axial spring-damper and torsional spring (eq. 9)."""
 
-    a: float = quantity("m", NOT_NEGATIVE, doc="chaser's centre of mass to the hinge")
+    hinge_offset: float = quantity("m", NOT_NEGATIVE, doc="a, chaser's centre of mass to the hinge")
     k_A: float = quantity("N/m", NOT_NEGATIVE, doc="axial stiffness")
     c_A: float = quantity("N s/m", NOT_NEGATIVE, doc="axial damping")
     k_T: float = quantity("N m/rad", NOT_NEGATIVE, doc="torsional stiffness")
@@ -129,10 +129,10 @@ class Cone(Checked):
     L_T: float = quantity("m", NOT_NEGATIVE, doc="target's centre of mass to BE")
     R_c: float = quantity("m", POSITIVE, doc="half-width of BE")
     L_c: float = quantity("m", POSITIVE, doc="length of the generatrix")
-    beta: float = quantity(
+    half_angle: float = quantity(
         "rad",
         Range(0.0, math.pi / 2, low_open=True, high_open=True),
-        doc="angle between wall and axis",
+        doc="beta, angle between wall and axis",
     )
 
 
@@ -159,7 +159,7 @@ class Contact(Checked):
         "1", Range(0.0, 1.0), doc="e put into the law; see docs for what comes out"
     )
     law: str = choice(CONTACT_LAWS, default="lankarani_nikravesh", doc="hysteresis damping law")
-    v_0_floor: float = quantity(
+    min_approach_speed: float = quantity(
         "m/s", POSITIVE, default=1e-4, doc="least approach speed that the damping factor sees"
     )
 
@@ -170,8 +170,8 @@ class Friction(Checked):
 
     mu: float = quantity("1", NOT_NEGATIVE, doc="coefficient of friction")
     law: str = choice(FRICTION_LAWS, default="tanh", doc="regularisation at zero slip")
-    v_eps: float = quantity(
-        "m/s", POSITIVE, default=1e-3, doc="slip at which tanh reaches 76 % of mu F_n"
+    slip_regularization_speed: float = quantity(
+        "m/s", POSITIVE, default=1e-3, doc="v_eps, slip at which tanh reaches 76 % of mu F_n"
     )
     mu_s: float | None = quantity(
         "1",
@@ -197,7 +197,7 @@ class Supports(Checked):
 
     chaser: BallSupport
     target: BallSupport
-    v_eps: float = quantity(
+    rolling_regularization_speed: float = quantity(
         "m/s",
         POSITIVE,
         default=1e-6,
@@ -306,27 +306,29 @@ class Run(Checked):
 class Detector(Checked):
     """What counts as captured, rebounding, missed and stuck."""
 
-    radius: float = quantity("m", REACH, default=0.005, doc="of the capture zone round BE")
-    dwell: float = quantity("s", NOT_NEGATIVE, default=0.2, doc="time in the zone for a capture")
-    contact_gap: float = quantity(
+    capture_radius: float = quantity("m", REACH, default=0.005, doc="of the zone round BE")
+    min_dwell: float = quantity(
+        "s", NOT_NEGATIVE, default=0.2, doc="time in the zone for a capture"
+    )
+    max_contact_gap: float = quantity(
         "m", REACH, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
     )
-    leave: float = quantity(
+    min_retreat: float = quantity(
         "m", REACH, default=0.02, doc="retreat from the nearest approach that is a rebound"
     )
-    still_speed: float = quantity(
+    max_still_speed: float = quantity(
         "m/s", POSITIVE, default=5e-4, doc="tip speed in the cone's frame below which it stands"
     )
-    still_time: float = quantity(
+    min_still_time: float = quantity(
         "s", POSITIVE, default=1.0, doc="time standing short of BE that is 'stuck'"
     )
-    delay: float = quantity(
+    max_delay: float = quantity(
         "s",
         Range(0.0, 10.0),
         default=0.25,
         doc="longest wait for later measurements, to judge by their mean; unused without noise",
     )
-    gap: float = quantity(
+    max_data_gap: float = quantity(
         "s", POSITIVE, default=0.1, doc="hole in the measurements that breaks off a dwell"
     )
 

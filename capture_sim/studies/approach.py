@@ -27,7 +27,7 @@ def placed(
     """
     heading, target = scene.initial.chaser.theta, scene.initial.target
     c, s = math.cos(heading), math.sin(heading)
-    far = scene.buffer.a + scene.rest_length + scene.cone.L_T + 2.0 * scene.cone.L_c
+    far = scene.buffer.hinge_offset + scene.rest_length + scene.cone.L_T + 2.0 * scene.cone.L_c
     far += scene.cone.R_c + run_up
     x, y = target.x - far * c - offset * s, target.y - far * s + offset * c
     chaser = PlanarState(x, y, heading)

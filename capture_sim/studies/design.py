@@ -237,7 +237,7 @@ def first_guess(scene: Scene, target: DesignTarget) -> tuple[float, float]:
     speed = approach_of(scene)[2]
     k_A = _reduced_mass(scene) * (speed / target.axial_stroke) ** 2
     mu = scene.friction.mu if scene.friction.law != "none" else 0.0
-    tangent = math.tan(scene.cone.beta)
+    tangent = math.tan(scene.cone.half_angle)
     lateral = max(1.0 - mu * tangent, 0.1) / (tangent + mu)
     return k_A, k_A * target.axial_stroke * lateral * scene.rest_length / target.torsion
 

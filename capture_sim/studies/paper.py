@@ -49,7 +49,7 @@ RESTITUTIONS = (0.2, 0.4, 0.5)
 DAMPING = {
     "by the touch's first approach (as taken)": (),
     "the same, with the factor that returns e exactly": ("contact.law=exact",),
-    "without memory: of the first impact for every touch": ("contact.v_0_floor=0.1",),
+    "without memory: of the first impact for every touch": ("contact.min_approach_speed=0.1",),
 }
 
 _SPEED = 0.1  # m/s
@@ -109,13 +109,25 @@ _FRICTION = ("tanh", "clamp", "coulomb", "none")
 ASSUMPTIONS = (
     Assumption("restitution e", "contact.restitution", "", 1, _even(0, 0.95, 20), "not given", 0.5),
     Assumption(
-        "slip of full friction v_eps", "friction.v_eps", "mm/s", 1e3, _V_EPS, "not given", 1e-3
+        "slip of full friction v_eps",
+        "friction.slip_regularization_speed",
+        "mm/s",
+        1e3,
+        _V_EPS,
+        "not given",
+        1e-3,
     ),
     Assumption("friction mu", "friction.mu", "", 1, _even(0, 0.6, 25), "0.33", 0.33),
     Assumption(
-        "radius of capture", "detector.radius", "mm", 1e3, _even(1e-3, 15e-3, 15), "'zero'", 5e-3
+        "radius of capture",
+        "detector.capture_radius",
+        "mm",
+        1e3,
+        _even(1e-3, 15e-3, 15),
+        "'zero'",
+        5e-3,
     ),
-    Assumption("dwell", "detector.dwell", "s", 1, _even(0, 1, 11), "not given", 0.2),
+    Assumption("dwell", "detector.min_dwell", "s", 1, _even(0, 1, 11), "not given", 0.2),
     Assumption(
         "rest length h_0",
         "buffer.rest_length",
@@ -147,9 +159,9 @@ ASSUMPTIONS = (
 #: What the paper does not state at all: field, range, and whether its logarithm is varied evenly.
 OPEN = (
     ("contact.restitution", 0.0, 0.95, False),
-    ("friction.v_eps", 1e-4, 1e-2, True),
-    ("detector.radius", 1e-3, 12e-3, True),
-    ("detector.dwell", 0.0, 0.5, False),
+    ("friction.slip_regularization_speed", 1e-4, 1e-2, True),
+    ("detector.capture_radius", 1e-3, 12e-3, True),
+    ("detector.min_dwell", 0.0, 0.5, False),
     ("buffer.rest_length", 0.19, 0.225, False),
     ("chaser.mass", 20.792415, 21.9706, False),
 )
@@ -179,7 +191,7 @@ def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Point:
         else:
             scene = changed(scene, field, value)
     cone, tip = scene.cone, scene.probe.tip_radius
-    beside = cone.R_c + b * math.sin(cone.beta) - tip * math.cos(cone.beta)
+    beside = cone.R_c + b * math.sin(cone.half_angle) - tip * math.cos(cone.half_angle)
     near = placed(scene, 0.0, -beside, _SPEED, _RUN_UP)
     assert near is not None  # every b tried lies on the wall
     outcome = run_to_verdict(near, rtol=_RTOL)
@@ -373,7 +385,7 @@ def claims(evidence: Evidence) -> Iterator[Claim]:
     yield from design_flow()
     yield from velocities(evidence.engine)
     yield from docking(evidence.run(DOCKING))
-    radius = next(s for s in evidence.scans if s.assumption.field == "detector.radius")
+    radius = next(s for s in evidence.scans if s.assumption.field == "detector.capture_radius")
     both = evidence.together.share("paper_designed", "paper_case_2")
     why_2 = (
         "comes nearer than the designed buffer: agrees for a radius of capture of "

@@ -111,10 +111,10 @@ def default_parameters(part: float = 0.1) -> tuple[Parameter, ...]:
         Parameter("target.inertia", "kg m^2", part),
         Parameter("cylinder.mass", "kg", part),
         Parameter("probe.density", "kg/m^3", part),
-        Parameter("cone.beta", "rad", math.radians(1.0), relative=False),
+        Parameter("cone.half_angle", "rad", math.radians(1.0), relative=False),
         Parameter("contact.restitution", "1", part),
         Parameter("friction.mu", "1", part),
-        Parameter("friction.v_eps", "m/s", part),
+        Parameter("friction.slip_regularization_speed", "m/s", part),
     )
 
 

@@ -168,7 +168,9 @@ def normal_force(force: np.ndarray, attitude: np.ndarray, cone: Cone) -> np.ndar
     c, s = np.cos(attitude), np.sin(attitude)
     along = c * force[:, 0] - s * force[:, 1]
     across = s * force[:, 0] + c * force[:, 1]
-    return np.asarray(-math.sin(cone.beta) * along + math.cos(cone.beta) * np.abs(across))
+    return np.asarray(
+        -math.sin(cone.half_angle) * along + math.cos(cone.half_angle) * np.abs(across)
+    )
 
 
 def in_force(

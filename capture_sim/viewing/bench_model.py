@@ -34,8 +34,8 @@ def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
         Indices into the vertices, three each.
     """
     angle = np.linspace(np.pi, 2 * np.pi, count)
-    lip_radius = cone.R_c + cone.L_c * np.sin(cone.beta)
-    lip_x = -cone.L_T - cone.L_c * np.cos(cone.beta)
+    lip_radius = cone.R_c + cone.L_c * np.sin(cone.half_angle)
+    lip_x = -cone.L_T - cone.L_c * np.cos(cone.half_angle)
     rings = [
         np.stack([np.full(count, x), r * np.cos(angle), r * np.sin(angle)], axis=-1)
         for x, r in ((-cone.L_T, cone.R_c), (lip_x, lip_radius))

@@ -153,7 +153,7 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
             color=style.DARK,
             fontsize=13,
             fontweight="bold",
-            rotation=-side * np.rad2deg(scene.cone.beta),
+            rotation=-side * np.rad2deg(scene.cone.half_angle),
             rotation_mode="anchor",
             ha="center",
             va="center",

@@ -103,7 +103,7 @@ def _draw_launch(axes: Axes, scene: Scene) -> None:
 
 
 def _draw_symbols(axes: Axes, scene: Scene) -> None:
-    cone, probe, beta = scene.cone, scene.probe, scene.cone.beta
+    cone, probe, beta = scene.cone, scene.probe, scene.cone.half_angle
     h = scene.rest_length + _STROKE
     # the tip at the +y wall, the chaser straight
     along = np.array([np.cos(_TORSION), np.sin(_TORSION)])
@@ -112,7 +112,7 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
     inwards = -np.array([np.sin(beta), np.cos(beta)])
     tip = face + probe.tip_radius * inwards - (cone.L_T, 0.0)
     hinge = tip - h * along
-    q = np.array([hinge[0] - scene.buffer.a, hinge[1], 0.0, _TORSION, h, 0.0, 0.0, 0.0])
+    q = np.array([hinge[0] - scene.buffer.hinge_offset, hinge[1], 0.0, _TORSION, h, 0.0, 0.0, 0.0])
     assert np.allclose(tip_in_world(scene, q[None])[0], tip)
     assert np.allclose(hinge_in_world(scene, q[None])[0], hinge)
     walls = [

@@ -363,7 +363,7 @@ def _frame(
 def _draw_panel(axes: Axes, name: str, shown: Sequence[Shown], window: Window) -> None:
     panel = PANELS[name]
     if name == "distance":
-        for radius in sorted({one.run.scene.detector.radius for one in shown}):
+        for radius in sorted({one.run.scene.detector.capture_radius for one in shown}):
             label = f"capture zone, {radius * _MM:g} mm"
             axes.axhspan(0.0, radius * _MM, color=style.ZONE, alpha=0.2, lw=0, label=label)
     if panel.sampled and not panel.from_zero:

@@ -201,7 +201,7 @@ def _draw_distance(
     axes: Axes, run: ViewableRun, colour: str, zone: str = "green: capture zone,"
 ) -> None:
     distance = style.DISTANCE.of(run.samples)
-    radius = run.scene.detector.radius * style.DISTANCE.factor
+    radius = run.scene.detector.capture_radius * style.DISTANCE.factor
     _plot_shown(axes, run, distance, colour)
     axes.axhspan(0.0, radius, color=style.ZONE, alpha=0.25, lw=0)
     axes.set_ylim(bottom=0.0)

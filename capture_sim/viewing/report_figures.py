@@ -76,7 +76,7 @@ def over_time(name: str, shown: Sequence[Shown]) -> Drawn:
                     showlegend=False,
                 )
     if name == "distance":
-        radius = max(one.run.scene.detector.radius for one in shown) * 1e3
+        radius = max(one.run.scene.detector.capture_radius for one in shown) * 1e3
         figure.add_hrect(0.0, radius, fillcolor=style.ZONE, opacity=0.2, line_width=0)
     figure.update_xaxes(title=f"{time_label(shown)}  [s]", range=window)
     figure.update_yaxes(title=panel.axis, rangemode="tozero" if panel.from_zero else "normal")

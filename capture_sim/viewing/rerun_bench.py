@@ -79,7 +79,7 @@ class BenchLog:
         for entity, body in (("chaser", CHASER), ("target", TARGET)):
             pose = q[:, list(body)]
             self._move(entity, t, translation=_level(pose[:, :2]), quaternion=_yaw(pose[:, 2]))
-        hinge = np.tile([self._scene.buffer.a, 0.0, 0.0], (len(t), 1))
+        hinge = np.tile([self._scene.buffer.hinge_offset, 0.0, 0.0], (len(t), 1))
         self._move("chaser/cylinder", t, translation=hinge, quaternion=_yaw(samples["torsion"]))
         along = np.zeros((len(t), 3))
         along[:, 0] = q[:, H]
@@ -241,7 +241,7 @@ class BenchLog:
                 f"{self._map}/tip_bound_{name}",
                 rr.LineStrips2D([bound], radii=0.25, colors=_GREY),
             )
-        zone = circle(np.zeros(2), scene.detector.radius) * _MM
+        zone = circle(np.zeros(2), scene.detector.capture_radius) * _MM
         stream.static(
             f"{self._map}/capture_zone",
             rr.LineStrips2D([zone], radii=0.5, colors=style.rgb(style.GREEN)),

@@ -117,7 +117,7 @@ def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> No
 def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
     """Log as level lines what the runs share: capture radius and stops."""
     limits: list[tuple[str, str, str, float]] = []
-    radii = {run.scene.detector.radius for run in runs}
+    radii = {run.scene.detector.capture_radius for run in runs}
     if len(radii) == 1:
         limits.append(("distance", "capture radius", style.ZONE, radii.pop()))
     all_stops = {run.scene.stops for run in runs}

@@ -71,7 +71,7 @@ class Box(NamedTuple):
 
 def chaser_box(scene: Scene) -> Box:
     """Return the chaser's body: up to just behind the hinge."""
-    return Box(-_REAR, 0.9 * scene.buffer.a, _HALF_WIDTH)
+    return Box(-_REAR, 0.9 * scene.buffer.hinge_offset, _HALF_WIDTH)
 
 
 def target_box(scene: Scene) -> Box:
@@ -88,7 +88,7 @@ def placed(points: np.ndarray, x: float, y: float, theta: float) -> np.ndarray:
 def hinge_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
     """Return the hinge in the world, (n, 2), m, from q (n, 8)."""
     heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
-    return np.asarray(q[:, :2] + scene.buffer.a * heading)
+    return np.asarray(q[:, :2] + scene.buffer.hinge_offset * heading)
 
 
 def tip_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def tip_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
 def wall(cone: Cone, side: int) -> np.ndarray:
     """Return the wall on side +1 or -1 in the cone's frame: inner edge and lip, (2, 2), m."""
     inner = np.array([0.0, side * cone.R_c])
-    along = np.array([-np.cos(cone.beta), side * np.sin(cone.beta)])
+    along = np.array([-np.cos(cone.half_angle), side * np.sin(cone.half_angle)])
     return np.stack([inner, inner + cone.L_c * along])
 
 
@@ -183,7 +183,7 @@ def tip_bound(cone: Cone, tip_radius: float, side: int, count: int = 40) -> np.n
     """
     inner, lip = wall(cone, side)
     # the face looks to the axis and to the chaser: against side * y, turned by the half-angle
-    facing = -side * (np.pi / 2 + cone.beta)
+    facing = -side * (np.pi / 2 + cone.half_angle)
     at_edge = np.linspace(-side * np.pi / 2, facing, count)  # from the throat on
     at_lip = np.linspace(facing, facing - side * np.pi / 2, count)
     arcs = [
@@ -204,14 +204,14 @@ def cone_shapes(scene: Scene) -> dict[str, Shape]:
         shapes[name] = Shape(face, style.DARK, 4.0)
         bound = tip_bound(cone, scene.probe.tip_radius, side)
         shapes[f"centre when touching the {name}"] = Shape(bound, style.GREY, 1.0, dashed=True)
-    zone = circle(np.zeros(2), scene.detector.radius)
+    zone = circle(np.zeros(2), scene.detector.capture_radius)
     shapes["capture zone"] = Shape(zone, style.ZONE, 2.3, order=4.0)
     return shapes
 
 
 def _outwards(cone: Cone, side: int) -> np.ndarray:
     """Return the direction from a wall's face into its body."""
-    return np.array([np.sin(cone.beta), side * np.cos(cone.beta)])
+    return np.array([np.sin(cone.half_angle), side * np.cos(cone.half_angle)])
 
 
 def wall_name_place(cone: Cone, side: int) -> np.ndarray:

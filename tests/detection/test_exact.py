@@ -20,7 +20,7 @@ def tip_motion(scene, places, rate=100.0, turn=0.0):
     samples = np.zeros(len(places), SAMPLE)
     places = np.asarray(places, dtype=float)
     speeds = np.gradient(places, 1 / rate, axis=0) if len(places) > 1 else places * 0
-    reach = scene.buffer.a + scene.rest_length
+    reach = scene.buffer.hinge_offset + scene.rest_length
     c, s = math.cos(turn), math.sin(turn)
     for k, ((axial, lateral), (axial_rate, lateral_rate)) in enumerate(
         zip(places, speeds, strict=True)
@@ -85,8 +85,8 @@ def test_staying_in_the_zone_is_a_capture_after_the_dwell(scene):
     statuses = verdict(scene, path)
     assert statuses[0].state is CaptureState.APPROACH
     captured = next(s for s in statuses if s.state is CaptureState.CAPTURED)
-    entered = next(s.t for s in statuses if s.distance <= scene.detector.radius)
-    assert captured.t == pytest.approx(entered + scene.detector.dwell, abs=1e-9)
+    entered = next(s.t for s in statuses if s.distance <= scene.detector.capture_radius)
+    assert captured.t == pytest.approx(entered + scene.detector.min_dwell, abs=1e-9)
     assert captured.final
     assert statuses[-1].state is CaptureState.CAPTURED
     assert statuses[-1].time_in_state == pytest.approx(statuses[-1].t - captured.t)
@@ -114,7 +114,7 @@ def test_retreat_after_contact_is_a_rebound(scene):
     statuses = verdict(scene, path)
     assert CaptureState.CONTACT in {s.state for s in statuses}
     rebound = next(s for s in statuses if s.state is CaptureState.REBOUND)
-    assert rebound.distance > rebound.nearest_distance + scene.detector.leave
+    assert rebound.distance > rebound.nearest_distance + scene.detector.min_retreat
     assert statuses[-1].state is CaptureState.REBOUND
 
 
@@ -127,7 +127,7 @@ def test_standing_short_of_be_is_stuck(scene):
     path = lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.03625, 0.03, 2.0))
     statuses = verdict(scene, path)
     stuck = next(s for s in statuses if s.state is CaptureState.STUCK)
-    assert stuck.t == pytest.approx(0.6 + scene.detector.still_time, abs=0.05)
+    assert stuck.t == pytest.approx(0.6 + scene.detector.min_still_time, abs=0.05)
     assert statuses[-1].final
 
 

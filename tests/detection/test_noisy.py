@@ -246,13 +246,13 @@ def test_noise_delays_a_verdict_by_no_more_than_is_said(runs, name):
     clean = next(s.t for s in result.statuses if s.final)
     _, t = judge(result.scene, disturbed(result, Disturbance(), np.random.default_rng(5)))
     # delay, two jitters, and three standard deviations at the retreat's 15 mm/s
-    assert clean <= t <= clean + result.scene.detector.delay + 0.04 + 0.2
+    assert clean <= t <= clean + result.scene.detector.max_delay + 0.04 + 0.2
 
 
 def test_a_hole_breaks_off_the_dwell(runs):
     """Seen in the zone before and after a hole: nobody knows where the tip was meanwhile."""
     result = runs["tilt_m10"]
-    inside = result.samples["tip_distance"] <= result.scene.detector.radius
+    inside = result.samples["tip_distance"] <= result.scene.detector.capture_radius
     entered = float(result.samples["t"][np.argmax(inside)])
     detector, verdict = NoisyDetector(result.scene), None
     for sample in result.samples[::10]:
@@ -264,16 +264,16 @@ def test_a_hole_breaks_off_the_dwell(runs):
             break
     assert verdict is not None
     assert verdict.state is CaptureState.CAPTURED
-    assert verdict.t == pytest.approx(entered + 0.5 + result.scene.detector.dwell, abs=0.02)
+    assert verdict.t == pytest.approx(entered + 0.5 + result.scene.detector.min_dwell, abs=0.02)
 
 
 @pytest.mark.parametrize("frozen", [Source.CHASER, Source.TARGET])
 def test_a_source_that_repeats_its_last_pose_is_not_believed(frozen):
     """The tip looks into the zone for 60 ms, the cameras lose it there, and find it outside."""
     scene = load_scene("tilt_0")
-    aligner, detector = Aligner(scene.detector.gap), NoisyDetector(scene)
+    aligner, detector = Aligner(scene.detector.max_data_gap), NoisyDetector(scene)
     rng = np.random.default_rng(6)
-    reach = scene.buffer.a + scene.rest_length + scene.cone.L_T
+    reach = scene.buffer.hinge_offset + scene.rest_length + scene.cone.L_T
     last = {}
     for k in range(400):
         t = k / 100
@@ -322,9 +322,9 @@ def test_worse_measurements_are_asked_longer(runs):
         waits.append(detector.delay)
     assert waits[0] == 0.0
     assert waits == sorted(waits)
-    assert waits[-1] == result.scene.detector.delay
+    assert waits[-1] == result.scene.detector.max_delay
     hasty = dataclasses.replace(
-        result.scene, detector=dataclasses.replace(result.scene.detector, delay=0.0)
+        result.scene, detector=dataclasses.replace(result.scene.detector, max_delay=0.0)
     )
     detector = NoisyDetector(hasty)
     for sample in result.samples[:1000:10]:

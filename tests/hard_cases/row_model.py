@@ -42,7 +42,7 @@ class Row:
         soft = (1 - c.tip.nu**2) / c.tip.E + (1 - c.wall.nu**2) / c.wall.E
         self.K = 4 / 3 * math.sqrt(p.tip_radius) / soft
         self.a = HYSTERESIS_FACTOR[c.law](c.restitution)
-        self.v_0_floor = c.v_0_floor
+        self.v_0_floor = c.min_approach_speed
         self.buffer, self.stops = scene.buffer, scene.stops
         self.gap, self.slowing = gap, np.array(slowing)
         self.t, self.y = 0.0, np.array([0.0, 0.0, 0.0, *speeds])

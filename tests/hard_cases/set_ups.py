@@ -46,8 +46,8 @@ def turned(angle: float, x: float, y: float) -> np.ndarray:
 def outer_lip(scene: Scene, side: float = 1.0) -> tuple[float, float]:
     """The outer end of a wall in the target's frame, m."""
     cone = scene.cone
-    x = -cone.L_T - cone.L_c * math.cos(cone.beta)
-    return x, side * (cone.R_c + cone.L_c * math.sin(cone.beta))
+    x = -cone.L_T - cone.L_c * math.cos(cone.half_angle)
+    return x, side * (cone.R_c + cone.L_c * math.sin(cone.half_angle))
 
 
 def in_a_row(gap: float, changes: dict[str, Any], base: str = "paper_designed") -> Scene:
@@ -57,7 +57,13 @@ def in_a_row(gap: float, changes: dict[str, Any], base: str = "paper_designed") 
     """
     scene = _loaded(base)
     x, y = outer_lip(scene)
-    ahead = scene.buffer.a + scene.rest_length + scene.probe.tip_radius + math.hypot(x, y) + gap
+    ahead = (
+        scene.buffer.hinge_offset
+        + scene.rest_length
+        + scene.probe.tip_radius
+        + math.hypot(x, y)
+        + gap
+    )
     at = {
         "initial.chaser.x": 0.0,
         "initial.chaser.y": 0.0,
@@ -92,12 +98,14 @@ def anvil(
     """
     scene = _loaded(base)
     cone = scene.cone
-    facing = math.atan2(-math.cos(cone.beta), -math.sin(cone.beta))
+    facing = math.atan2(-math.cos(cone.half_angle), -math.sin(cone.half_angle))
     theta = math.remainder(math.pi + slope - facing, 2.0 * math.pi)
     b = 0.045
-    wall = turned(theta, -cone.L_T - b * math.cos(cone.beta), cone.R_c + b * math.sin(cone.beta))
+    wall = turned(
+        theta, -cone.L_T - b * math.cos(cone.half_angle), cone.R_c + b * math.sin(cone.half_angle)
+    )
     off = (scene.probe.tip_radius + gap) * turned(slope, 1.0, 0.0)
-    at = np.array([scene.buffer.a + scene.rest_length, 0.0]) + off - wall
+    at = np.array([scene.buffer.hinge_offset + scene.rest_length, 0.0]) + off - wall
     there = {
         "target.inertia": 1e12,
         "initial.chaser.x": 0.0,

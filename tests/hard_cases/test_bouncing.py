@@ -27,7 +27,7 @@ def dropped(e, changes, stiffer=1.0, speed=SPEED, gap=GAP, pull=PULL, rolling=1.
         "contact.restitution": e,
         "contact.tip.E": E,
         "contact.wall.E": E,
-        "contact.v_0_floor": 1e-9,
+        "contact.min_approach_speed": 1e-9,
         "initial.chaser.vx": speed,
         "run.state_rate": 1.0,
         "run.rate": 1.0,

@@ -32,7 +32,7 @@ def hitting(point, beside, heading, tilt, changes):
     x, y = outer_lip(scene, -1.0)
     if point == "edge":
         x, y = -scene.cone.L_T, -scene.cone.R_c
-    reach = scene.buffer.a + scene.rest_length
+    reach = scene.buffer.hinge_offset + scene.rest_length
     ahead = 0.02 + scene.probe.tip_radius
     at = turned(heading, reach + ahead, beside) - turned(tilt, x, y)
     stiff = 71.7e13  # ten thousand times aluminium: an impact without duration, nearly

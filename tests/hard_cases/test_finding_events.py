@@ -28,7 +28,7 @@ def flying_by(overlap, ahead, changes, base="paper_designed"):
     """
     scene = load_scene(base)
     x, y = outer_lip(scene, -1.0)
-    reach = scene.buffer.a + scene.rest_length
+    reach = scene.buffer.hinge_offset + scene.rest_length
     there = {
         "friction.law": "none",
         "contact.law": "exact",
@@ -124,7 +124,7 @@ def test_latch_catches_a_tip_that_crosses_its_zone(radius, method):
     """
     rng = np.random.default_rng(10)
     base = load_scene("paper_designed")
-    reach = base.buffer.a + base.rest_length
+    reach = base.buffer.hinge_offset + base.rest_length
     for _ in range(12):
         speed, ahead = 10 ** rng.uniform(-2, 0.5), rng.uniform(0.06, 0.3)
         offset = rng.uniform(-2, 2) * radius
@@ -239,7 +239,7 @@ def test_lip_that_a_spinning_target_sweeps_against_a_standing_tip(spin, method):
     base = load_scene("paper_designed")
     x, y = outer_lip(base, -math.copysign(1.0, spin))  # seen from outside the cone
     lip, bearing = math.hypot(x, y), math.atan2(y, x)
-    reach, radius = base.buffer.a + base.rest_length, base.probe.tip_radius
+    reach, radius = base.buffer.hinge_offset + base.rest_length, base.probe.tip_radius
     # the tip lies on the lip's circle, 1 rad of its way ahead; seen from the target at pi
     start = math.pi - bearing - math.copysign(1.0, spin)
     scene = altered(

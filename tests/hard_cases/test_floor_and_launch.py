@@ -70,7 +70,7 @@ def test_vehicle_moves_off_when_its_limit_is_reached(c_rr, method):
     changes = ON_THE_FLOOR | {
         "supports.chaser.c_rr": 0.0,
         "supports.target.c_rr": c_rr,
-        "supports.v_eps": 1e-9,
+        "supports.rolling_regularization_speed": 1e-9,
         "chaser.mass": 1e9,
         "chaser.inertia": 1e12,
         "initial.chaser.vx": speed,

@@ -115,7 +115,7 @@ def test_grazing_approach_down_to_a_nanometre_per_second(speed, e):
     }
     scene = anvil(0.01 * speed, changes)
     found, result = returned(scene)
-    floor = scene.contact.v_0_floor
+    floor = scene.contact.min_approach_speed
     expected = returned_restitution(exact_factor(e) * min(1.0, speed / floor))
     touch = result.touches[0]
     # places are of the order of 0.5 m: they are known to 1e-16 m

@@ -51,7 +51,7 @@ def block_on_a_slope(degrees, changes):
 def along_the_wall(result, slope):
     """Way (m) and speed (m/s) of the tip along the wall against the target, downhill."""
     downhill = turned(slope, 0.0, -1.0)
-    reach, h = result.scene.buffer.a, result.q[:, 4]
+    reach, h = result.scene.buffer.hinge_offset, result.q[:, 4]
     tip = result.q[:, 0:2] + reach * np.stack([np.cos(result.q[:, 2]), np.sin(result.q[:, 2])], 1)
     tip += h[:, None] * np.stack([np.cos(result.q[:, 3]), np.sin(result.q[:, 3])], 1)
     way = (tip - result.q[:, 5:7]) @ downhill
@@ -121,7 +121,7 @@ def test_regularised_friction_creeps_by_the_predicted_speed(share, v_eps, law):
         return math.tanh(4 * x) + 0.5 * x / (0.25 * x * x + 0.75) ** 2 - share
 
     creep = v_eps * brentq(asked, 0.0, 0.9 if law == "brown_mcphee" else 10.0)
-    how = {"friction.law": law, "friction.v_eps": v_eps}
+    how = {"friction.law": law, "friction.slip_regularization_speed": v_eps}
     if law == "brown_mcphee":
         how["friction.mu_s"] = 1.5 * MU
     slope = math.radians(degrees_at(share))

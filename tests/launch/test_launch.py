@@ -50,8 +50,9 @@ def test_launch_agrees_with_both_bodies_integrated_one_by_one():
     m, mh = scene.chaser_total_mass, result.plan.hanging_mass
     balls = np.array(scene.supports.chaser.balls)
     ahead = (
-        scene.cylinder.mass * (scene.buffer.a - scene.cylinder.length / 2)
-        + scene.probe.mass * (scene.buffer.a + scene.rest_length - scene.probe.com_offset)
+        scene.cylinder.mass * (scene.buffer.hinge_offset - scene.cylinder.length / 2)
+        + scene.probe.mass
+        * (scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset)
     ) / m
     loads = ball_loads(balls, m * g, ahead, 0.0)
     resist = scene.supports.chaser.c_rr * loads.sum()

@@ -77,7 +77,7 @@ def test_plates_of_the_cone_lie_on_the_walls(scene):
     [link] = [link for link in robot.iter("link") if link.get("name") == "target/cone"]
     cone = scene.cone
     inner = np.array([0.0, cone.R_c])
-    lip = inner + cone.L_c * np.array([-math.cos(cone.beta), math.sin(cone.beta)])
+    lip = inner + cone.L_c * np.array([-math.cos(cone.half_angle), math.sin(cone.half_angle)])
     count = 0
     for visual in link.iter("visual"):
         origin, box = visual.find("origin"), visual.find("geometry/box")

@@ -87,7 +87,10 @@ def test_noise_is_found_in_the_series():
         (("mu", "mu"), "each once"),
         (("stops.stiffness",), "parameter stops.stiffness"),
         (("run.t_end",), "parameter run.t_end: allowed are c_rr, e, mu, c_A, or a number of the"),
-        (("mu", "detector.radius"), "parameter detector.radius: .* not of run, detector, sensors"),
+        (
+            ("mu", "detector.capture_radius"),
+            "parameter detector.capture_radius: .* not of run, detector, sensors",
+        ),
         (("sensors.seed",), "parameter sensors.seed"),
         (("probe.rod_mass",), "parameter probe.rod_mass"),
         (("friction.mu.real",), "parameter friction.mu.real"),

@@ -136,7 +136,7 @@ def test_detector_with_other_limits(path, capsys):
     assert main(["detect", str(path)]) == 0
     assert "the same" in capsys.readouterr().out
     # the tip rests 1.7 mm from BE, so it never comes within 1 mm
-    assert main(["detect", str(path), "--set", "detector.radius=0.001"]) == 0
+    assert main(["detect", str(path), "--set", "detector.capture_radius=0.001"]) == 0
     said = capsys.readouterr().out
     assert "verdict: stuck" in said
     assert "DIFFERENT" in said
@@ -148,7 +148,7 @@ def test_detect_takes_limits_alone(change, path, capsys):
     assert main(["detect", str(path), "--set", change]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"capture-sim: --set {change}: what is recorded is judged, so allowed")
-    assert "detector.radius, detector.dwell" in said
+    assert "detector.capture_radius, detector.min_dwell" in said
     assert said.count("\n") == 1
 
 

@@ -26,7 +26,7 @@ from capture_sim.studies.paper import (
 )
 from capture_sim.viewing.paper_figures import FIGURES
 
-RADIUS = Assumption("radius", "detector.radius", "mm", 1e3, (3e-3, 5e-3, 8e-3), "", 5e-3)
+RADIUS = Assumption("radius", "detector.capture_radius", "mm", 1e3, (3e-3, 5e-3, 8e-3), "", 5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
 def test_the_first_touch_is_at_b():
     scene = load_scene("paper_designed", ["initial.target.x=2.0"])
     cone = scene.cone
-    offset = -(cone.R_c + (0.045 - scene.probe.tip_radius) * math.sin(cone.beta))
+    offset = -(cone.R_c + (0.045 - scene.probe.tip_radius) * math.sin(cone.half_angle))
     near = placed(scene, 0.0, offset, 0.1, 1e-4)
     given = load_scene("paper_designed").initial
     assert near.initial.chaser.y - near.initial.target.y == pytest.approx(

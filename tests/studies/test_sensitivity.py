@@ -150,9 +150,9 @@ def test_nothing_changed_is_the_scene_itself(name):
 
 def test_a_changed_cone_is_still_met_just_so():
     scene = load_scene("paper_designed")
-    beta = Parameter("cone.beta", "rad", 0.02, relative=False)
-    steeper = changed(scene, [beta], [scene.cone.beta + 0.02])
-    assert steeper.cone.beta == scene.cone.beta + 0.02
+    beta = Parameter("cone.half_angle", "rad", 0.02, relative=False)
+    steeper = changed(scene, [beta], [scene.cone.half_angle + 0.02])
+    assert steeper.cone.half_angle == scene.cone.half_angle + 0.02
     first = simulate(steeper, t_end=0.1).summary
     assert first["first_contact_time"] == pytest.approx(0.01, rel=1e-6)
     assert first["impact_speed"] == pytest.approx(0.1, rel=1e-9)

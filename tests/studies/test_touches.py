@@ -42,8 +42,8 @@ def half_sines(rate, starts, peaks, lasting, wall, mu, cone, attitude):
     for start, peak in zip(starts, peaks, strict=True):
         inside = (t >= start) & (t <= start + lasting)
         normal[inside] += peak * np.sin(np.pi * (t[inside] - start) / lasting)
-    into = np.array([-np.sin(cone.beta), -wall * np.cos(cone.beta)])
-    along = np.array([-np.cos(cone.beta), wall * np.sin(cone.beta)])
+    into = np.array([-np.sin(cone.half_angle), -wall * np.cos(cone.half_angle)])
+    along = np.array([-np.cos(cone.half_angle), wall * np.sin(cone.half_angle)])
     x, y = (into[:, None] + mu * along[:, None]) * normal
     c, s = np.cos(attitude), np.sin(attitude)
     return t, np.stack([c * x + s * y, c * y - s * x], axis=1)

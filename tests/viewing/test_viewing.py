@@ -79,7 +79,7 @@ def distance_to_segment(point, ends):
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("beta", [0.3, math.pi / 4, 1.2])
 def test_bound_of_the_tip_lies_one_radius_off_the_wall_on_its_inner_side(runs, side, beta):
-    scene = capture_sim.load_scene("tilt_0", [f"cone.beta={beta}", "string.drop_height=0.05"])
+    scene = capture_sim.load_scene("tilt_0", [f"cone.half_angle={beta}", "string.drop_height=0.05"])
     ends = wall(scene.cone, side)
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(scene.cone.L_c)
     assert ends[0].tolist() == [0.0, side * scene.cone.R_c]
@@ -115,7 +115,7 @@ def test_cone_mesh_joins_inner_edge_and_lip(runs):
     radii = np.hypot(vertices[:, 1], vertices[:, 2])
     slope = (vertices[:, 0].max() - vertices[:, 0].min()) / (radii.max() - radii.min())
     assert radii.min() == pytest.approx(cone.R_c)
-    assert slope == pytest.approx(1.0 / math.tan(cone.beta))
+    assert slope == pytest.approx(1.0 / math.tan(cone.half_angle))
     assert triangles.min() == 0
     assert triangles.max() == len(vertices) - 1
     assert (vertices[:, 2] < 1e-9).all()  # open above
@@ -317,7 +317,7 @@ def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted):
 
 def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):
     """The verdict then falls before the first touch."""
-    run = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["detector.radius=1"]))
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["detector.capture_radius=1"]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plots.save_figure(run, tmp_path / "x.png")
