@@ -191,7 +191,7 @@ class Bench:
 
     @property
     def extremes(self) -> Extremes:
-        """Largest strokes, torsion, depths and forces and the nearest approach so far.
+        """Largest strokes, torsion, penetrations and forces and the nearest approach so far.
 
         Before the end of the run: up to the start of the integrator's step that is under way.
         """
@@ -256,7 +256,7 @@ class Bench:
             mode, run = self._system["mode"], self._run
             part, duration = stiffest_part(
                 self._system["par"],
-                depth=-float(run["gap"][:2].min()),
+                penetration=-float(run["gap"][:2].min()),
                 chi=float(mode["chi"].max()),
                 force=float(run["force"].max()),
             )

@@ -88,13 +88,13 @@ def extremes_in(samples: np.ndarray, events: Iterable[Event]) -> Extremes:
     found = np.zeros(2, EXTREMES)
     for row, part in zip(found, parts, strict=True):
         # a latch holds the tip in place of the walls
-        depth = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
+        penetration = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
         for name, values in (
             ("compression", np.maximum(-part["axial_stroke"], 0.0)),
             ("extension", np.maximum(part["axial_stroke"], 0.0)),
             ("torsion", np.abs(part["torsion"])),
             ("tip_distance", -part["tip_distance"]),
-            ("penetration", depth.max(axis=1, initial=0.0)),
+            ("penetration", penetration.max(axis=1, initial=0.0)),
             ("normal_force", part["normal_force"].max(axis=1, initial=0.0)),
         ):
             if values.size:

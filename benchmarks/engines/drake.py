@@ -1,6 +1,6 @@
 """The paper's scene in Drake, as near as its contact can be brought.
 
-Drake's point contact is linear in depth with Hunt-Crossley damping, and its friction a
+Drake's point contact is linear in penetration with Hunt-Crossley damping, and its friction a
 regularised Stribeck law; stiffness and dissipation are fitted to duration and momentum of the
 reference's first bounce, which flatters it.  The walls are boxes with their faces where the
 cone's are; time is continuous, with an error-controlled integrator.
@@ -26,7 +26,10 @@ NAME = "Drake"
 MODULE = "pydrake"
 PACKAGE = "drake"
 REFERENCE = ""
-NOTE = "MultibodyPlant, RK3 with error control; contact linear in depth, fitted to the first bounce"
+NOTE = (
+    "MultibodyPlant, RK3 with error control; contact linear in penetration, "
+    "fitted to the first bounce"
+)
 _THICKNESS = 0.01  # m, half that of a wall, behind its face
 
 

@@ -123,8 +123,8 @@ class NumpyModel:
 
     def normal_force(self, contact: Contact, wall: int) -> float:
         """Return F_n of eq. (1), N; it never pulls."""
-        depth = max(-contact.gap, 0.0)
-        return float(max(depth**1.5 * (self.K - self.chi[wall] * contact.rate), 0.0))
+        penetration = max(-contact.gap, 0.0)
+        return float(max(penetration**1.5 * (self.K - self.chi[wall] * contact.rate), 0.0))
 
     def rate_of_change(self, y: np.ndarray) -> np.ndarray:
         """Return dy/dt (16,) of q and v."""

@@ -52,14 +52,14 @@ def packed(scene: Scene) -> np.ndarray:
     return pack(scene, plan.hanging_mass, plan.drop_height, plan.impact_speed)
 
 
-def into_wall(scene: Scene, depth: float = 3e-6) -> float:
-    """Return the x_S at which the tip, else as at the release, is ``depth`` (m) in the -y wall."""
+def into_wall(scene: Scene, penetration: float = 3e-6) -> float:
+    """Return the x_S at which the tip is ``penetration`` (m) in the -y wall, all else as is."""
     q, v = scene.initial_coordinates()
     y = np.concatenate([q, v])
     parameters = packed(scene)
     for _ in range(20):
         gap, _ = gap_of_wall(parameters, y, -1.0)
-        y[0] += (gap + depth) / np.sin(scene.cone.half_angle)
+        y[0] += (gap + penetration) / np.sin(scene.cone.half_angle)
     return float(y[0])
 
 
@@ -102,8 +102,8 @@ class CompiledProblem:
     def normal_force(self, y: np.ndarray, wall: int) -> float:
         """Return F_n, N; eq. (1)."""
         gap, rate = self.gap(y, wall)
-        depth = max(-gap, 0.0)
-        return float(max(depth * depth**0.5 * (self._K - self.chi[wall] * rate), 0.0))
+        penetration = max(-gap, 0.0)
+        return float(max(penetration * penetration**0.5 * (self._K - self.chi[wall] * rate), 0.0))
 
 
 class NumpyProblem:

@@ -152,8 +152,8 @@ class PythonModel:
         """Return F_n of eq. (1), N; it never pulls."""
         if contact.gap >= 0:
             return self.real(0.0)
-        depth = -contact.gap
-        force = depth * self.sqrt(depth) * (self.K - self.chi[wall] * contact.rate)
+        penetration = -contact.gap
+        force = penetration * self.sqrt(penetration) * (self.K - self.chi[wall] * contact.rate)
         return max(force, self.real(0.0))
 
     def friction_coefficient(self, slip: Any) -> Any:

@@ -7,7 +7,7 @@ Nothing depends on where samples are asked for, so any cutting of the sample tim
 calls gives the same bits.
 
 ``state`` is what the loop keeps of a run; ``steps`` takes a step; ``events`` finds the first event
-in it; ``extremes`` finds the largest force, strokes and depths inside it; ``consequences`` draws
-those of an event; ``segment`` and ``rail`` are the two kinds of segment; ``loop`` is what Python
-calls.
+in it; ``extremes`` finds the largest force, strokes and penetrations inside it; ``consequences``
+draws those of an event; ``segment`` and ``rail`` are the two kinds of segment; ``loop`` is what
+Python calls.
 """

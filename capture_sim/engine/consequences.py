@@ -99,10 +99,10 @@ def begin_touch(w, i):
     e.value = speed
     # a Hertz impact at this speed of the probe alone lasts about as long as this touch
     v = max(speed, par.v_0_floor)
-    depth = (1.25 * par.m_P * v * v / par.K) ** 0.4
+    penetration = (1.25 * par.m_P * v * v / par.K) ** 0.4
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
     run.h_free = run.h_next
-    run.h_next = min(run.h_next, min(_LARGEST_SHARE, _FIRST_SHARE * tighter) * depth / v)
+    run.h_next = min(run.h_next, min(_LARGEST_SHARE, _FIRST_SHARE * tighter) * penetration / v)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Largest forces, strokes and depths, and the nearest approach, inside the steps where they lie.
+"""Largest forces, strokes and penetrations, nearest approach, inside the steps where they lie.
 
 A quantity with its rate at both ends of a segment can hold a larger value in between only where
 the cubic through them has a maximum there; that place is then searched on the dense output.  So

@@ -17,7 +17,7 @@ _nearest_on_wall = plain(nearest_on_wall)
 
 
 class ContactRig:
-    """Elastic walls without friction: F_n = stiffness * depth^exponent.
+    """Elastic walls without friction: F_n = stiffness * penetration^exponent.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ class ContactRig:
         """Return what the walls do to the tip."""
         fx = fy = 0.0
         for side in (1.0, -1.0):
-            depth, nx, ny = self.depth(tip.x, tip.y, side)
-            if depth > 0.0:
-                force = self._stiffness * depth**self._exponent
+            penetration, nx, ny = self.penetration(tip.x, tip.y, side)
+            if penetration > 0.0:
+                force = self._stiffness * penetration**self._exponent
                 fx += force * nx
                 fy += force * ny
         return fx, fy, 0.0
 
-    def depth(self, x: float, y: float, side: float) -> tuple[float, float, float]:
-        """Return depth (m, negative is a gap) in a wall, and the normal in the target's axes."""
+    def penetration(self, x: float, y: float, side: float) -> tuple[float, float, float]:
+        """Return penetration (m, negative is a gap) and the normal in the target's axes."""
         distance, n_u, n_Y = _nearest_on_wall(
             -x, side * y, self._cone.R_c, self._cone.L_c, self._cos, self._sin
         )
@@ -187,7 +187,7 @@ def bounce_with_delay(
 def gain_rate(exponent: float) -> float:
     """Return by what a touch gains energy at a small delay, times duration over delay.
 
-    To first order in the delay the force is that of the present depth less
+    To first order in the delay the force is that of the present penetration less
     ``delay * dF/dt``, which feeds in ``delay * integral of F' v^2 dt`` (the negative damping
     of a delayed spring).  Over the energy of the approach that is 2 gain_rate delay /
     duration, so the restitution grows as exp(gain_rate delay / duration).  For a spring it

@@ -8,7 +8,7 @@ free bodies this force returns the restitution ``e_out`` with
     a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
 
 whatever the masses, K and the exponent: divide the equation of the approach by that of the
-depth, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
+penetration, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
 
 Friction: three laws regularise it at zero slip, one switches there:
 
@@ -117,15 +117,15 @@ NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 
 
 @inline_kernel
-def normal_force(depth: float, rate: float, K: float, chi: float) -> tuple[float, float]:
+def normal_force(penetration: float, rate: float, K: float, chi: float) -> tuple[float, float]:
     """Return the normal force and its elastic part, N.
 
-    ``depth`` delta, m; ``rate`` delta', m/s; ``K`` N/m^1.5; ``chi`` N s/m^2.5.
+    ``penetration`` delta, m; ``rate`` delta', m/s; ``K`` N/m^1.5; ``chi`` N s/m^2.5.
     Lankarani and Nikravesh (1990), eq. (1); it never pulls.
     """
-    if depth <= 0.0:
+    if penetration <= 0.0:
         return 0.0, 0.0
-    root = depth * math.sqrt(depth)
+    root = penetration * math.sqrt(penetration)
     elastic = K * root
     force = elastic + chi * root * rate
     if force < 0.0:

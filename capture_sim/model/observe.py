@@ -47,7 +47,7 @@ def kinetic_energy(y, par):
 
 @kernel
 def elastic_contact_energy(gap, K):
-    """Return the elastic energy of a contact, J: 2/5 K delta^2.5 for a depth of -gap."""
+    """Return the elastic energy of a contact, J: 2/5 K delta^2.5 for a penetration of -gap."""
     if gap >= 0.0:
         return 0.0
     return 0.4 * K * gap * gap * math.sqrt(-gap)
@@ -121,8 +121,8 @@ def observe(t, y, system, run, sample):
     stop = 0.0
     if mode.stop:
         end = par.stop_compressed if mode.stop < 0 else par.stop_extended
-        depth = max(mode.stop * (stroke - end), 0.0)
-        stop = 0.5 * par.k_stop * depth * depth
+        beyond = max(mode.stop * (stroke - end), 0.0)
+        stop = 0.5 * par.k_stop * beyond * beyond
     sample.elastic_stop = stop
 
     kinetic = kinetic_energy(y, par)

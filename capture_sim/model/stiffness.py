@@ -8,7 +8,7 @@ import numpy as np
 
 
 def stiffest_part(
-    par: np.void, depth: float = 0.0, chi: float = 0.0, force: float = 0.0
+    par: np.void, penetration: float = 0.0, chi: float = 0.0, force: float = 0.0
 ) -> tuple[str, float]:
     """Return the part of the bench with the shortest time, what sets it, and that time (s).
 
@@ -19,16 +19,16 @@ def stiffest_part(
     ----------
     par
         Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
-    depth, chi, force
+    penetration, chi, force
         Of the contact: penetration (m), hysteresis damping (N s/m^2.5) and normal force (N).
     """
-    depth = max(depth, 0.0)
+    penetration = max(penetration, 0.0)
     m = float(par["m_P"])
     inertia = float(par["hinge_inertia_0"] + m * (par["h_0"] - par["d"]) ** 2)
     springs = {
         "contact (probe.density, contact.tip.E, contact.wall.E)": (
             m,
-            1.5 * par["K"] * math.sqrt(depth),
+            1.5 * par["K"] * math.sqrt(penetration),
         ),
         "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
         "torsional spring (probe.density, cylinder.mass, buffer.k_T)": (inertia, par["k_T"]),
@@ -36,7 +36,7 @@ def stiffest_part(
         "latch (probe.density, latch.stiffness)": (m, par["k_L"]),
     }
     dampers = {
-        "contact's damping (contact.law, contact.restitution)": (m, chi * depth**1.5),
+        "contact's damping (contact.law, contact.restitution)": (m, chi * penetration**1.5),
         "axial damper (probe.density, buffer.c_A)": (m, par["c_A"]),
         "torsional damper (probe.density, cylinder.mass, buffer.c_T)": (inertia, par["c_T"]),
         "stroke stops (probe.density, stops.damping)": (m, par["c_stop"]),

@@ -25,7 +25,7 @@ class ContactRigNode(BenchNode):
         )
         stiffness = self.declare("stiffness", 2000.0, "N/m^exponent, of a wall", low=0.0, high=1e12)
         exponent = self.declare(
-            "exponent", 1.0, "of the depth: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
+            "exponent", 1.0, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
         )
         lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
         self._rig = ContactRig(load_scene(name, overrides), stiffness, exponent)

@@ -108,12 +108,12 @@ def penetration(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     samples, touches = run.samples, run.touches
     # of the walls that are touched: latches hold the tip in their place
     touched = (samples["walls"][:, None] & np.array([1, 2])) != 0
-    depth = np.where(touched, samples["penetration"], 0.0).max(axis=1) * 1e6
+    deepest = np.where(touched, samples["penetration"], 0.0).max(axis=1) * 1e6
     # zero at the located ends, so that no touch looks longer than it was
     t = np.concatenate([samples["t"], touches["start"], touches["end"]])
-    depth = np.concatenate([depth, np.zeros(2 * len(touches))])
+    deepest = np.concatenate([deepest, np.zeros(2 * len(touches))])
     t, first = np.unique(t, return_index=True)
-    return t, depth[first]
+    return t, deepest[first]
 
 
 #: By name of their figure's file.
@@ -125,7 +125,7 @@ PANELS = {
         from_zero=True,
     ),
     "intrusion": Panel(
-        "Depth of the tip in the wall", "penetration  [µm]", penetration, from_zero=True
+        "Penetration of the tip into the wall", "penetration  [µm]", penetration, from_zero=True
     ),
     "axial_performance": _of_samples(style.STROKE, "Axial buffer"),
     "torsional_performance": _of_samples(style.TORSION, "Torsional buffer"),
