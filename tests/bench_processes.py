@@ -1,6 +1,5 @@
 """Nodes in processes of their own, and a client to talk to them, for tests and benchmarks."""
 
-import os
 import re
 import subprocess
 import sys
@@ -56,8 +55,6 @@ class Started:
 @contextmanager
 def processes(folder):
     """Give a function that starts a node: its name, Python code that changes it, parameters."""
-    # a killed process would leave its shared memory
-    environment = dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     started = []
 
     def start(name, change="", **parameters):
@@ -68,7 +65,6 @@ def processes(folder):
         program += "raise SystemExit(node.main())"
         process = subprocess.Popen(
             [sys.executable, "-c", program, *arguments],
-            env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -29,11 +29,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 _domain, _lock = _claim_domain()
 _log_dir = tempfile.mkdtemp(prefix="capture_sim_ros_log_")
 os.environ["ROS_DOMAIN_ID"] = str(_domain)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _log_dir
-# for those that listen in; the nodes take it by themselves
+# for those that listen in; the nodes take both by themselves
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
-    Path(__file__).resolve().parent.parent / "config" / "fast_dds.xml"
+    Path(__file__).resolve().parent.parent / "config" / "fast_dds_loopback.xml"
 )
 
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -233,7 +232,6 @@ def start(tmp_path):
         with log.open("w") as out:
             process = subprocess.Popen(
                 [sys.executable, "-m", f"capture_sim.nodes.{name}", "--ros-args", *arguments],
-                env=dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4"),
                 stdout=out,
                 stderr=subprocess.STDOUT,
             )

@@ -1,20 +1,17 @@
 """config/nodes.yaml holds what the nodes declare, with their own defaults."""
 
-import os
 import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 import yaml
 from bench_processes import Client, processes
 
 from capture_sim.resources import config_dir
 
 FILE = config_dir() / "nodes.yaml"
-PROFILE = config_dir() / "fast_dds.xml"
 NODES = ("simulator", "launcher", "capture_detector", "recorder")
 IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
 
@@ -51,8 +48,6 @@ def test_file_and_nodes_agree(tmp_path):
 
 
 def test_file_reaches_nodes_in_any_namespace(tmp_path):
-    import subprocess
-    import sys
 
     changed = Path(tmp_path, "nodes.yaml")
     changed.write_text(
@@ -70,29 +65,3 @@ def test_file_reaches_nodes_in_any_namespace(tmp_path):
         )
         assert done.returncode == 2
         assert "consumer_timeout = 5000.0: allowed is" in done.stderr
-
-
-@pytest.mark.parametrize(
-    "named", ["", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]
-)
-def test_a_node_brings_its_profile_of_dds_unless_another_is_named(named):
-    """However it is started: a message that was dropped must not wait for 3 s."""
-    program = """
-import os
-from capture_sim.errors import CaptureSimError
-from capture_sim.nodes import node
-def make():
-    names = [name for name in os.environ if name.endswith("_DEFAULT_PROFILES_FILE")]
-    raise CaptureSimError(" ".join(f"{name}={os.environ[name]}" for name in names))
-raise SystemExit(node.run(make))
-"""
-    environment = {k: v for k, v in os.environ.items() if "PROFILES_FILE" not in k}
-    if named:
-        environment[named] = "/own.xml"
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    expected = f"{named}=/own.xml" if named else f"FASTRTPS_DEFAULT_PROFILES_FILE={PROFILE}"
-    assert expected in done.stderr
-    assert PROFILE.is_file()

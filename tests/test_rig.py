@@ -1,6 +1,5 @@
 """A bench without simulator: plain rclpy with a clock, jitter and losses of its own."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -21,9 +20,8 @@ STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status,
 def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path):
     assert len(RIG.read_text().splitlines()) <= 65
     assert "capture_sim." not in RIG.read_text()
-    environment = dict(os.environ, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     with processes(tmp_path) as start, Client() as client:
-        rig = subprocess.Popen([sys.executable, str(RIG)], env=environment)
+        rig = subprocess.Popen([sys.executable, str(RIG)])
         try:
             nodes = {
                 "launcher": start("launcher", scene="tilt_0", actuator="output"),

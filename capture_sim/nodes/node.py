@@ -49,6 +49,7 @@ from capture_sim.interrupts import leave_if_busy
 from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import Rate, Topic
+from capture_sim.nodes import dds
 from capture_sim.resources import config_dir
 
 try:
@@ -63,8 +64,6 @@ OK, FAILED, REFUSED = 0, 1, 2
 LINGER = 0.3
 #: A latched message waits this long for what was sent before it, s (wall).
 IN_ORDER = 1.0
-#: Where Fast DDS looks for a profile.
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 _TYPES = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
@@ -508,11 +507,10 @@ def run(
     try:
         # held back until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
-        if not any(name in os.environ for name in _PROFILES):
-            os.environ[_PROFILES[0]] = str(config_dir() / "fast_dds.xml")
+        hidden = dds.configure(os.environ)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            status = _live(make)
+            status = _live(make, hidden)
         finally:
             rclpy.try_shutdown()
         leave_if_busy(status)  # compiling goes on behind a Ctrl-C
@@ -534,9 +532,11 @@ def _refuse(reason: str) -> int:
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode]) -> int:
+def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
     node = make()
     log = node.get_logger()
+    if hidden:
+        log.info(f"seen on this machine only; {dds.RANGE}=SUBNET lets others take part")
     callbacks = None
     status = FAILED
     interrupted = False

@@ -53,7 +53,7 @@ IN_TIME = 1.0
 #: Python hands over between threads this often, s; its own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
 #: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
-#: (wall): longer than DDS needs to see that (config/fast_dds.xml, leaseDuration).
+#: (wall): longer than DDS needs to see that (config/fast_dds*.xml, leaseDuration).
 RIVAL_PATIENCE = 8.0
 #: Others are found within this long, s (wall), before it is said that nobody else is there.
 DISCOVERY = 0.3

@@ -1,0 +1,119 @@
+"""What DDS is set to where the user has not chosen: a bench is seen on its own machine only."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bench_processes import Started
+
+from capture_sim.nodes.dds import PEERS, PROFILES, RANGE, configure
+from capture_sim.resources import config_dir
+
+LOOPBACK, NETWORK = "fast_dds_loopback.xml", "fast_dds.xml"
+CHOSEN = (*PROFILES, RANGE, PEERS, "ROS_LOCALHOST_ONLY")
+# addresses as /proc has them
+LOCALHOST = {"0100007F", "00000000000000000000000001000000"}
+# waits for a service of the node and calls it: both must have found each other
+PLAIN = """
+import rclpy
+from rcl_interfaces.srv import ListParameters
+rclpy.init()
+node = rclpy.create_node("plain")
+client = node.create_client(ListParameters, "/launcher/list_parameters")
+print("waits", flush=True)
+assert client.wait_for_service(30.0)
+while True:  # the first request may get lost, see bench_processes.Client
+    answer = client.call_async(ListParameters.Request())
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=1.0)
+    if answer.done():
+        break
+print("actuator" in answer.result().result.names, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    "given, profile, reach, by_default",
+    [
+        ({}, LOOPBACK, "SYSTEM_DEFAULT", True),
+        ({RANGE: "LOCALHOST"}, LOOPBACK, "SYSTEM_DEFAULT", False),
+        ({RANGE: "SUBNET"}, NETWORK, "SUBNET", False),
+        ({RANGE: "OFF"}, NETWORK, "OFF", False),
+        ({PEERS: "10.0.0.2"}, NETWORK, None, False),
+        ({RANGE: "LOCALHOST", PEERS: "10.0.0.2"}, NETWORK, "LOCALHOST", False),
+        ({RANGE: "SUBNET", "ROS_LOCALHOST_ONLY": "1"}, LOOPBACK, "SYSTEM_DEFAULT", False),
+        *(({name: "/own.xml"}, None, None, False) for name in PROFILES),
+    ],
+)
+def test_the_users_choice_of_profile_and_reach_holds(given, profile, reach, by_default):
+    environment = dict(given)
+    assert configure(environment) == by_default
+    assert environment.get(RANGE) == reach
+    if profile is None:
+        assert environment == given
+    else:
+        assert environment[PROFILES[0]] == str(config_dir() / profile)
+        assert (config_dir() / profile).is_file()
+
+
+def test_both_profiles_repeat_announcements_and_messages_as_often():
+    one, other = ((config_dir() / name).read_text().split() for name in (LOOPBACK, NETWORK))
+    for text in (
+        "<leaseDuration><sec>6</sec></leaseDuration>",
+        "<leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>",
+        "<times><heartbeatPeriod><sec>0</sec><nanosec>10000000</nanosec></heartbeatPeriod></times>",
+    ):
+        assert text in one
+        assert text in other
+
+
+def started(program, *arguments, **chosen):
+    environment = {name: value for name, value in os.environ.items() if name not in CHOSEN}
+    return Started(
+        subprocess.Popen(
+            [sys.executable, *program, *arguments],
+            env=environment | chosen,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+    )
+
+
+def addresses(pid):
+    """Return the local addresses of a process's UDP and TCP sockets."""
+    links = [str(file.readlink()) for file in Path(f"/proc/{pid}/fd").iterdir()]
+    inodes = {link[8:-1] for link in links if link.startswith("socket:")}
+    found = set()
+    for table in ("udp", "udp6", "tcp", "tcp6"):
+        for row in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            words = row.split()
+            if words[9] in inodes:
+                found.add(words[1].split(":")[0])
+    return found
+
+
+def test_a_node_opens_no_port_to_the_network_and_plain_nodes_find_it():
+    node, plain = ("-m", "capture_sim.nodes.launcher"), ("-c", PLAIN)
+    everything = [started(plain)]
+    try:
+        everything[0].wait_for("waits")
+        launcher = started(node)
+        everything.append(launcher)
+        launcher.wait_for("ready")
+        everything.append(started(plain))
+        assert everything[0].status() == everything[2].status() == 0
+        assert "True" in everything[0].text
+        assert "True" in everything[2].text
+        assert "on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in launcher.text
+        assert addresses(launcher.process.pid) <= LOCALHOST
+        assert addresses(launcher.process.pid)
+        # asked for, it is on the network
+        everything.append(started(node, **{RANGE: "SUBNET"}))
+        everything[-1].wait_for("ready")
+        assert "00000000" in addresses(everything[-1].process.pid)
+    finally:
+        for one in everything:
+            one.process.kill()
+            one.process.wait()
