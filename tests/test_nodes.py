@@ -400,10 +400,6 @@ COUNTED = """
 """
 
 
-@pytest.mark.xfail(
-    reason="since the services share the node's executor, some 40 objects of rclpy's "
-    "multi-threaded one stay behind each reset (4 kB)"
-)
 def test_resets_leave_nothing_in_memory_and_no_open_files(start):
     """A run makes thousands of objects; without a sweep 20 to 40 of them stay, in free lists."""
     nodes = [

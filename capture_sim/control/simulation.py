@@ -64,15 +64,8 @@ class Answer(NamedTuple):
     message: str = ""
 
 
-class Request(Future[Answer]):
-    """A request that may take a while."""
-
-    def wait(self, timeout: float | None = None) -> Answer:
-        """Return the answer; a failure when it takes longer than ``timeout``, s."""
-        try:
-            return self.result(timeout)
-        except TimeoutError:
-            return Answer(Code.OPERATION_FAILED, f"not done within {timeout:g} s")
+#: A request that may take a while.
+Request = Future[Answer]
 
 
 def _answered(code: Code, message: str = "") -> Request:

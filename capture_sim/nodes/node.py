@@ -35,7 +35,7 @@ from rclpy.exceptions import (
     NameValidationException,
     ParameterException,
 )
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -53,7 +53,7 @@ from capture_sim.nodes import dds
 from capture_sim.resources import config_dir
 
 try:
-    # a quarter of the plain executor's cost per message, but not in every rclpy
+    # a quarter of the plain executor's cost per message; runs no coroutine, and not in every rclpy
     from rclpy.experimental import EventsExecutor
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
@@ -104,11 +104,11 @@ class BenchNode(Node):
 
     Attributes
     ----------
-    waits : bool
-        Whether callbacks wait for others, and so need several threads.
+    has_coroutines : bool
+        Whether some callbacks are coroutines.
     """
 
-    waits = False
+    has_coroutines = False
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -416,7 +416,9 @@ class _Spinner:
 
     def __init__(self, node: BenchNode) -> None:
         self._node = node
-        self._executor: Executor = MultiThreadedExecutor(4) if node.waits else EventsExecutor()
+        self._executor: Executor = (
+            SingleThreadedExecutor() if node.has_coroutines else EventsExecutor()
+        )
         self._executor.add_node(node)
         self._stop = Future()
         self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
@@ -424,8 +426,12 @@ class _Spinner:
 
     def _spin(self) -> None:
         try:
-            # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
-            self._executor.spin_until_future_complete(self._stop, 1e9)
+            if isinstance(self._executor, SingleThreadedExecutor):
+                while not self._stop.done():
+                    self._executor.spin_once()
+            else:
+                # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
+                self._executor.spin_until_future_complete(self._stop, 1e9)
         except Exception as error:
             self._node.fail(error)
 
@@ -434,7 +440,7 @@ class _Spinner:
         self._stop.set_result(None)
         # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
         while self._thread.is_alive():
-            self._executor.wake()
+            self._executor.create_task(lambda: None)  # wakes it
             self._thread.join(0.1)
         self._executor.shutdown()
 

@@ -240,7 +240,9 @@ class Participant(BenchNode):
         """Let the run that is on end as its announcer says, if that is ended too."""
         self._leaving = True
         deadline = time.monotonic() + FAREWELL
-        while self.run is not None and not self._alone and time.monotonic() < deadline:
+        while self.run is not None and time.monotonic() < deadline:
+            if self._alone and self._counts is None:
+                break  # nobody is left to say it; after the counts others may still send
             time.sleep(0.02)
 
     def interrupted(self) -> None:

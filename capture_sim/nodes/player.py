@@ -54,7 +54,7 @@ class PlayerNode(BenchNode):
     at the start and never outrun, and what they publish themselves is not played.
     """
 
-    waits = True
+    has_coroutines = True
 
     def __init__(self) -> None:
         super().__init__(PLAYER)
@@ -173,7 +173,7 @@ class PlayerNode(BenchNode):
     def _serving(self, ask: Callable[[], Request]) -> Any:
         def serve(_: Any, response: Any) -> Any:
             request = ask()
-            response.message = request.wait().message if request.done() else ""
+            response.message = request.result().message if request.done() else ""
             response.success = not response.message
             return response
 

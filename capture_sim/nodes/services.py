@@ -13,8 +13,9 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.task import Future
 
-from capture_sim.control.simulation import Answer, Code, SimulationControl
+from capture_sim.control.simulation import Answer, Code, Request, SimulationControl
 
 #: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
 FEATURES = {
@@ -30,8 +31,6 @@ INFO = (
     "(scope 0, 3, 7 or 255) and keeps playing or paused. Worlds are experiments: set the "
     "parameters scenes and overrides while stopped."
 )
-#: Longest that a pause, stop or reset may take, s (wall).
-LIMIT = 120.0
 #: An answer arrives within this long, s (wall).
 GOOD_BYE = 0.5
 
@@ -48,8 +47,8 @@ def definitions() -> str:
 class SimulationServices:
     """Serves ``<node>/set_simulation_state`` and its kin.
 
-    Their callbacks wait, for a step to be taken, say: the node needs an executor with several
-    threads.
+    Their callbacks are coroutines, which wait for a step to be taken, say, and hold up nobody: the
+    node needs an executor that runs coroutines.
 
     Parameters
     ----------
@@ -68,6 +67,7 @@ class SimulationServices:
         features: Mapping[str, int] = FEATURES,
         info: str = INFO,
     ) -> None:
+        self._node = node
         self._control = control
         self._features_there = list(features.values())
         self._info = info
@@ -87,7 +87,8 @@ class SimulationServices:
             node.create_service(service, f"~/{_snake(name)}", callback, callback_group=group)
 
     def close(self) -> None:
-        """Give what has just been answered time to arrive."""
+        """Answer all that wait, and give the answers time to arrive; callbacks still run."""
+        self._control.close()
         time.sleep(max(0.0, self._answered + GOOD_BYE - time.monotonic()))
 
     def _features(self, _: Any, response: Any) -> Any:
@@ -99,17 +100,28 @@ class SimulationServices:
         response.state.state = int(self._control.state)
         return _answered(response, Answer(Code.OK))
 
-    def _set_state(self, request: Any, response: Any) -> Any:
-        self._answered = time.monotonic()  # will be: the node must not end before
-        answer = self._control.set_state(request.state.state).wait(LIMIT)
-        self._answered = time.monotonic()
-        return _answered(response, answer)
+    async def _set_state(self, request: Any, response: Any) -> Any:
+        return await self._served(self._control.set_state(request.state.state), response)
 
-    def _step(self, request: Any, response: Any) -> Any:
-        return _answered(response, self._control.step(request.steps).wait())
+    async def _step(self, request: Any, response: Any) -> Any:
+        return await self._served(self._control.step(request.steps), response)
 
-    def _reset(self, request: Any, response: Any) -> Any:
-        return _answered(response, self._control.reset(request.scope).wait(LIMIT))
+    async def _reset(self, request: Any, response: Any) -> Any:
+        return await self._served(self._control.reset(request.scope), response)
+
+    async def _served(self, request: Request, response: Any) -> Any:
+        """Fill a response when its request is answered; the node must not end before it is sent."""
+        answered = Future()
+
+        def wake(_: Request) -> None:
+            self._answered = time.monotonic()
+            answered.set_result(None)
+            if self._node.executor is not None:
+                self._node.executor.wake()  # it looks at its coroutines when something happens
+
+        request.add_done_callback(wake)
+        await answered
+        return _answered(response, request.result())
 
 
 def _answered(response: Any, answer: Answer) -> Any:

@@ -77,10 +77,10 @@ class SimulatorNode(BenchNode):
     Simulated time starts at the release, so no delay before it, and no pace after it, changes a
     number.
 
-    The main thread steps the bench; callbacks and services have threads of their own.
+    The main thread steps the bench; callbacks have a thread of their own.
     """
 
-    waits = True
+    has_coroutines = True
 
     def __init__(self) -> None:
         super().__init__(SIMULATOR)
@@ -206,26 +206,23 @@ class SimulatorNode(BenchNode):
         time.sleep(max(0.0, began + DISCOVERY - time.monotonic()))
         self._refuse_rival()
         status = OK
-        while self.control.await_start() is not State.QUITTING:
-            done, failed = self._go_through_all()
-            if failed:
-                status = FAILED
-            if done and self._exit_when_done:
-                break
-            if done and self.control.state is State.STOPPED:
-                self.get_logger().info("all runs are over; play runs them again, Ctrl-C ends")
+        try:
+            while self.control.await_start() is not State.QUITTING:
+                done, failed = self._go_through_all()
+                if failed:
+                    status = FAILED
+                if done and self._exit_when_done:
+                    break
+                if done and self.control.state is State.STOPPED:
+                    self.get_logger().info("all runs are over; play runs them again, Ctrl-C ends")
+        finally:
+            self._served.close()
         return status
 
     def interrupted(self) -> None:
         """Say that the run has ended early."""
         if self._telemetry is not None:
             self._end_run(INTERRUPTED)
-
-    def destroy_node(self) -> None:
-        """Answer who waits, then end the node."""
-        self.control.close()
-        self._served.close()
-        super().destroy_node()
 
     def standing_still(self, topic: Topic) -> list[str]:
         """Return the nodes that read a topic and do not answer."""
