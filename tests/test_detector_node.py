@@ -1,5 +1,6 @@
 """The capture detector's node: its parameters, and poses that no simulator sent."""
 
+import math
 import os
 import signal
 import subprocess
@@ -276,7 +277,16 @@ class Bench(BenchNode):
                 )
             else:
                 topic = CHASER_POSE if source is Source.CHASER else TARGET_POSE
-                message = self.messages.sensed_pose(t, values)
+                message = self.messages.new(
+                    topic.type_name,
+                    header=self.messages.header(t, "world"),
+                    **{
+                        "pose.position.x": values[0],
+                        "pose.position.y": values[1],
+                        "pose.orientation.z": math.sin(values[2] / 2.0),
+                        "pose.orientation.w": math.cos(values[2] / 2.0),
+                    },
+                )
             self.send(topic, message)
             counts[topic.name] = counts.get(topic.name, 0) + 1
         return counts

@@ -19,7 +19,7 @@ from capture_sim.hardware.contact_rig import BounceWatch, ContactRig, bounce_wit
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, TipState, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.messages.convert import CONE_FRAME
-from capture_sim.recording.definitions import offline_messages
+from capture_sim.recording.definitions import offline_messages, typestore
 
 PLATE = 2000.0  # N/m
 
@@ -210,9 +210,11 @@ def test_a_force_beyond_the_limit_stops_for_good():
 def test_messages_say_what_was_put_in():
     make = offline_messages()
     tip_state = TipState(0.125, -0.02, 0.004, 0.3, 0.1, -0.05, 0.7)
-    got = tip_of(tip_message(make, tip_state))
+    read = typestore().deserialize_cdr
+    got = tip_of(read(tip_message(make, tip_state), "nav_msgs/msg/Odometry"))
     assert got == pytest.approx(tip_state, rel=1e-14)
-    message = wrench_message(make, 0.125, (1.0, -2.0, 0.3))
+    data = wrench_message(make, 0.125, (1.0, -2.0, 0.3))
+    message = read(data, "geometry_msgs/msg/WrenchStamped")
     assert wrench_of(message) == (1.0, -2.0, 0.3)
     message.header.frame_id = "world"
     with pytest.raises(CaptureSimError, match=f"'world': allowed is {CONE_FRAME}"):

@@ -5,9 +5,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.in_the_loop import TipState, Wrench
-from capture_sim.messages.convert import CONE_FRAME, TIP_FRAME, Message, Messages, stamp_seconds
+from capture_sim.messages.convert import (
+    CONE_FRAME,
+    TIP_FRAME,
+    Columns,
+    Messages,
+    odometry,
+    stamp_columns,
+    stamp_seconds,
+    stamps_ns,
+    wrenches,
+)
 
 
 def stamp_of(message: Any) -> float:
@@ -16,18 +28,25 @@ def stamp_of(message: Any) -> float:
     return stamp_seconds(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
 
 
-def tip_message(make: Messages, tip: TipState) -> Message:
+def tip_message(make: Messages, tip: TipState) -> bytes:
     """Return Odometry of the tip against the cone: pose in its frame, twist in the tip's."""
-    pose, rates = (tip.x, tip.y, tip.theta), (tip.vx, tip.vy, tip.omega)
-    return make.odometry(tip.t, CONE_FRAME, TIP_FRAME, pose, rates)
+    columns = odometry(
+        np.array([[tip.x, tip.y, tip.theta]]), np.array([[tip.vx, tip.vy, tip.omega]])
+    )
+    return _one(make, "nav_msgs/msg/Odometry", tip.t, columns, child_frame_id=TIP_FRAME)
 
 
-def wrench_message(make: Messages, t: float, wrench: Wrench) -> Message:
+def wrench_message(make: Messages, t: float, wrench: Wrench) -> bytes:
     """Return WrenchStamped on the tip, about its centre, in the axes of target/cone.
 
     ``t`` is the time of the tip's place that it answers, s.
     """
-    return make.wrench(t, CONE_FRAME, wrench)
+    return _one(make, "geometry_msgs/msg/WrenchStamped", t, wrenches(np.array([wrench])))
+
+
+def _one(make: Messages, type_name: str, t: float, columns: Columns, **fixed: str) -> bytes:
+    columns = {**stamp_columns("header.stamp", stamps_ns(np.array([t]))), **columns}
+    return next(make.many(type_name, columns, **fixed, **{"header.frame_id": CONE_FRAME}))
 
 
 def tip_of(message: Any) -> TipState:

@@ -7,21 +7,46 @@ messages in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import (
+    CHASER,
+    CHASER_FRAME,
+    CONE_FRAME,
+    HINGE_JOINT,
+    SLIDE_JOINT,
+    TARGET,
     TARGET_FRAME,
-    ContactInterval,
+    TIP_FRAME,
+    WORLD,
+    Columns,
     LaunchAction,
-    Message,
     Messages,
-    Row,
     RunDescription,
-    row_of,
+    bench_event,
+    bench_states,
+    buffer_states,
+    capture_criteria,
+    contact_states,
+    contact_trace,
+    contact_wrenches,
+    joint_states,
+    launch_command,
+    odometry,
+    sensed_poses,
+    stamp_columns,
+    stamp_ns,
+    stamps_ns,
+    statuses,
+    string_states,
+    wrenches,
 )
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -47,6 +72,7 @@ from capture_sim.messages.topics import (
     STRING_STATE,
     TARGET_ODOMETRY,
     TARGET_POSE,
+    Stamp,
     Topic,
     topics_of,
 )
@@ -64,7 +90,7 @@ class Sent(NamedTuple):
     """A message that is sent."""
 
     topic: Topic
-    t: float  # s since the release
+    stamp: int | None  # ns; None for the counts, which come last
     data: bytes  # serialised
 
 
@@ -85,6 +111,48 @@ def samples_per_message(state_rate: float, rate: float) -> int:
     return every
 
 
+class ContactInterval:
+    """Sums up the contact from one ContactState message to the next.
+
+    Feed it with every event and every sample in order, then :meth:`take` at a message.
+
+    A touch's located peak is known when the touch ends.  When that is after the message
+    of the interval it lies in, it is reported by the next one, at most one message late;
+    a touch that goes on for longer than that is represented by the samples' forces there
+    and by its lift_off event.  So the result depends on what was known at the time only,
+    and is the same however the run is cut into blocks.
+    """
+
+    def __init__(self) -> None:
+        self._peak = 0.0
+        self._impulse = 0.0
+        self._touches = 0
+        self._last_message = -math.inf
+        self._message_before = -math.inf
+
+    def add_event(self, event: Event) -> None:
+        """Take in an event; those that end a touch count."""
+        if event.touch is not None and event.touch["peak_time"] > self._message_before:
+            self._peak = max(self._peak, float(event.touch["peak_force"]))
+
+    def add_force(self, force: float) -> None:
+        """Take in the larger normal force of a sample, N."""
+        self._peak = max(self._peak, force)
+
+    def take(self, t: float, impulse: float, touches: int) -> tuple[float, float, int]:
+        """Return largest force (N), impulse (N s) and touches begun since, and start anew.
+
+        Parameters
+        ----------
+        t, impulse, touches
+            Of the sample: s, and since the release, N s.
+        """
+        since = (self._peak, impulse - self._impulse, touches - self._touches)
+        self._peak, self._impulse, self._touches = 0.0, impulse, touches
+        self._message_before, self._last_message = self._last_message, t
+        return since
+
+
 class _Stream:
     """Numbers and counts the messages of one publisher."""
 
@@ -93,7 +161,6 @@ class _Stream:
     def __init__(self, messages: Messages, run_id: str) -> None:
         self._messages = messages
         self._run_id = run_id
-        self._t = 0.0  # of the last message, s
         #: Messages made so far, by topic.
         self.by_topic = {
             topic: 0 for topic in topics_of(self.publisher) if topic is not STREAM_COUNTS
@@ -104,17 +171,46 @@ class _Stream:
         """Messages made so far, by topic name."""
         return {topic.name: count for topic, count in self.by_topic.items()}
 
-    def _sent(self, topic: Topic, t: float, message: Message) -> Sent:
-        self.by_topic[topic] += 1
-        self._t = t
-        return Sent(topic, t, self._messages.serialise(message))
-
     def end(self, *, complete: bool = True, reason: str = "") -> Sent:
         """Return the counts of all streams, which end the run."""
         counts = self._messages.stream_counts(
             self.publisher, self._run_id, self.counts, complete=complete, reason=reason
         )
-        return Sent(STREAM_COUNTS, self._t, self._messages.serialise(counts))
+        return Sent(STREAM_COUNTS, None, self._messages.serialise(counts))
+
+    def _one(self, topic: Topic, t: float, frame: str, fields: Mapping[str, Any]) -> Sent:
+        """Return one message, stamped t, s since the release."""
+        seq = {"seq": self.by_topic[topic]} if topic.sequenced else {}
+        self.by_topic[topic] += 1
+        header = self._messages.header(t, frame)
+        message = self._messages.new(topic.type_name, header=header, **seq, **fields)
+        return Sent(topic, stamp_ns(t), self._messages.serialise(message))
+
+    def _many(
+        self, topic: Topic, t: np.ndarray, frame: str, columns: Columns, **fixed: Any
+    ) -> Iterator[Sent]:
+        """Yield n messages, stamped t (n,), s since the release."""
+        stamps = stamps_ns(t)
+        path = "clock" if topic.stamp is Stamp.CLOCK else "header.stamp"
+        columns = {**stamp_columns(path, stamps), **columns}
+        if topic.sequenced:
+            columns["seq"] = self.by_topic[topic] + np.arange(len(t))
+        if frame:
+            fixed["header.frame_id"] = frame
+        for stamp, data in zip(
+            stamps.tolist(), self._messages.many(topic.type_name, columns, **fixed), strict=True
+        ):
+            self.by_topic[topic] += 1
+            yield Sent(topic, stamp, data)
+
+    def _by_reason(
+        self, topic: Topic, frame: str, known: Iterable[tuple[float, Any]], *names: str
+    ) -> Iterator[Sent]:
+        """Yield a message for each time and status, many at once while the reason is one."""
+        for reason, group in groupby(known, key=lambda entry: entry[1].reason):
+            times, some = zip(*group, strict=True)
+            columns = statuses(some, *names)
+            yield from self._many(topic, np.array(times), frame, columns, reason=reason)
 
 
 class BenchTelemetry(_Stream):
@@ -150,7 +246,9 @@ class BenchTelemetry(_Stream):
 
     def begin(self) -> Sent:
         """Return what comes before the first sample."""
-        return self._sent(RUN_INFO, 0.0, self._messages.run_info(self._run))
+        self.by_topic[RUN_INFO] += 1
+        info = self._messages.run_info(self._run)
+        return Sent(RUN_INFO, stamp_ns(0.0), self._messages.serialise(info))
 
     def block(
         self,
@@ -173,24 +271,22 @@ class BenchTelemetry(_Stream):
         self._pending.extend(events)
         if trace is not None and len(trace):
             self._trace = np.concatenate([self._trace, trace])
-        first = self.by_topic[BENCH_STATE]
         times = samples["t"].tolist()
-        unseen = 0  # first sample the contact's interval has not taken in
-        states = self._messages.bench_states(first, samples)
+        before = self._events_before(times)
+        periodic = range(-self.by_topic[BENCH_STATE] % self._every, len(samples), self._every)
+        sets = self._periodic(samples[periodic], self._since_last(samples, before, periodic))
+        sensed = self._sensed(samples)
+        states = self._many(BENCH_STATE, samples["t"], WORLD, bench_states(samples))
         for i, (t, state) in enumerate(zip(times, states, strict=True)):
-            while self._pending and _precedes(self._pending[0], t):
-                yield self._event(self._pending.pop(0))
-            yield self._sent(BENCH_STATE, t, state)
+            for event in before.get(i, ()):
+                yield self._event(event)
+            yield state
             if len(self._trace):
                 # a step that ends with the sample itself may be known only later
                 yield from self._traced(t, self._trace["t"].searchsorted(t))
-            if (first + i) % self._every == 0:
-                self._interval.add_samples(samples[unseen : i + 1])
-                unseen = i + 1
-                yield from self._periodic(row_of(samples[i]))
-            if self._sensors is not None:
-                yield from self._sensed(samples[i], self._sensors)
-        self._interval.add_samples(samples[unseen:])
+            if i in periodic:
+                yield from next(sets)
+            yield from next(sensed, ())
 
     def rest(self) -> Iterator[Sent]:
         """Yield the events and trace after the last sample."""
@@ -212,46 +308,86 @@ class BenchTelemetry(_Stream):
         self._trace = self._trace[:0]
         self.by_topic = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
 
+    def _events_before(self, times: list[float]) -> dict[int, list[Event]]:
+        """Take out the events that are sent in this block, each before the sample of its place.
+
+        A sample taken at the very instant of an event shows the state before it, and is
+        handed out before the event is known; so the event follows it, however the run is cut.
+        """
+        found: dict[int, list[Event]] = {}
+        place = 0
+        while self._pending:
+            event = self._pending[0]
+            if event.kind is not EventKind.RELEASE:
+                place = max(place, bisect_right(times, event.t))
+            if place == len(times):
+                break
+            found.setdefault(place, []).append(self._pending.pop(0))
+        return found
+
+    def _since_last(
+        self, samples: np.ndarray, before: Mapping[int, Sequence[Event]], periodic: range
+    ) -> Columns:
+        """Return what the contact did since the last message, for each periodic sample."""
+        interval, since = self._interval, []
+        impulses, touches = samples["impulse"].sum(axis=1).tolist(), samples["touches"].tolist()
+        forces, times = samples["normal_force"].max(axis=1).tolist(), samples["t"].tolist()
+        for i, force in enumerate(forces):
+            for event in before.get(i, ()):
+                interval.add_event(event)
+            interval.add_force(force)
+            if i in periodic:
+                since.append(interval.take(times[i], impulses[i], touches[i]))
+        peaks, sums, begun = np.array(since).reshape(-1, 3).T
+        return {"peak_force": peaks, "impulse": sums, "touches": begun.astype(int)}
+
     def _event(self, event: Event) -> Sent:
-        self._interval.add_event(event)
-        seq = self.by_topic[BENCH_EVENT]
-        return self._sent(BENCH_EVENT, event.t, self._messages.bench_event(seq, event))
+        return self._one(BENCH_EVENT, event.t, WORLD, bench_event(event))
 
     def _traced(self, t: float, count: int) -> Iterator[Sent]:
         """Yield the first ``count`` points that wait, stamped ``t``."""
         if count:
             points, self._trace = self._trace[:count], self._trace[count:]
-            seq = self.by_topic[CONTACT_TRACE]
-            yield self._sent(CONTACT_TRACE, t, self._messages.contact_trace(seq, t, points))
+            yield self._one(CONTACT_TRACE, t, CONE_FRAME, contact_trace(points))
 
-    def _periodic(self, row: Row) -> Iterator[Sent]:
-        make, t, seq = self._messages, row.t, self.by_topic[BUFFER_STATE]
-        yield self._sent(CLOCK, t, make.clock(t))
-        yield self._sent(BUFFER_STATE, t, make.buffer_state(seq, row))
-        since = self._interval.take(row)
-        yield self._sent(CONTACT_STATE, t, make.contact_state(seq, row, since))
-        yield self._sent(STRING_STATE, t, make.string_state(seq, row, self._scene))
-        yield self._sent(CHASER_ODOMETRY, t, make.chaser_odometry(row))
-        yield self._sent(TARGET_ODOMETRY, t, make.target_odometry(row))
-        yield self._sent(CONTACT_WRENCH, t, make.contact_wrench(row))
-        yield self._sent(JOINT_STATES, t, make.joint_states(row))
+    def _periodic(self, samples: np.ndarray, since: Columns) -> Iterator[tuple[Sent, ...]]:
+        t, q, v = samples["t"], samples["q"], samples["v"]
+        joints = {"name": [HINGE_JOINT, SLIDE_JOINT]}
 
-    def _sensed(self, sample: np.void, sensors: Sensors) -> Iterator[Sent]:
-        t, make, read = float(sample["t"]), self._messages, sensors.read(sample)
-        if read.chaser is not None and read.target is not None:
-            yield self._sent(CHASER_POSE, t, make.sensed_pose(t, read.chaser))
-            yield self._sent(TARGET_POSE, t, make.sensed_pose(t, read.target))
-        if read.wrench is not None:
-            yield self._sent(LOAD_CELL, t, make.wrench(t, TARGET_FRAME, read.wrench))
+        def of_body(topic: Topic, frame: str, body: slice) -> Iterator[Sent]:
+            columns = odometry(q[:, body], v[:, body])
+            return self._many(topic, t, WORLD, columns, child_frame_id=frame)
 
+        return zip(
+            self._many(CLOCK, t, "", {}),
+            self._many(BUFFER_STATE, t, CHASER_FRAME, buffer_states(samples)),
+            self._many(CONTACT_STATE, t, CONE_FRAME, contact_states(samples, since)),
+            self._many(STRING_STATE, t, WORLD, string_states(samples, self._scene)),
+            of_body(CHASER_ODOMETRY, CHASER_FRAME, CHASER),
+            of_body(TARGET_ODOMETRY, TARGET_FRAME, TARGET),
+            self._many(CONTACT_WRENCH, t, TIP_FRAME, contact_wrenches(samples)),
+            self._many(JOINT_STATES, t, "", joint_states(samples), **joints),
+            strict=True,
+        )
 
-def _precedes(event: Event, t: float) -> bool:
-    """Tell whether an event is sent before the sample at ``t``.
-
-    A sample taken at the very instant of an event shows the state before it, and is
-    handed out before the event is known; so the event follows it, however the run is cut.
-    """
-    return event.t < t or event.kind is EventKind.RELEASE
+    def _sensed(self, samples: np.ndarray) -> Iterator[list[Sent]]:
+        """Yield what the sensors read at each sample; nothing without sensors."""
+        if self._sensors is None:
+            return
+        read = [self._sensors.read(sample) for sample in samples]
+        streams = []
+        for topic, name in (
+            (CHASER_POSE, "chaser"),
+            (TARGET_POSE, "target"),
+            (LOAD_CELL, "wrench"),
+        ):
+            due = [i for i, reading in enumerate(read) if getattr(reading, name) is not None]
+            values = np.array([getattr(read[i], name) for i in due]).reshape(-1, 3)
+            columns = wrenches(values) if topic is LOAD_CELL else sensed_poses(values)
+            frame = TARGET_FRAME if topic is LOAD_CELL else WORLD
+            streams.append((set(due), self._many(topic, samples["t"][due], frame, columns)))
+        for i in range(len(samples)):
+            yield [next(stream) for due, stream in streams if i in due]
 
 
 class LauncherTelemetry(_Stream):
@@ -261,13 +397,16 @@ class LauncherTelemetry(_Stream):
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
         """Return a command that follows the plan, at a time since the release, s."""
-        message = self._messages.launch_command(t, self._run_id, action, plan)
-        return self._sent(LAUNCH_COMMAND, t, message)
+        return self._one(LAUNCH_COMMAND, t, WORLD, launch_command(self._run_id, action, plan))
 
     def state(self, t: float, status: LauncherStatus) -> Sent:
         """Return the launcher's state at a time since the release, s."""
-        seq = self.by_topic[LAUNCHER_STATE]
-        return self._sent(LAUNCHER_STATE, t, self._messages.launcher_state(seq, t, status))
+        return next(self.states([(t, status)]))
+
+    def states(self, known: Iterable[tuple[float, LauncherStatus]]) -> Iterator[Sent]:
+        """Yield the launcher's states at times since the release, s."""
+        names = ("state", "hanging_mass", "drop_height", "wanted_speed", "landing_speed")
+        return self._by_reason(LAUNCHER_STATE, WORLD, known, *names, "measured_speed")
 
 
 class DetectorTelemetry(_Stream):
@@ -277,10 +416,14 @@ class DetectorTelemetry(_Stream):
 
     def begin(self, limits: Detector) -> Sent:
         """Return the detector's limits."""
-        message = self._messages.capture_criteria(self._run_id, limits)
-        return self._sent(CAPTURE_CRITERIA, 0.0, message)
+        return self._one(CAPTURE_CRITERIA, 0.0, CONE_FRAME, capture_criteria(self._run_id, limits))
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
         """Return the status of the sample at a time since the release, s."""
-        seq = self.by_topic[CAPTURE_STATUS]
-        return self._sent(CAPTURE_STATUS, t, self._messages.capture_status(seq, t, status))
+        return next(self.statuses([(t, status)]))
+
+    def statuses(self, known: Iterable[tuple[float, CaptureStatus]]) -> Iterator[Sent]:
+        """Yield the statuses of the samples at times since the release, s."""
+        names = ("state", "final", "distance", "axial_offset", "lateral_offset")
+        more = ("relative_attitude", "relative_speed", "nearest_distance", "time_in_state")
+        return self._by_reason(CAPTURE_STATUS, CONE_FRAME, known, *names, *more)

@@ -6,7 +6,6 @@ thread of their own.
 
 from __future__ import annotations
 
-import array
 import difflib
 import importlib
 import inspect
@@ -112,7 +111,7 @@ class BenchNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.messages = Messages(message_class, serialize_message, sequence=array.array)
+        self.messages = Messages(lambda name: message_class(name)(), serialize_message)
         self.failure: Exception | None = None  # that ended the callbacks
         self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
         self.left_behind: list[str] = []  # nodes whose reading stood still

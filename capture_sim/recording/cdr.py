@@ -1,7 +1,7 @@
-"""Reading many serialised messages at once, as columns.
+"""Many serialised messages at once, as columns.
 
 A message of numbers and of texts of a fixed length has every field at a fixed place, so a
-whole topic can be read as one NumPy array of records.  Messages are the little-endian
+whole topic can be read and written as one NumPy array of records.  Messages are the little-endian
 CDR (XCDR1) of ROS 2: a 4-byte encapsulation header, then every number aligned to its own
 size, counted from behind that header.
 """
@@ -10,32 +10,30 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import Columns, fill
 from capture_sim.messages.topics import Stamp, Topic
 
 _HEADER = 4
 _LITTLE_ENDIAN = b"\x00\x01"
-_NUMBERS = {
-    "bool": "?",
-    "byte": "u1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "<i2",
-    "uint16": "<u2",
-    "int32": "<i4",
-    "uint32": "<u4",
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float32": "<f4",
-    "float64": "<f8",
+#: Kinds of numbers, as they stand in a message.
+NUMBERS = {
+    "bool": np.dtype("?"),
+    **{name: np.dtype("u1") for name in ("byte", "char", "octet", "uint8")},
+    **{
+        f"{name}{bits}": np.dtype(f"<{letter}{bits // 8}")
+        for name, letter, least in (("int", "i", 8), ("uint", "u", 16), ("float", "f", 32))
+        for bits in (8, 16, 32, 64)
+        if bits >= least
+    },
 }
 
 #: Fields of a message at most, those in it counted.
@@ -122,6 +120,36 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
             _store_records(found, layout, raw[alike], waiting[alike], len(messages))
             waiting = waiting[~alike]
     return {name: _tidied(column) for name, column in found.items()}
+
+
+def serialised(store: Typestore, message: Any, columns: Columns) -> Iterator[bytes]:
+    """Yield n serialised messages: the given one with n values of some fields.
+
+    Texts and the lengths of sequences are those of all, so every field stands at one place.
+
+    Parameters
+    ----------
+    store
+        Knows the type.
+    message
+        Of rosbags' classes.
+    columns
+        (n, ...) by the field's path.
+    """
+    n = len(next(iter(columns.values())))
+    if not n:
+        return
+    for path, column in columns.items():
+        fill(message, path, column[0])
+    type_name = message.__msgtype__
+    data = bytes(store.serialize_cdr(message, type_name))
+    raw = np.tile(np.frombuffer(data, dtype=np.uint8), (n, 1))
+    records = raw.view(_Walk(store, type_name, data).layout().records)[:, 0]
+    for path, column in columns.items():
+        records[path] = column
+    whole = raw.tobytes()
+    for start in range(0, len(whole), len(data)):
+        yield whole[start : start + len(data)]
 
 
 @dataclass(frozen=True)
@@ -215,7 +243,7 @@ class _Walk:
             self._number(path, name, (count,))
 
     def _number(self, path: str, name: str, shape: tuple[int, ...]) -> None:
-        item = np.dtype(_NUMBERS[name])
+        item = NUMBERS[name]
         if shape != (0,):
             self._align(item.itemsize)
         self._names.append(path)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from capture_sim.messages.convert import Messages
+from capture_sim.messages.convert import Columns, Messages
+from capture_sim.recording.cdr import NUMBERS, serialised
 from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"
@@ -57,7 +61,24 @@ def offline_messages() -> Messages:
     def serialise(message: Any) -> bytes:
         return bytes(store.serialize_cdr(message, message.__msgtype__))
 
-    return Messages(store.types.__getitem__, serialise)
+    def many(message: Any, columns: Columns) -> Iterator[bytes]:
+        return serialised(store, message, columns)
+
+    return Messages(_blank, serialise, many)
+
+
+def _blank(type_name: str) -> Any:
+    """Return a message with zeros and nothing in it."""
+    kinds: dict[Nodetype, Callable[[Any], Any]] = {
+        Nodetype.BASE: lambda of: "" if of[0] == "string" else NUMBERS[of[0]].type(0).item(),
+        Nodetype.NAME: _blank,
+        Nodetype.ARRAY: lambda of: np.zeros(of[1], NUMBERS[of[0][1][0]]),
+        Nodetype.SEQUENCE: lambda of: (
+            [] if of[0][1][0] not in NUMBERS else np.zeros(0, NUMBERS[of[0][1][0]])
+        ),
+    }
+    fields = typestore().fielddefs[type_name][1]
+    return typestore().types[type_name](*(kinds[kind](of) for _, (kind, of) in fields))
 
 
 @cache

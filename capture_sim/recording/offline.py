@@ -14,15 +14,13 @@ from mcap.stream_reader import StreamReader
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, is_device, whole_file
-from capture_sim.launch.watch import Launcher
+from capture_sim.launch.watch import Launcher, LauncherStatus
 from capture_sim.messages.convert import (
     LaunchAction,
     RunDescription,
     StringPhase,
-    row_of,
-    speed_along_rail,
-    stamp_ns,
-    string_phase,
+    speeds_along_rail,
+    string_phases,
 )
 from capture_sim.messages.telemetry import (
     BenchTelemetry,
@@ -31,23 +29,21 @@ from capture_sim.messages.telemetry import (
     Sent,
     samples_per_message,
 )
-from capture_sim.messages.topics import (
-    CAPTURE_DETECTOR,
-    LAUNCHER,
-    SIMULATOR,
-    STREAM_COUNTS,
-)
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.write import RUN_METADATA, RunWriter
 from capture_sim.results import extremes_to_text
 
 if TYPE_CHECKING:
+    from capture_sim.scene.parts import Scene
     from capture_sim.simulation import Result
 
 #: The nodes whose streams a run is made of.
 PUBLISHERS = (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR)
 #: What the metadata record of such a file says of its origin.
 SIMULATED = "simulated"
+#: Samples whose messages are made at a time.
+BLOCK = 4096
 
 
 def write_run(
@@ -97,9 +93,8 @@ def write_run(
 
 def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
     with RunWriter(part, run, {"origin": SIMULATED}, name=name) as writer:
-        for topic, t, data in run_stream(result, run):
-            # the counts carry no time: they come last
-            writer.write(topic, data, None if topic is STREAM_COUNTS else stamp_ns(t))
+        for topic, stamp, data in run_stream(result, run):
+            writer.write(topic, data, stamp)
         writer.closing["wall_time"] = repr(result.wall_time)
         writer.closing["extremes"] = extremes_to_text(result.extremes)
 
@@ -140,29 +135,41 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
     yield follower.state(0.0, launcher.release())
     yield detector.begin(scene.detector)
+    periodic = samples[:: samples_per_message(run.state_rate, run.rate)]
+    launched = follower.states(_launched(launcher, scene, periodic))
+    times = deque(periodic["t"].tolist())
     *decided, verdict = result.statuses
-    waiting = deque(decided)
-    periodic = iter(samples[:: samples_per_message(run.state_rate, run.rate)])
-    for sent in bench.block(samples, result.events, result.trace):
-        yield sent
-        if sent.topic is bench.LAST_PERIODIC:
-            row = row_of(next(periodic))
-            launched = launcher.observe(
-                speed_along_rail(row, scene),
-                string_phase(row, scene) is StringPhase.SLACK,
-                touched=row.touches > 0,
-            )
-            yield follower.state(row.t, launched)
-            while waiting and waiting[0].t <= row.t:
-                status = waiting.popleft()
-                yield detector.status(status.t, status)
+    statuses = detector.statuses((status.t, status) for status in decided)
+    waiting = deque(status.t for status in decided)
+    events, trace = iter([result.events]), iter([result.trace])
+    for first in range(0, len(samples), BLOCK):
+        block = samples[first : first + BLOCK]
+        for sent in bench.block(block, next(events, ()), next(trace, None)):
+            yield sent
+            if sent.topic is bench.LAST_PERIODIC:
+                yield next(launched)
+                t = times.popleft()
+                while waiting and waiting[0] <= t:
+                    waiting.popleft()
+                    yield next(statuses)
     complete, reason = not result.failure, result.failure
     yield from bench.rest()
     yield bench.end(complete=complete, reason=reason)
     yield follower.end(complete=complete, reason=reason)
-    for status in (*waiting, verdict):
-        yield detector.status(status.t, status)
+    yield from statuses
+    yield detector.status(verdict.t, verdict)
     yield detector.end(complete=complete, reason=reason)
+
+
+def _launched(
+    launcher: Launcher, scene: Scene, samples: np.ndarray
+) -> Iterator[tuple[float, LauncherStatus]]:
+    """Yield what the launcher makes of samples."""
+    speeds = speeds_along_rail(samples, scene).tolist()
+    slack = (string_phases(samples, scene) == StringPhase.SLACK).tolist()
+    touched = (samples["touches"] > 0).tolist()
+    for t, *seen in zip(samples["t"].tolist(), speeds, slack, touched, strict=True):
+        yield t, launcher.observe(seen[0], seen[1], touched=seen[2])
 
 
 def _check_grid(result: Result) -> None:

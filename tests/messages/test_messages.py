@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import dataclasses
 import importlib
 import math
@@ -10,6 +9,9 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from rosbags.interfaces import Nodetype
 
 import capture_sim
@@ -18,15 +20,21 @@ from capture_sim.launch.watch import Launcher
 from capture_sim.messages import topics
 from capture_sim.messages.convert import (
     EPOCH_NS,
-    ContactInterval,
     LaunchAction,
     Messages,
     RunDescription,
-    row_of,
     stamp_ns,
     stamp_seconds,
+    stamps_ns,
+    string_phases,
 )
-from capture_sim.messages.telemetry import BenchTelemetry, samples_per_message
+from capture_sim.messages.telemetry import (
+    BenchTelemetry,
+    ContactInterval,
+    DetectorTelemetry,
+    LauncherTelemetry,
+    samples_per_message,
+)
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -118,6 +126,7 @@ def test_stamps_are_exact_on_the_grid_and_come_back():
         times = (k / rate).tolist()
         stamps = [stamp_ns(t) for t in times]
         assert stamps == (EPOCH_NS + k * round(1e9 / rate)).tolist()
+        assert stamps_ns(k / rate).tolist() == stamps
         assert [stamp_seconds(stamp) for stamp in stamps] == times
 
 
@@ -296,12 +305,6 @@ def touch_event(start, peak_time, end, peak=50.0):
     return Event(EventKind.LIFT_OFF, end, np.zeros(8), np.zeros(8), 1, "", touch)
 
 
-def at(t, force=0.0):
-    sample = np.zeros(1, SAMPLE)
-    sample["t"], sample["normal_force"] = t, (force, 0.0)
-    return sample
-
-
 def test_peak_that_becomes_known_after_its_interval_is_told_by_the_next_message():
     interval = ContactInterval()
     peaks = []
@@ -313,19 +316,19 @@ def test_peak_that_becomes_known_after_its_interval_is_told_by_the_next_message(
     ):
         for event in events:
             interval.add_event(event)
-        interval.add_samples(at(t, 3.0 if t == 0.01 else 0.0))
-        peaks.append(interval.take(row_of(at(t)[0])).peak_force)
+        interval.add_force(3.0 if t == 0.01 else 0.0)
+        peaks.append(interval.take(t, 0.0, 0)[0])
     assert peaks == [0.0, 3.0, 50.0, 0.0]
 
 
 def test_old_peak_of_a_long_touch_is_not_told_again_at_its_end():
     interval = ContactInterval()
     for t in (0.0, 0.01, 0.02, 0.03):
-        interval.add_samples(at(t, 49.0 if t == 0.01 else 1.0))
-        interval.take(row_of(at(t)[0]))
+        interval.add_force(49.0 if t == 0.01 else 1.0)
+        interval.take(t, 0.0, 0)
     interval.add_event(touch_event(0.005, 0.0101, 0.035))
-    interval.add_samples(at(0.04, 0.0))
-    assert interval.take(row_of(at(0.04)[0])).peak_force == 0.0
+    interval.add_force(0.0)
+    assert interval.take(0.04, 0.0, 0)[0] == 0.0
 
 
 # the same bytes from ROS and without it
@@ -338,41 +341,54 @@ def ros_class(type_name):
 
 def test_rclpy_and_rosbags_make_messages_of_the_same_values(result, run):
     serialization = pytest.importorskip("rclpy.serialization", reason="needs ROS")
-    ros = Messages(ros_class, serialization.serialize_message, sequence=array.array)
-    store, offline = typestore(), offline_messages()
+    ros = Messages(lambda name: ros_class(name)(), serialization.serialize_message)
+    plan, store = Launcher(result.scene).plan, typestore()
+
+    def sent(make):
+        bench, launcher, detector = (
+            BenchTelemetry(make, result.scene, run),
+            LauncherTelemetry(make, "r"),
+            DetectorTelemetry(make, "r"),
+        )
+        yield bench.begin()
+        yield from bench.block(result.samples, result.events, result.trace)
+        yield launcher.command(0.0, LaunchAction.ARM, plan)
+        yield from launcher.states((0.1 * k, Launcher(result.scene).status) for k in range(3))
+        yield detector.begin(result.scene.detector)
+        yield from detector.statuses((status.t, status) for status in result.statuses[::50])
+        yield detector.end(complete=False, reason="é")
+
     types = set()
-
-    def same(mine, theirs):
-        """Compare two messages of the same moment, as they are filled again."""
-        kind = mine.__msgtype__
-        ours, others = offline.serialise(mine), ros.serialise(theirs)
+    for mine, theirs in zip(sent(offline_messages()), sent(ros), strict=True):
+        assert mine[:2] == theirs[:2]
+        kind = mine.topic.type_name
         # padding between the fields may differ, values may not
-        read = store.deserialize_cdr(others, kind)
-        assert bytes(store.serialize_cdr(read, kind)) == ours
+        read = store.deserialize_cdr(theirs.data, kind)
+        assert bytes(store.serialize_cdr(read, kind)) == mine.data
         types.add(kind)
-
-    one, two = (BenchTelemetry(make, result.scene, run) for make in (offline, ros))
-    for sent, other in zip(
-        one.block(result.samples, result.events, result.trace),
-        two.block(result.samples, result.events, result.trace),
-        strict=True,
-    ):
-        assert sent[:2] == other[:2]
-        kind = sent.topic.type_name
-        read = store.deserialize_cdr(other.data, kind)
-        assert bytes(store.serialize_cdr(read, kind)) == sent.data
-        types.add(kind)
-    launcher = Launcher(result.scene)
-    for method, *arguments in (
-        ("run_info", run),
-        ("capture_criteria", "r", result.scene.detector),
-        ("launch_command", 0.0, "r", LaunchAction.ARM, launcher.plan),
-        ("stream_counts", "simulator", "r", {"bench/state": 2**40, "x": 1}),
-        *(("capture_status", k, s.t, s) for k, s in enumerate(result.statuses[::50])),
-        *(("launcher_state", k, 0.1 * k, launcher.status) for k in range(3)),
-    ):
-        same(getattr(offline, method)(*arguments), getattr(ros, method)(*arguments))
     assert types == {topic.type_name for topic in TOPICS}
+
+
+@given(
+    values=arrays(np.float64, (3, 8), elements=st.floats(width=64)),
+    text=st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20),
+    count=st.integers(0, 2**32 - 1),
+)
+@pytest.mark.parametrize("kind", ["BenchState", "BufferState", "CaptureStatus", "ContactTrace"])
+def test_many_messages_are_those_that_are_serialised_one_by_one(kind, values, text, count):
+    make, kind = offline_messages(), f"capture_sim/msg/{kind}"
+    columns = {
+        "header.stamp.nanosec": np.array([count, 0, 7]),
+        "seq": np.array([count, 1, 2**63], np.uint64),
+    }
+    columns |= {"q": values} if "v" in dir(make.new(kind)) else {}
+    names = [
+        name for name, of in typestore().fielddefs[kind][1] if of == (Nodetype.BASE, ("float64", 0))
+    ]
+    columns |= {name: values[:, k % 8] for k, name in enumerate(names)}
+    fixed = {"header.frame_id": text}
+    alone = Messages(make.new, make.serialise).many(kind, columns, **fixed)
+    assert list(make.many(kind, columns, **fixed)) == list(alone)
 
 
 def test_description_of_a_run_names_its_scene_and_software(result):
@@ -385,8 +401,8 @@ def test_description_of_a_run_names_its_scene_and_software(result):
 
 
 def test_scene_without_string_counts_as_slack():
-    sample = np.zeros(1, SAMPLE)[0]
-    sample["phase"] = Phase.TAUT
+    samples = np.zeros(1, SAMPLE)
+    samples["phase"] = Phase.TAUT
     scene = capture_sim.load_scene("paper_designed")
     assert scene.string is None
-    assert offline_messages().string_state(0, row_of(sample), scene).phase == 2
+    assert string_phases(samples, scene).tolist() == [2]
