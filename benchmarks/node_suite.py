@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
+sys.path[:0] = [str(ROOT / "tests" / "nodes"), str(Path(__file__).resolve().parent)]
 
 from suite_trials import PARTS, settings  # noqa: E402
 

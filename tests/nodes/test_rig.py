@@ -12,7 +12,7 @@ from capture_sim.detection.exact import CaptureState
 from capture_sim.messages.topics import CAPTURE_STATUS
 from capture_sim.recording.playback import Playback
 
-RIG = Path(__file__).parent.parent / "examples" / "fake_rig.py"
+RIG = Path(__file__).parents[2] / "examples" / "fake_rig.py"
 STREAMS = "[/motion_capture/chaser, /motion_capture/target, /joint_states, /load_cell/wrench, "
 STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status, /capture/criteria]"
 
