@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     # an earlier recording is never overwritten: what is new may have a number behind its name
     fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
     runs = [run for run in map(read_run, fresh) if run.samples.size]
-    report([summary_of(run) for run in runs], options.out)
+    report([summary_of(run, run.wall_time) for run in runs], options.out)
     draw(runs, [run.path.stem for run in runs], options.out)
     lacking = {scene.name for scene in scenes} - {run.name for run in runs}
     if lacking:

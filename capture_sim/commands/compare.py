@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import not_negative, open_run, prepare_folder
-from capture_sim.commands.output import say, say_table
+from capture_sim.commands.inputs import add_out, not_negative, open_run, prepare_folder
+from capture_sim.commands.output import drawing, say, say_table
 from capture_sim.errors import RecordingError
 from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
 from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
@@ -40,9 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="time after the first contact that is compared (default: 1)",
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path(), help="folder of the diagram (default: .)"
-    )
+    add_out(parser, ".", "folder of the diagram")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,15 +73,13 @@ def run(options: argparse.Namespace) -> int:
         for gap in gaps(*measured, a.contact, b.contact, options.window)
     ]
     say_table(["", "rms", "largest", "at s", "from"], rows)
-    try:
+    with drawing("no diagram: {error}"):
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_comparison
-    except ImportError as error:
-        say(f"no diagram: {error}")
-        return OK
-    path = options.out / f"{a.run.name}_compared.png"
-    drawn = [_drawn(of, label, options.window) for of, label in zip((a, b), labels, strict=True)]
-    say(f"diagram in {save(draw_comparison(drawn, over), path)}")
+
+        path = options.out / f"{a.run.name}_compared.png"
+        drawn = [_drawn(*of, options.window) for of in zip((a, b), labels, strict=True)]
+        say(f"diagram in {save(draw_comparison(drawn, over), path)}")
     return OK
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_overrides, in_unit, load, prepare_folder, quantity
-from capture_sim.commands.output import say, write_json, write_text
+from capture_sim.commands.inputs import add_out, add_scene, in_unit, load, prepare_folder, quantity
+from capture_sim.commands.output import drawing, say, write_json, write_text
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.capture_margin import Spread
@@ -34,13 +34,7 @@ EXAMPLE = "  capture-sim design paper_designed --stroke 7.5 --torsion 2"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "scene",
-        nargs="?",
-        default="paper_designed",
-        metavar="SCENE",
-        help="default: paper_designed",
-    )
+    add_scene(parser, "paper_designed")
     parser.add_argument(
         "--stroke", type=in_unit("mm"), metavar="MM", help="axial stroke, mm or with a unit"
     )
@@ -69,10 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOW:HIGH:N",
         help="also design for N axial strokes from LOW to HIGH times the target, as 0.3:3:9",
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/design"), help="folder (default: runs/design)"
-    )
-    add_overrides(parser)
+    add_out(parser, "runs/design")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -95,15 +86,13 @@ def run(options: argparse.Namespace) -> int:
         stroke = factor * target.axial_stroke
         designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
         say(_line(designs[-1]))
-    try:
+    with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design, draw_trade_off
 
         say(f"picture in {save(draw_design(design), options.out / 'design.png')}")
         if designs:
             say(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
-    except ImportError as error:
-        say(f"no picture: {error}")
     return OK if design.met else FAILED
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields
 
 from capture_sim.commands import FAILED, OK
-from capture_sim.commands.inputs import open_run, scene_of
+from capture_sim.commands.inputs import add_geometry, open_run, scene_of
 from capture_sim.commands.output import say
 from capture_sim.errors import SceneError
 from capture_sim.recording.detect import detect_again, with_limits
@@ -30,9 +30,7 @@ EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.capture_radius=0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
-    parser.add_argument(
-        "--scene", help="scene of a bag that holds none: a name or a YAML file", default=None
-    )
+    add_geometry(parser)
     parser.add_argument(
         "--set",
         action="append",

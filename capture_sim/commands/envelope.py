@@ -9,7 +9,7 @@ from pathlib import Path
 from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
-    add_overrides,
+    add_scene,
     add_workers,
     load,
     positive,
@@ -17,7 +17,7 @@ from capture_sim.commands.inputs import (
     quantity,
     whole,
 )
-from capture_sim.commands.output import Progress, say
+from capture_sim.commands.output import Progress, drawing, say
 from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import check_parquet, write_envelope
 from capture_sim.scene.parts import Scene
@@ -37,9 +37,7 @@ _EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "scene", nargs="?", default="tilt_0", metavar="SCENE", help="default: tilt_0"
-    )
+    add_scene(parser, "tilt_0")
     add_axis = parser.add_argument
     add_axis("--angle", default="-30:30:12", metavar="DEG", help=f"target's angle, deg; {_AXIS}")
     add_axis("--offset", default="-50:50:10", metavar="MM", help="lateral offset, mm; likewise")
@@ -66,7 +64,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.parquet",
         help="the table; the picture lies beside it (default: runs/envelope.parquet)",
     )
-    add_overrides(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -98,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     say(f"table in {write_envelope(envelope, options.out)}")
     runs.remove()
     report(envelope)
-    try:
+    with drawing():
         from capture_sim.simulation import simulate
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_envelope
@@ -106,8 +103,6 @@ def run(options: argparse.Namespace) -> int:
         results = [simulate(scene) for scene in marks]
         path = options.out.with_suffix(".png")
         say(f"picture in {save(draw_envelope(envelope, results), path)}")
-    except ImportError as error:
-        say(f"no picture: {error}")
     return OK
 
 

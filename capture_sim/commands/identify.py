@@ -7,6 +7,7 @@ import argparse
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
+    add_geometry,
     add_overrides,
     add_release,
     not_negative,
@@ -14,7 +15,7 @@ from capture_sim.commands.inputs import (
     scene_of,
     whole,
 )
-from capture_sim.commands.output import say
+from capture_sim.commands.output import say, say_table
 from capture_sim.recording.measured import launch_of, measurements, release_recorded, touches_of
 from capture_sim.scene.paths import ALIASES, current_name, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
@@ -34,9 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
     parser.add_argument("parameters", nargs="+", metavar="PARAMETER")
-    parser.add_argument(
-        "--scene", help="scene of a bag that holds none: a name or a YAML file", default=None
-    )
+    add_geometry(parser)
     parser.add_argument(
         "--until", type=not_negative, metavar="S", help="leave out what was measured later"
     )
@@ -91,17 +90,18 @@ def run(options: argparse.Namespace) -> int:
         until=float("inf") if options.until is None else options.until,
         starts=options.starts,
     )
-    say(f"{'parameter':16} {'value':>14} {'+-':>12} {'%':>8} {'began at':>14}")
-    given = options.release or 0.0
+    given, rows = options.release or 0.0, []
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
-        began, note = given, f"   s after the {'recorded release' if known else 'first pose'}"
-        if name != RELEASE:
-            began, note = value_of(scene, name), ""
+        notes = ["at the bound of its range"] if name in fit.at_bound else []
+        if name == RELEASE:
+            began, value = given, value + given
+            notes.append(f"s after the {'recorded release' if known else 'first pose'}")
         else:
-            value += given
+            began = value_of(scene, name)
         share = f"{error / abs(value):.2%}" if value else "-"
-        bound = "   at the bound of its range" if name in fit.at_bound else ""
-        say(f"{name:16} {value:14.6g} {error:12.2g} {share:>8} {began:14.6g}{bound}{note}")
+        row = [name, f"{value:.6g}", f"{error:.2g}", share, f"{began:.6g}", ", ".join(notes)]
+        rows.append(row)
+    say_table(["parameter", "value", "+-", "%", "began at", ""], rows)
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
             if abs(fit.correlation[i, j]) > 0.9:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
@@ -134,6 +134,21 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
     add_overrides(parser)
 
 
+def add_scene(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the scene of a study, and changes to it."""
+    parser.add_argument(
+        "scene", nargs="?", default=default, metavar="SCENE", help=f"default: {default}"
+    )
+    add_overrides(parser)
+
+
+def add_out(parser: argparse.ArgumentParser, default: str, what: str = "folder") -> None:
+    """Add where the results go."""
+    parser.add_argument(
+        "--out", type=Path, default=Path(default), help=f"{what} (default: {default})"
+    )
+
+
 def add_overrides(parser: argparse.ArgumentParser) -> None:
     """Add ``--set PART.FIELD=VALUE``."""
     parser.add_argument(
@@ -151,12 +166,17 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
     )
+    add_geometry(parser)
+    add_release(parser)
+
+
+def add_geometry(parser: argparse.ArgumentParser) -> None:
+    """Add ``--scene EXPERIMENT``: of a recording that holds none."""
     parser.add_argument(
         "--scene",
         metavar="EXPERIMENT",
-        help="whose geometry a bench has whose recording holds no scene",
+        help="name or YAML file whose geometry a bench has whose recording holds no scene",
     )
-    add_release(parser)
 
 
 def add_release(parser: argparse.ArgumentParser) -> None:
@@ -292,22 +312,6 @@ class Opened:
     wall_time: float | None = None
     problems: Sequence[str] = ()
     measured: bool = False
-
-    def summary(self) -> dict[str, Any]:
-        """Return the run in a few numbers, as results.json has them."""
-        from capture_sim.results import summarize
-        from capture_sim.viewing.source import verdict
-
-        run = self.run
-        return summarize(
-            run.scene,
-            run.samples,
-            run.touches,
-            run.events,
-            verdict(run),
-            self.wall_time,
-            run.extremes,
-        )
 
 
 def open_runs(

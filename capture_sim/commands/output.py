@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,6 @@ from capture_sim.files import whole_file
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from capture_sim.recording.read import Run
     from capture_sim.viewing.source import ViewableRun
 
 #: Drawn of several runs side by side.
@@ -115,14 +115,22 @@ def write_json(path: Path, data: Any) -> Path:
     return write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
 
 
-def summary_of(run: Run) -> dict[str, Any]:
-    """Summarise a recorded run as a simulated one's ``Result.summary`` does."""
+def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
+    """Return a run in a few numbers, as results.json has them."""
     from capture_sim.results import summarize
+    from capture_sim.viewing.source import verdict
 
-    verdict = run.verdict.label if run.verdict is not None else "none"
-    return summarize(
-        run.scene, run.samples, run.touches, run.events, verdict, run.wall_time, run.extremes
-    )
+    word = verdict(run)
+    return summarize(run.scene, run.samples, run.touches, run.events, word, wall_time, run.extremes)
+
+
+@contextmanager
+def drawing(lacking: str = "no picture: {error}") -> Iterator[None]:
+    """Go on without what is drawn, and say so, where what draws it is not installed."""
+    try:
+        yield
+    except ImportError as error:
+        say(lacking.format(error=error))
 
 
 def report(summaries: list[dict[str, Any]], folder: Path) -> None:
@@ -165,19 +173,15 @@ def draw(
     """
     if not runs:
         return
-    try:
-        if pictures:
+    if pictures:
+        with drawing("no pictures: {error}"):
             _draw_pictures(runs, labels, folder)
-    except ImportError as error:
-        say(f"no pictures: {error}")
-    try:
+    # an ordinary workstation's ROS bears no rerun: the recording is what counts there
+    with drawing("no rerun file: {error}; capture-sim view makes it where rerun is installed"):
         from capture_sim.viewing.rerun_view import save_rrd
 
         path = folder / RRD if rrd is None else rrd
         say(f"for rerun in {save_rrd(runs, path, labels)}")
-    except ImportError as error:
-        # an ordinary workstation's ROS bears no rerun: the recording is what counts there
-        say(f"no rerun file: {error}; capture-sim view makes it where rerun is installed")
 
 
 def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:

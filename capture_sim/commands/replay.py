@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.inputs import number, prepare_folder
+from capture_sim.commands.inputs import add_out, number, prepare_folder
 from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
@@ -52,9 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=FOLLOWERS,
         help="start these nodes beside it; what they publish is not played",
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path("replayed"), help="folder of --with recorder"
-    )
+    add_out(parser, "replayed", "folder of --with recorder")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
-from capture_sim.commands.output import say
+from capture_sim.commands.output import say, summary_of
 from capture_sim.viewing.report import (
     ReportedRun,
     error_statement,
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
             run=one.run,
             label=one.label,
             source=one.source,
-            summary=one.summary(),
+            summary=summary_of(one.run, one.wall_time),
             software=one.software,
             error=not_simulated() if one.measured else error_statement(one.run),
             problems=one.problems,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_workers, prepare_folder
+from capture_sim.commands.inputs import add_out, add_workers, prepare_folder
 from capture_sim.commands.output import say, write_text
 from capture_sim.errors import SceneError
 from capture_sim.studies.executors import default_workers, open_executor
@@ -87,12 +86,7 @@ EXAMPLE = "  capture-sim reproduce --out runs"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs"),
-        help="folder of reproduction.md and reproduction/ (default: runs)",
-    )
+    add_out(parser, "runs", "folder of reproduction.md and reproduction/")
     parser.add_argument(
         "--only", metavar="FIGURE", help="draw one figure, as figure_6, into the folder"
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,15 @@ from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     SEEDS,
-    add_overrides,
+    add_out,
+    add_scene,
     add_workers,
     load,
     number,
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, say, say_table, write_json, write_text
+from capture_sim.commands.output import Progress, drawing, say, say_table, write_json, write_text
 from capture_sim.scene.quantities import Range
 from capture_sim.studies.executors import default_workers, open_executor
 from capture_sim.studies.sensitivity import (
@@ -44,13 +44,7 @@ EXAMPLE = "  capture-sim sensitivity paper_designed --method sobol --samples 64"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "scene",
-        nargs="?",
-        default="paper_designed",
-        metavar="SCENE",
-        help="default: paper_designed",
-    )
+    add_scene(parser, "paper_designed")
     parser.add_argument(
         "--spread",
         type=number(Range(0.0, 50.0, low_open=True), " %"),
@@ -69,10 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=whole(SEEDS), default=1, help="of the samples (default: 1)")
     add_workers(parser)
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/sensitivity"), help="default: runs/sensitivity"
-    )
-    add_overrides(parser)
+    add_out(parser, "runs/sensitivity")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,8 +107,7 @@ def run(options: argparse.Namespace) -> int:
     kept = write_json(options.out / "sensitivity.json", _numbers(near, all_at_once))
     page = write_text(options.out / "sensitivity.md", _page(head, near, all_at_once, options))
     say(f"numbers in {kept}, page in {page}")
-    try:
-        # loaded here: without matplotlib there are numbers still
+    with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_indices, draw_tornado
 
@@ -125,8 +115,6 @@ def run(options: argparse.Namespace) -> int:
         if all_at_once is not None:
             path = options.out / f"{all_at_once.method}.png"
             say(f"indices in {save(draw_indices(all_at_once), path)}")
-    except ImportError as error:
-        say(f"no picture: {error}")
     return OK
 
 

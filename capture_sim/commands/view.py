@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import Opened, add_runs, number, open_runs, prepare_folder
+from capture_sim.commands.inputs import Opened, add_out, add_runs, number, open_runs, prepare_folder
 from capture_sim.commands.output import draw, say
 from capture_sim.errors import RecordingError
 from capture_sim.viewing.canvas import save_both
@@ -24,9 +24,7 @@ EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_runs(parser)
-    parser.add_argument(
-        "--out", type=Path, default=Path(), help="folder of the pictures (default: .)"
-    )
+    add_out(parser, ".", "folder of the pictures")
     parser.add_argument(
         "--save", type=Path, metavar="FILE.rrd", help="rerun file (default: OUT/runs.rrd)"
     )

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import pairwise
+from mmap import mmap
 from pathlib import Path
 from typing import IO
 
@@ -49,9 +50,11 @@ UNPACKED_LEAST = 64 * 1024 * 1024
 #: Bytes that a message takes in memory beside its own.
 _MESSAGE_COST = 100
 
-_RECORD = struct.Struct("<BQ")
-#: What stands before a message's data: channel, sequence, log and publish time (ns).
-MESSAGE_HEAD = struct.Struct("<HIQQ")
+_RECORD = struct.Struct("<BQ")  # opcode, length
+#: What stands before a message's data: opcode, length, channel, sequence, log and publish
+#: time (ns).
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, places of summary and offsets, checksum
 _CRC_SIZE = 4
 
 #: What parsing of a damaged record may raise.
@@ -212,32 +215,51 @@ def unpacked(chunk: Chunk, limit: int) -> bytes:
     return records
 
 
-def records_in(records: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, and start and end of the body, of each record of a chunk.
+def records_in(data: bytes) -> Iterator[tuple[int, int, bytes, int, int] | Schema | Channel]:
+    """Yield messages and definitions of a chunk.
+
+    A message is channel, log time (ns), data, publish time (ns), sequence: the fields of
+    mcap's ``Message``, which takes longer to make.
 
     Raises
     ------
     ValueError
-        They do not fill it.
+        The records do not fill the chunk.
     """
-    position, end, head, size = 0, len(records), _RECORD.unpack_from, _RECORD.size
+    position, end, head, size = 0, len(data), MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
     while position + size <= end:
-        opcode, length = head(records, position)
-        start = position + size
-        position = start + length
+        opcode, length, channel, sequence, log_time, publish_time = head(data, position)
+        start, position = position, position + _RECORD.size + length
         if position > end:
             break
-        yield opcode, start, position
+        if opcode == Opcode.MESSAGE:
+            yield channel, log_time, data[start + size : position], publish_time, sequence
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            body = ReadDataStream(BytesIO(data[start + _RECORD.size : position]))
+            yield Schema.read(body) if opcode == Opcode.SCHEMA else Channel.read(body)
     if position != end:
         raise ValueError("a chunk ends within a record")
 
 
-def definition(records: bytes, opcode: int, start: int, end: int) -> Schema | Channel | None:
-    """Return the type or topic that a record defines; None for another record."""
-    if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-        return None
-    body = ReadDataStream(BytesIO(records[start:end]))
-    return Schema.read(body) if opcode == Opcode.SCHEMA else Channel.read(body)
+def summary_of(file: IO[bytes] | mmap) -> tuple[int | None, bool]:
+    """Return where the summary begins, and whether a checksum confirms it.
+
+    Index and statistics, which others find messages by, stand there.  No place if it is damaged.
+    """
+    file.seek(0, os.SEEK_END)
+    size = file.tell()
+    place = size - len(MCAP0_MAGIC) - _FOOTER.size
+    if place < 0:
+        return None, False
+    file.seek(place)
+    opcode, length, start, _, crc = _FOOTER.unpack(file.read(_FOOTER.size))
+    if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _RECORD.size) or start > place:
+        return None, False
+    if file.read() != MCAP0_MAGIC:
+        return None, False
+    file.seek(start := start or place)
+    fits = not crc or zlib.crc32(file.read(place + _FOOTER.size - _CRC_SIZE - start)) == crc
+    return start if fits else None, bool(crc)
 
 
 def in_words(error: Exception) -> str:
@@ -331,21 +353,24 @@ class _Reader:
                     f"{self._count} messages read, {record.message_count} were written"
                 )
         elif isinstance(record, Footer):
-            self._check_summary(record)
+            here = self._file.tell()
+            if summary_of(self._file)[0] is None:
+                raise ValueError("the index does not match its checksum")
+            self._file.seek(here)
 
     def _messages(self, data: bytes) -> None:
         """Take in the records of a chunk."""
-        head, size, lists = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._lists
-        for opcode, start, end in records_in(data):
-            if opcode == Opcode.MESSAGE:
-                channel, _, log_time, _ = head(data, start)
+        lists = self._lists
+        for record in records_in(data):
+            if isinstance(record, tuple):
+                channel, log_time, message, _, _ = record
                 if channel not in lists:
                     raise ValueError(f"message of unknown channel {channel}")
                 messages, times = lists[channel]
-                messages.append(data[start + size : end])
+                messages.append(message)
                 times.append(log_time)
                 self._count += 1
-            elif (record := definition(data, opcode, start, end)) is not None:
+            else:
                 self._take(record)
 
     def _channel(self, channel: Channel) -> None:
@@ -372,19 +397,6 @@ class _Reader:
         stored = self._file.read(_CRC_SIZE)
         if any(stored) and stored != builder.end()[-_CRC_SIZE:]:
             raise ValueError(f"attachment {attachment.name!r}: wrong checksum")
-
-    def _check_summary(self, footer: Footer) -> None:
-        """Check index and statistics, which others find messages by, against their checksum."""
-        if not footer.summary_crc:
-            return  # not available
-        here = self._file.tell()
-        end = here - _CRC_SIZE
-        start = footer.summary_start or here - 20 - _RECORD.size
-        self._file.seek(start)
-        summary = self._file.read(max(end - start, 0))
-        self._file.seek(here)
-        if zlib.crc32(summary) != footer.summary_crc:
-            raise ValueError("the index does not match its checksum")
 
     def _damaged(self, position: int, why: str) -> RecordingError:
         return RecordingError(

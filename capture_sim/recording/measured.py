@@ -51,11 +51,12 @@ def stamps_of(columns: Columns) -> np.ndarray:
     return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
 
 
-def headings_of(columns: Columns, at: str) -> np.ndarray:
-    """Return the headings of the poses that stand at a path, (n,), rad."""
+def poses_of(columns: Columns, at: str) -> np.ndarray:
+    """Return the poses that stand at a path, (n, 3): x, y (m), heading (rad)."""
     z, w = (columns[f"{at}.orientation.{axis}"].tolist() for axis in "zw")
     # by math, as the detector's node does it: NumPy's differ in the last bit
-    return 2.0 * np.array(list(map(math.atan2, z, w)))
+    heading = 2.0 * np.array(list(map(math.atan2, z, w)))
+    return np.stack([columns[f"{at}.position.x"], columns[f"{at}.position.y"], heading], axis=1)
 
 
 def release_of(run: Run, after: float | None = None) -> int:
@@ -156,16 +157,13 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
     ):
         for source, at in ((pose, "pose"), (odometry, "pose.pose")):
             if columns := run.columns(source):
-                poses = np.stack(_pose(columns, at), axis=1)
-                found.setdefault(name, {})[source.name] = _series(columns, release, poses)
-    for topic, stroke, torsion in (
-        (BUFFER_STATE, *_buffer(run)),
-        (JOINT_STATES, *_joints(run)),
-    ):
-        for name, values in (("stroke", stroke), ("torsion", torsion)):
-            if values is not None:
-                series = _series(run.columns(topic), release, values)
-                found.setdefault(name, {})[topic.name] = series
+                found.setdefault(name, {})[source.name] = _series(
+                    columns, release, poses_of(columns, at)
+                )
+    for topic, buffer in buffers_in(run).items():
+        for name in ("stroke", "torsion"):
+            series = _series(run.columns(topic), release, buffer[name])
+            found.setdefault(name, {})[topic.name] = series
     if run.columns(CONTACT_WRENCH):
         t, force = wrench(run, CONTACT_WRENCH, release)
         found["force"] = {CONTACT_WRENCH.name: Series(t, np.hypot(*force.T))}
@@ -271,20 +269,30 @@ def wrench(run: Run, topic: Topic, release: int) -> tuple[np.ndarray, np.ndarray
     return series.t, series.values
 
 
-def _buffer(run: Run) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return stroke and torsion as the buffer's topic has them; None where it is not there."""
-    columns = run.columns(BUFFER_STATE)
-    return (columns["axial_stroke"], columns["torsion"]) if columns else (None, None)
-
-
-def _joints(run: Run) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return stroke and torsion as the joints' topic has them; None where it does not."""
+def buffers_in(run: Run) -> dict[Topic, Columns]:
+    """Return stroke (m), torsion (rad) and their rates, (n,) each, by the topics that hold them."""
+    found: dict[Topic, Columns] = {}
+    if state := run.columns(BUFFER_STATE):
+        found[BUFFER_STATE] = {
+            "stroke": state["axial_stroke"],
+            "torsion": state["torsion"],
+            "stroke_rate": state["axial_rate"],
+            "torsion_rate": state["torsion_rate"],
+        }
     joints = run.columns(JOINT_STATES)
-    if joints:
-        position, names = joints["position"], list(joints["name"][0])
-        if position.ndim == 2 and {HINGE_JOINT, SLIDE_JOINT} <= set(names):
-            return position[:, names.index(SLIDE_JOINT)], position[:, names.index(HINGE_JOINT)]
-    return None, None
+    names = list(joints["name"][0]) if joints else []
+    if {HINGE_JOINT, SLIDE_JOINT} <= set(names) and joints["position"].ndim == 2:
+        position, velocity = joints["position"], joints["velocity"]
+        if velocity.shape != position.shape:  # a bench may leave them empty
+            velocity = np.gradient(position, stamps_of(joints) / 1e9, axis=0)
+        slide, hinge = names.index(SLIDE_JOINT), names.index(HINGE_JOINT)
+        found[JOINT_STATES] = {
+            "stroke": position[:, slide],
+            "torsion": position[:, hinge],
+            "stroke_rate": velocity[:, slide],
+            "torsion_rate": velocity[:, hinge],
+        }
+    return found
 
 
 def _attitude(seen: Measurements, t: np.ndarray) -> np.ndarray:
@@ -302,7 +310,3 @@ def _series(columns: Columns, release: int, values: np.ndarray) -> Series:
     finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
     t, first = np.unique(t[finite], return_index=True)
     return Series(t, values[finite][first])
-
-
-def _pose(columns: Columns, at: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return columns[f"{at}.position.x"], columns[f"{at}.position.y"], headings_of(columns, at)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import trapezoid
 
-from capture_sim.detection.align import Observation
+from capture_sim.detection.align import observed
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError, SceneError
@@ -30,7 +30,7 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
-from capture_sim.recording.measured import headings_of, release_of, stamps_of
+from capture_sim.recording.measured import buffers_in, poses_of, release_of, stamps_of
 from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
@@ -279,7 +279,15 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     release = release_of(run, released)
     t = (stamps - release) * 1e-9
     poses, rates = zip(*(_planar(odometry) for odometry in (chaser, target)), strict=True)
-    buffer, buffer_rate, buffer_stamps = _buffer(run)
+    buffers = buffers_in(run)
+    if not buffers:
+        raise RecordingError(
+            f"{run.name}: holds neither {BUFFER_STATE.absolute_name} nor "
+            f"{JOINT_STATES.absolute_name} with {HINGE_JOINT} and {SLIDE_JOINT}: the place of the "
+            "tip is not known"
+        )
+    topic, buffer = next(iter(buffers.items()))
+    buffer_stamps = stamps_of(run.columns(topic))
 
     def at(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values at the chaser's stamps, linear between their own."""
@@ -298,8 +306,8 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         chaser_rate=rates[0][first],
         target=at(stamps_of(target), poses[1]),
         target_rate=at(stamps_of(target), rates[1]),
-        buffer=at(buffer_stamps, buffer),
-        buffer_rate=at(buffer_stamps, buffer_rate),
+        buffer=at(buffer_stamps, _stacked(buffer, "stroke", "torsion")),
+        buffer_rate=at(buffer_stamps, _stacked(buffer, "stroke_rate", "torsion_rate")),
         **_optional(run, at, held),
     )
     statuses: Sequence[CaptureStatus] = run.statuses
@@ -316,28 +324,16 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
 def _detect(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
     """Return what the capture detector makes of measurements."""
     detector = NoisyDetector(scene)
-    statuses = []
-    for i, t in enumerate(measured.t.tolist()):
-        stroke, torsion = measured.buffer[i].tolist()
-        stroke_rate, torsion_rate = measured.buffer_rate[i].tolist()
-        seen = Observation(
-            t=t,
-            chaser=_three(measured.chaser[i]),
-            chaser_rate=_three(measured.chaser_rate[i]),
-            target=_three(measured.target[i]),
-            target_rate=_three(measured.target_rate[i]),
-            stroke=stroke,
-            stroke_rate=stroke_rate,
-            torsion=torsion,
-            torsion_rate=torsion_rate,
+    of_bodies = (
+        np.hstack(pair).tolist()
+        for pair in (
+            (measured.chaser, measured.chaser_rate),
+            (measured.target, measured.target_rate),
+            (measured.buffer, measured.buffer_rate),
         )
-        statuses.append(detector.update(seen))
-    return [*statuses, *detector.finish()]
-
-
-def _three(row: np.ndarray) -> tuple[float, float, float]:
-    x, y, theta = row.tolist()
-    return x, y, theta
+    )
+    rows = zip(measured.t.tolist(), *of_bodies, strict=True)
+    return [*(detector.update(observed(*row)) for row in rows), *detector.finish()]
 
 
 def _needed(run: Run, topic: Topic) -> Columns:
@@ -349,32 +345,17 @@ def _needed(run: Run, topic: Topic) -> Columns:
 
 def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, 3) and their rates in the world (n, 3), from nav_msgs/Odometry."""
-    x, y = odometry["pose.pose.position.x"], odometry["pose.pose.position.y"]
-    theta = np.unwrap(headings_of(odometry, "pose.pose"))
-    c, s = np.cos(theta), np.sin(theta)
+    poses = poses_of(odometry, "pose.pose")
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     # the twist is in the vehicle's own frame
     vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
     rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
-    return np.stack([x, y, theta], axis=-1), np.stack(rates, axis=-1)
+    return poses, np.stack(rates, axis=-1)
 
 
-def _buffer(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return stroke and torsion (n, 2), their rates (n, 2), and stamps (n,)."""
-    state = run.columns(BUFFER_STATE)
-    if state:
-        values = np.stack([state["axial_stroke"], state["torsion"]], axis=-1)
-        rates = np.stack([state["axial_rate"], state["torsion_rate"]], axis=-1)
-        return values, rates, stamps_of(state)
-    joints = run.columns(JOINT_STATES)
-    if joints:
-        names = list(joints["name"][0])
-        if {HINGE_JOINT, SLIDE_JOINT} <= set(names):
-            order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
-            return joints["position"][:, order], joints["velocity"][:, order], stamps_of(joints)
-    raise RecordingError(
-        f"{run.name}: holds neither {BUFFER_STATE.absolute_name} nor {JOINT_STATES.absolute_name} "
-        f"with {HINGE_JOINT} and {SLIDE_JOINT}: the tip's place is not known"
-    )
+def _stacked(columns: Columns, *names: str) -> np.ndarray:
+    return np.stack([columns[name] for name in names], axis=-1)
 
 
 def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
@@ -382,7 +363,7 @@ def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     wrench = run.columns(CONTACT_WRENCH)
     if wrench:
-        force = np.stack([wrench["wrench.force.x"], wrench["wrench.force.y"]], axis=-1)
+        force = _stacked(wrench, "wrench.force.x", "wrench.force.y")
         found["tip_force"] = at(stamps_of(wrench), force)
     contact = run.columns(CONTACT_STATE)
     if contact:
@@ -392,7 +373,7 @@ def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
         found["begun"] = held(stamps_of(contact), contact["touches"])
     string = run.columns(STRING_STATE)
     if string:
-        values = np.stack([string[n] for n in ("tension", "mass_height", "mass_speed")], axis=-1)
+        values = _stacked(string, "tension", "mass_height", "mass_speed")
         phase = held(stamps_of(string), string["phase"])
         found["string"] = np.column_stack([phase, at(stamps_of(string), values)])
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +25,7 @@ from capture_sim.recording.bag_metadata import (
     dump,
     qos_profile,
 )
+from capture_sim.recording.contents import MESSAGE_HEAD
 from capture_sim.recording.definitions import schema_text, type_hash
 
 #: Name of the attachment that holds the resolved scene.
@@ -41,9 +41,6 @@ END_METADATA = "capture_sim_end"
 RECOVERY_METADATA = "capture_sim_recovery"
 #: Name of the metadata record that rosbag2 reads.
 BAG_METADATA = "rosbag2"
-#: What stands before a message's data: opcode, length, channel, sequence, log and publish
-#: time (ns).
-MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 #: Uncompressed size of a chunk, bytes: what a kill can lose at most.
 CHUNK_SIZE = 128 * 1024
 

@@ -8,8 +8,8 @@ from collections import Counter
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
@@ -330,13 +330,3 @@ def test_damaged_head_loses_no_message_and_says_so(path, tmp_path):
     again = read_run(saved.path)
     assert again.scene == read_run(path).scene
     assert again.metadata["run_id"] == read_run(path).metadata["run_id"]
-
-
-def test_counting_agrees_with_the_library(path, chunks):
-    found = Counter()
-    with path.open("rb") as file:
-        for record in StreamReader(file, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                found["chunks"] += 1
-                found["messages"] += sum(isinstance(r, Message) for r in breakup_chunk(record))
-    assert found == {"chunks": len(chunks), "messages": sum(len(m) for *_, m in chunks)}
