@@ -232,7 +232,9 @@ def paper_row() -> list[str]:
         "",
         "![Force against stroke](design/trade_off.png)",
         "",
-        f"    .venv/bin/capture-sim design paper_designed --trade-off {FACTORS}",
+        "```sh",
+        f".venv/bin/capture-sim design paper_designed --trade-off {FACTORS}",
+        "```",
     ]
 
 

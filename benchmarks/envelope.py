@@ -261,7 +261,9 @@ def main() -> None:
             "",
             "![Capture envelope of the bench](envelope/map.png)",
             "",
-            f"    {command}",
+            "```sh {.minutes}",
+            command,
+            "```",
             "",
             "The bench of the three experiments, without rail and string: each run starts 2 mm "
             "before the touch, at the speed that is asked for there. Offset: of the chaser's path "

@@ -21,13 +21,14 @@ DESCRIPTION = (
 )
 #: Of the page and of the folder of its figures.
 NAME = "reproduction"
-_COMMAND = ".venv/bin/capture-sim reproduce"
 _PAGE = """\
 # The paper, reproduced
 
 *A New Buffer in Impact Reduction for Aerospace Applications*, sections 5 and 6. Made by
 
-    {command} --out docs
+```sh {{.minutes}}
+.venv/bin/capture-sim reproduce --out docs
+```
 
 from the scenes in config/scenes; none of it is written by hand. Restitution 0.5, friction tanh \
 with v_eps = 1 mm/s, captured = within 5 mm of the centre of BE for 0.2 s, unless stated \
@@ -79,7 +80,7 @@ _FIGURE = """
 
 ![{title}]({folder}/{name}.png)
 
-    {command} --only {name} --out runs
+`.venv/bin/capture-sim reproduce --only {name} --out runs`
 """
 EXAMPLE = "  capture-sim reproduce --out runs"
 
@@ -126,7 +127,6 @@ def page(claims: Sequence[Claim], evidence: Evidence, titles: dict[str, str]) ->
     shares = (f"{together.share(case):.0%} ({n})" for n, case in zip(names, CASES, strict=True))
     designed_2 = together.share("paper_designed", "paper_case_2")
     return _PAGE.format(
-        command=_COMMAND,
         agree=agreed.count(True),
         differ=agreed.count(False),
         open=agreed.count(None),
@@ -150,8 +150,7 @@ def page(claims: Sequence[Claim], evidence: Evidence, titles: dict[str, str]) ->
         conclusion="" if designed_2 > 0.0 else _CONCLUSION,
         damping=_rows(_damping(evidence)),
         figures="".join(
-            _FIGURE.format(title=title, name=name, folder=NAME, command=_COMMAND)
-            for name, title in titles.items()
+            _FIGURE.format(title=title, name=name, folder=NAME) for name, title in titles.items()
         ),
     )
 

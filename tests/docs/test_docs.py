@@ -1,49 +1,206 @@
-"""What README and docs show works: their code runs, their site builds, the examples too."""
+"""What README and docs show works: their code runs and prints what they say, their site builds.
+
+A block of code is a fence, and runs in a folder that has `.venv` and the recordings of `make run`:
+
+- `sh`: its lines, as a script; `console`: its lines behind `$`, one by one.  Lines beneath a
+  command are what it prints, `...` for what differs from run to run.
+- `python`: together with the blocks before it on the page; `#>` is what it prints.
+- `yaml` with a title is a file of that name; without, it is laid over tilt_0.
+- What cannot run here bears a class, and is counted: `{.ros2}` needs ROS's command-line tools,
+  `{.terminals}` several terminals, `{.minutes}` takes some, `{.make}` is done by `make first-hour`.
+"""
 
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+import yaml
+
+import capture_sim
+from capture_sim.cli import command_parser
 
 ROOT = Path(__file__).resolve().parents[2]
-# A fence, what stands behind its language, and its content
-BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PAGES = ("README.md", "docs/tutorial.md")
+PAGES = [
+    str(path.relative_to(ROOT))
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md"))
+]
+FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`(?:\.venv/bin/)?capture-sim ([a-z][^`\n]*)`")
+EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
+#: Blocks that are not run, by why.
+LEFT_OUT = {"ros2": 5, "terminals": 3, "minutes": 2, "make": 2}
+
+
+class Block(NamedTuple):
+    """A fence: its language, what else stands at its head, and what is in it."""
+
+    language: str
+    head: str
+    text: str
+
+    @property
+    def left_out(self) -> str:
+        """Why it does not run here; empty where it does."""
+        marked = re.search(r"\{\.(\w+)\}", self.head)
+        return marked[1] if marked else ""
+
+
+def blocks(page):
+    return [Block(*found) for found in FENCE.findall((ROOT / page).read_text())]
 
 
 def environment():
     binaries = str(Path(sys.executable).parent)
-    return {**os.environ, "PATH": binaries + os.pathsep + os.environ["PATH"], "MPLBACKEND": "agg"}
+    path = binaries + os.pathsep + os.environ["PATH"]
+    return {**os.environ, "PATH": path, "MPLBACKEND": "agg"}
 
 
-def run(command, folder):
+def run(command, folder, **how):
     done = subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=300
+        command, cwd=folder, env=environment(), capture_output=True, text=True, **how
     )
-    assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
+    assert done.returncode == 0, f"{command}: {done.stdout[-500:]}{done.stderr[-2000:]}"
     return done.stdout
 
 
+def assert_printed(stated, printed, command):
+    """Each line that is stated is printed, in this order; `...` stands for anything."""
+    lines = iter(" ".join(line.split()) for line in printed.splitlines())
+    for line in stated:
+        pattern = re.escape(" ".join(line.split())).replace(re.escape("..."), ".*")
+        found = any(re.fullmatch(pattern, printed_line) for printed_line in lines)
+        assert found, f"{command} is to print {line!r}; it printed:\n{printed}"
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory):
+    """The folder of the recordings that `make run` leaves."""
+    folder = tmp_path_factory.mktemp("recordings")
+    run(["capture-sim", "run", *EXPERIMENTS, "--out", "runs"], folder)
+    return folder / "runs"
+
+
+@pytest.fixture
+def folder(tmp_path, recordings):
+    """A folder as after `make run`, with the bag of a bench that tutorials call trial.mcap."""
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    shutil.copytree(recordings, tmp_path / "runs")
+    shutil.copy(recordings / "tilt_0.mcap", tmp_path / "trial.mcap")
+    return tmp_path
+
+
+def test_what_is_left_out_is_counted():
+    left_out = Counter(block.left_out for page in PAGES for block in blocks(page))
+    assert left_out.pop("") >= 20
+    assert left_out == LEFT_OUT
+
+
 @pytest.mark.parametrize("page", PAGES)
-def test_the_blocks_of_a_page_run(page, tmp_path):
-    python = []
-    for language, head, content in BLOCK.findall((ROOT / page).read_text()):
-        if language == "yaml" and (title := re.search(r'title="([^"]+)"', head)):
-            (tmp_path / title[1]).write_text(content)
-        elif language == "console":
-            for line in content.splitlines():
-                if line.startswith("$ capture-sim"):  # others need a ROS installation
-                    run(shlex.split(line[2:]), tmp_path)
-        elif language == "python":
-            python.append(content)
-            (tmp_path / "page.py").write_text("\n".join(python))
-            run([sys.executable, "page.py"], tmp_path)
-    assert python, f"{page} shows no Python"
+def test_every_block_is_a_fence_of_a_known_language(page):
+    text = (ROOT / page).read_text()
+    assert text.count("\n```") + text.startswith("```") == 2 * len(blocks(page))
+    assert {block.language for block in blocks(page)} <= {"sh", "console", "python", "yaml", "text"}
+    outside = FENCE.sub("", text)
+    assert not re.search(r"\n\n    [^ ]", outside), "indented code"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_between_the_lines_are_understood(page):
+    found = INLINE.findall((ROOT / page).read_text())
+    for block in blocks(page):
+        if block.left_out == "minutes":
+            found += re.findall(r"^\.venv/bin/capture-sim (.*)$", block.text, re.MULTILINE)
+    for line in found:
+        command, *arguments = shlex.split(line)
+        parser = command_parser(command)
+        if arguments:
+            parser.parse_args(arguments)
+
+
+def commands_of(text):
+    """Return each command of a console block, and the lines that it is to print."""
+    found = []
+    for line in text.splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        else:
+            found[-1][1].append(line)
+    return found
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any(not b.left_out for b in blocks(page))]
+)
+def test_blocks_run_and_print_what_they_say(page, folder):
+    python, printed = "", ""
+    for block in blocks(page):
+        if block.left_out or block.language == "text":
+            continue
+        if block.language == "yaml":
+            title = re.search(r'title="([^"]+)"', block.head)
+            path = folder / (title[1] if title else "part.yaml")
+            path.write_text(block.text if title else "extends: tilt_0\n" + block.text)
+            scene = capture_sim.load_scene(path)
+            assert all(
+                getattr(scene, part) is not None
+                for part in yaml.safe_load(block.text)
+                if part != "extends"
+            )
+        elif block.language == "sh":
+            run(["bash", "-euc", block.text], folder)
+        elif block.language == "console":
+            for command, stated in commands_of(block.text):
+                assert_printed(stated, run(["bash", "-euc", command], folder), command)
+        else:
+            python += block.text
+            (folder / "page.py").write_text(python)
+            before, printed = printed, run([sys.executable, "page.py"], folder)
+            stated = re.findall(r"^#> (.*)$", block.text, re.MULTILINE)
+            assert_printed(stated, printed.removeprefix(before), "the block")
+
+
+def test_the_table_of_the_readme_holds(recordings):
+    head, *rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in (ROOT / "README.md").read_text().splitlines()
+        if re.match(r"\| (experiment|tilt_\w+) \|", line)
+    ]
+    assert [row[0] for row in rows] == list(EXPERIMENTS)
+    results = {r["name"]: r for r in json.loads((recordings / "results.json").read_text())}
+    for name, verdict, *cells in rows:
+        r = results[name]
+        assert verdict == r["verdict"]
+        values = (
+            ("{:.3f}", r["first_contact_time"]),
+            ("{:.1f} ({})", r["first_contact_duration"] * 1e3, r["first_contact_touches"]),
+            ("{:.1f} ({})", r["peak_force"], r["touches"]),
+            ("{:.2f}", r["max_axial_stroke"] * 1e3),
+            ("{:.2f}", r["max_torsion"] * 1e3),
+            ("{:.2f}", r["nearest_distance"] * 1e3),
+        )
+        assert cells == [text.format(*numbers) for text, *numbers in values], head
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_figure_is_there(page):
+    for figure in re.findall(r"!\[[^]]*\]\(([^)]*)\)", (ROOT / page).read_text()):
+        assert ((ROOT / page).parent / figure).stat().st_size > 5_000
+
+
+def test_every_figure_of_the_reproduction_has_its_command():
+    text = (ROOT / "docs/reproduction.md").read_text()
+    figures = re.findall(r"\(reproduction/(\w+)\.png\)", text)
+    assert len(figures) > 8
+    for figure in figures:
+        assert f"`.venv/bin/capture-sim reproduce --only {figure} --out runs`" in text
 
 
 def test_sweep_finds_what_captures(tmp_path):
@@ -60,11 +217,9 @@ def test_the_notebook_runs_from_top_to_bottom(tmp_path):
     run([sys.executable, "notebook.py"], tmp_path)
 
 
-def test_a_recording_is_read_by_others(tmp_path):
-    run(["capture-sim", "run", "tilt_0", "--out", "runs"], tmp_path)
-    out = run(
-        [sys.executable, str(ROOT / "examples/bag_to_pandas.py"), "runs/tilt_0.mcap"], tmp_path
-    )
+def test_a_recording_is_read_by_others(recordings, tmp_path):
+    example = str(ROOT / "examples/bag_to_pandas.py")
+    out = run([sys.executable, example, str(recordings / "tilt_0.mcap")], tmp_path)
     assert "mean" in out
 
 
