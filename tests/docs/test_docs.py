@@ -4,12 +4,13 @@ A block of code is a fence, and runs in a folder that has `.venv` and the record
 
 - `sh`: its lines, as a script; `console`: its lines behind `$`, one by one.  Lines beneath a
   command are what it prints, `...` for what differs from run to run.
-- `python`: together with the blocks before it on the page; `#>` is what it prints.
+- `python`: together with the blocks before it on the page; `# ->` is what it prints.
 - `yaml` with a title is a file of that name; without, it is laid over tilt_0.
 - What cannot run here bears a class, and is counted: `{.ros2}` needs ROS's command-line tools,
   `{.terminals}` several terminals, `{.minutes}` takes some, `{.make}` is done by `make first-hour`.
 """
 
+import importlib.util
 import json
 import os
 import re
@@ -163,7 +164,7 @@ def test_blocks_run_and_print_what_they_say(page, folder):
             python += block.text
             (folder / "page.py").write_text(python)
             before, printed = printed, run([sys.executable, "page.py"], folder)
-            stated = re.findall(r"^#> (.*)$", block.text, re.MULTILINE)
+            stated = re.findall(r"^# -> (.*)$", block.text, re.MULTILINE)
             assert_printed(stated, printed.removeprefix(before), "the block")
 
 
@@ -208,6 +209,41 @@ def test_sweep_finds_what_captures(tmp_path):
     captured, of = map(int, re.fullmatch(r"captured (\d+) of (\d+)\n", out).groups())
     assert 0 < captured < of
     assert (tmp_path / "sweep_damping.png").stat().st_size > 5000
+
+
+@pytest.fixture
+def own_contact_law():
+    path = ROOT / "examples/own_contact_law.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_own_factor_is_the_law_of_that_factor(own_contact_law):
+    """Lankarani and Nikravesh's factor, given as one's own, is their law."""
+    theirs = capture_sim.simulate("paper_undamped", t_end=0.1)
+    changes = own_contact_law.changes_for(0.75 * (1.0 - theirs.scene.contact.restitution**2))
+    own = capture_sim.simulate("paper_undamped", changes, t_end=0.1)
+    assert len(own.touches) == len(theirs.touches) > 4
+    assert own.touches["peak_force"] == pytest.approx(theirs.touches["peak_force"], rel=1e-6)
+
+
+def test_own_force_meets_the_wall_as_the_packages_does(own_contact_law):
+    """Hertz's law without losses, from outside, with a tenth of a percent of energy made."""
+    how = {"contact.restitution": 1.0, "friction.law": "none"}
+    scene = capture_sim.load_scene("paper_undamped", how)
+    peak = capture_sim.simulate(scene, t_end=0.01).touches["peak_force"][0]
+    found = own_contact_law.first_peak(scene, lambda d, _: scene.contact_stiffness * d**1.5, 1e-7)
+    assert found == pytest.approx(peak, rel=1e-3)
+
+
+def test_own_contact_law_runs(tmp_path):
+    out = run([sys.executable, str(ROOT / "examples/own_contact_law.py")], tmp_path)
+    first, *peaks = out.splitlines()
+    assert first.startswith("Safaeifar: captured")
+    rough, fine = (float(line.split()[-2]) for line in peaks)
+    assert rough == pytest.approx(fine, rel=5e-3)
 
 
 def test_the_notebook_runs_from_top_to_bottom(tmp_path):

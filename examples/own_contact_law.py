@@ -1,0 +1,58 @@
+"""A contact law of your own, in the two ways that there are.
+
+1. A law of the form F = K delta^1.5 (1 + a(e) delta' / v_0), as most in the literature are, is its
+   hysteresis factor a(e) alone.  Whatever a is, the law `exact` with the restitution that a really
+   returns is that law, in everything that capture_sim does.
+2. Any other force is computed here, step by step, and given to vehicles and buffer as a wrench on
+   the tip.  Its limits: the vehicles float free (no rail, string, supports, latch, stops), touches
+   are not located, and the wrench is held over a step, which acts as a delay of half a step and
+   makes energy: halve the step and see what changes.
+"""
+
+import math
+
+import capture_sim
+from capture_sim.hardware.contact_rig import ContactRig
+from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.model.contact import returned_restitution
+
+
+def safaeifar(e):
+    """Return a(e) of Safaeifar and Farshidianfar (2020), which the package does not have."""
+    return 1.25 * (1.0 - e) / e
+
+
+def changes_for(a):
+    """Return the changes of a scene that give it the hysteresis factor a."""
+    return {"contact.law": "exact", "contact.restitution": returned_restitution(a)}
+
+
+def lining(delta, rate):
+    """Return the force (N) of a lined cone at a penetration (m) and its rate (m/s)."""
+    return max(2e4 * delta + 5.0 * rate, 0.0)
+
+
+def first_peak(scene, law, step):
+    """Return the largest force (N) of the first touch by a law, with steps of so many s."""
+    stage, walls = LoopStage(scene, step, substeps=1), ContactRig(scene, 0.0)
+    peak = 0.0
+    while stage.t < scene.run.t_end:
+        tip, fx, fy = stage.tip, 0.0, 0.0
+        for side in (1.0, -1.0):
+            delta, nx, ny = walls.penetration(tip.x, tip.y, side)
+            if delta > 0.0:
+                force = law(delta, -(tip.vx * nx + tip.vy * ny))
+                fx, fy = fx + force * nx, fy + force * ny
+        if peak > 0.0 and fx == fy == 0.0:
+            break
+        peak = max(peak, math.hypot(fx, fy))
+        stage.advance((fx, fy, 0.0))
+    return peak
+
+
+if __name__ == "__main__":
+    run = capture_sim.simulate("paper_designed", changes_for(safaeifar(0.5)))
+    print(f"Safaeifar: {run.summary['verdict']}, peak {run.summary['peak_force']:.1f} N")
+    for step in (2e-5, 1e-5):
+        peak = first_peak(capture_sim.load_scene("paper_designed"), lining, step)
+        print(f"lined cone, steps of {step:g} s: first peak {peak:.3f} N")
