@@ -1,51 +1,127 @@
-"""Motion with a wrench on the tip from outside the model, held over a step.
+"""Motion with a wrench on the tip from outside the model, and with a law of the walls.
 
-For hardware in the loop: no walls, no events, steps of fixed length.
+For hardware in the loop: no events, steps of fixed length.  The wrench from outside is held
+over a step; the law of the walls is evaluated at every stage of every Runge-Kutta step.
 """
 
 from __future__ import annotations
 
-from capture_sim.kernels import entry_kernel, kernel
-from capture_sim.model.equations import N_TOTAL, accelerate, rate_of_change, tip_in_cone
-from capture_sim.model.observe import kinetic_energy
-from capture_sim.model.trig import sine_cosine
+import math
 
-#: The state of the free phases and, behind it, the work of the wrench, J.
-N_LOOP = N_TOTAL + 1
-WORK = N_TOTAL
+import numpy as np
+
+from capture_sim.kernels import entry_kernel, inline_kernel, kernel
+from capture_sim.model.equations import (
+    N_TOTAL,
+    accelerate,
+    rate_of_change,
+    slip_speed,
+    tip_in_cone,
+    wall_gap,
+)
+from capture_sim.model.observe import kinetic_energy
+from capture_sim.model.trig import hyperbolic_tangent, sine_cosine
+
+#: The state of the free phases and, behind it, of what acts on the tip: work, that of the wrench
+#: held alone (J), and the integral of the force's size (N s).
+N_LOOP = N_TOTAL + 3
+WORK, HELD_WORK, IMPULSE_SIZE = N_TOTAL, N_TOTAL + 1, N_TOTAL + 2
+
+#: Contact of the tip with either wall; see :class:`capture_sim.hardware.walls.WallLaw`.
+LAW = np.dtype(
+    [
+        ("stiffness", "f8"),  # N/m^exponent
+        ("exponent", "f8"),
+        ("damping", "f8"),  # N s/m^(exponent + 1)
+        ("drag", "f8"),  # N s/m
+        ("friction", "f8"),
+        ("slip_speed", "f8"),  # m/s
+        ("gated", "i8"),  # the wrench from outside acts only while the law is in touch
+    ],
+    align=True,
+)
+
+#: Columns of a trace: pose of the tip and its rates in the target's frame, force on the tip.
+TRACE = 8
+
+
+@inline_kernel
+def _drive(y, system, law, fx, fy, torque):
+    """Set the wrench on the tip: that of the law, and the one held; return if the latter acts."""
+    mode = system.mode
+    mode.driven = 1
+    touched = False
+    wx = wy = wt = 0.0
+    if law.stiffness > 0.0 or law.drag > 0.0:
+        par = system.par
+        px, py, vx, vy = tip_in_cone(y, par)
+        spin = y[11] - y[15]
+        for i in range(2):
+            gap, rate, nx, ny = wall_gap(px, py, vx, vy, 1.0 - 2.0 * i, par)
+            if gap < 0.0:
+                touched = True
+                force = (-gap) ** law.exponent * (law.stiffness - law.damping * rate)
+                force = max(force, 0.0) - law.drag * rate
+                slip = slip_speed(gap, nx, ny, vx, vy, spin, par)
+                rub = -law.friction * force * hyperbolic_tangent(slip / law.slip_speed)
+                wx += force * nx - rub * ny
+                wy += force * ny + rub * nx
+                wt -= (gap + par.R_t) * rub
+    acts = touched or not law.gated
+    if acts:
+        wx += fx
+        wy += fy
+        wt += torque
+    mode.wrench[0] = wx
+    mode.wrench[1] = wy
+    mode.wrench[2] = wt
+    return acts
 
 
 @kernel
-def _rate(y, f, system):
+def _rate(y, f, system, law, fx, fy, torque):
+    acts = _drive(y, system, law, fx, fy, torque)
     rate_of_change(0.0, y, f, system)
     f[WORK] = system.out.driven
+    f[HELD_WORK] = 0.0
+    if acts and (fx != 0.0 or fy != 0.0 or torque != 0.0):
+        _, _, wx, wy = tip_in_cone(y, system.par)
+        f[HELD_WORK] = fx * wx + fy * wy + torque * (y[11] - y[15])
+    wrench = system.mode.wrench
+    f[IMPULSE_SIZE] = math.sqrt(wrench[0] * wrench[0] + wrench[1] * wrench[1])
 
 
-@kernel
-def _hold(system, fx, fy, torque):
-    system.mode.driven = 1
-    system.mode.wrench[0] = fx
-    system.mode.wrench[1] = fy
-    system.mode.wrench[2] = torque
+@inline_kernel
+def _note(y, row, system):
+    px, py, wx, wy = tip_in_cone(y, system.par)
+    row[0] = px
+    row[1] = py
+    row[2] = y[3] - y[7]
+    row[3] = wx
+    row[4] = wy
+    row[5] = y[11] - y[15]
+    row[6] = system.mode.wrench[0]
+    row[7] = system.mode.wrench[1]
 
 
 @entry_kernel
-def step_with_wrench(systems, y, stages, h, n, fx, fy, torque):
-    """Go ``n`` steps of ``h`` (s) by the classical Runge-Kutta method, the wrench held.
+def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
+    """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
 
-    ``y`` (27,) is changed; ``stages`` (5, 27) is overwritten.  The wrench on the tip is in the
-    target's axes.
+    ``y`` (29,) is changed; ``stages`` (5, 29) is overwritten; ``trace`` (n, 8) receives tip and
+    force at the begin of each.  The wrench held is in the target's axes.
     """
     system = systems[0]
-    _hold(system, fx, fy, torque)
+    law = laws[0]
     trial = stages[4]
-    for _ in range(n):
-        _rate(y, stages[0], system)
+    for k in range(trace.shape[0]):
+        _rate(y, stages[0], system, law, fx, fy, torque)
+        _note(y, trace[k], system)
         for stage in range(1, 4):
             share = h if stage == 3 else 0.5 * h
             for i in range(y.shape[0]):
                 trial[i] = y[i] + share * stages[stage - 1, i]
-            _rate(trial, stages[stage], system)
+            _rate(trial, stages[stage], system, law, fx, fy, torque)
         for i in range(y.shape[0]):
             slope = stages[0, i] + 2.0 * (stages[1, i] + stages[2, i]) + stages[3, i]
             y[i] += h / 6.0 * slope
@@ -66,6 +142,14 @@ def stored_energy(systems, y):
     return kinetic_energy(y, p) + 0.5 * p.k_A * stroke * stroke + 0.5 * p.k_T * torsion * torsion
 
 
+@kernel
+def _hold(system, fx, fy):
+    system.mode.driven = 1
+    system.mode.wrench[0] = fx
+    system.mode.wrench[1] = fy
+    system.mode.wrench[2] = 0.0
+
+
 @entry_kernel
 def mobility(systems, y, stages, nx, ny):
     """Return how the tip yields to a unit force along a normal (target's axes), 1/kg.
@@ -74,9 +158,9 @@ def mobility(systems, y, stages, nx, ny):
     adds to it; its reciprocal is the effective mass of a contact there.
     """
     system = systems[0]
-    _hold(system, 0.0, 0.0, 0.0)
+    _hold(system, 0.0, 0.0)
     accelerate(y, stages[0], system)
-    _hold(system, nx, ny, 0.0)
+    _hold(system, nx, ny)
     accelerate(y, stages[1], system)
     f = stages[2]
     for i in range(8, 16):

@@ -7,12 +7,15 @@ It is held over each step.  What is too old, or cannot be, stops the stage safel
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from capture_sim.engine.held_wrench import (
+    HELD_WORK,
+    IMPULSE_SIZE,
+    LAW,
     N_LOOP,
+    TRACE,
     WORK,
     mobility,
     step_with_wrench,
@@ -20,7 +23,9 @@ from capture_sim.engine.held_wrench import (
     tip_state,
 )
 from capture_sim.errors import CaptureSimError, SceneError
+from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, Wrench
 from capture_sim.interrupts import do_apart
+from capture_sim.kernels import records
 from capture_sim.messages.topics import Rate, Topic
 from capture_sim.model.equations import make_system
 from capture_sim.model.parameters import pack
@@ -36,24 +41,9 @@ TIP_WRENCH = Topic(
     "loop/wrench", "geometry_msgs/msg/WrenchStamped", (CONTACT_RIG,), Rate.STATE, recorded=False
 )
 
-Wrench = tuple[float, float, float]  # N, N, N m: on the tip, about its centre, target's axes
-NOTHING: Wrench = (0.0, 0.0, 0.0)
-
 
 class SafeStopError(CaptureSimError):
     """The loop had to be opened; the message says when and why."""
-
-
-class TipState(NamedTuple):
-    """The tip's centre in the frame target/cone: origin in the middle of BE, x to the target."""
-
-    t: float  # s
-    x: float  # m
-    y: float  # m
-    theta: float  # rad, of the probe
-    vx: float  # m/s, against the target
-    vy: float
-    omega: float  # rad/s
 
 
 class LoopStage:
@@ -80,16 +70,17 @@ class LoopStage:
             if getattr(scene, name) is not None:
                 raise SceneError(f"{name}: allowed in the loop is null; the vehicles float free")
         self.scene = scene
-        self.step = step
-        self._substeps = substeps
+        self.step, self.substeps = step, substeps
         self._system = make_system(pack(scene, 0.0, 0.0))
         q, v = scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
         self._stages = np.zeros((5, N_LOOP))
+        self._laws = records(np.zeros(1, LAW))
+        self._trace = np.zeros((substeps, TRACE))
         self._count = 0
         # loads the kernel, or compiles it: not within the loop
-        no_step = (self._system, self._y, self._stages, 0.0, 0, *NOTHING)
-        do_apart(lambda: step_with_wrench(*no_step))
+        no_step = (self._system, self._laws, self._y, self._stages, np.zeros((0, TRACE)))
+        do_apart(lambda: step_with_wrench(*no_step, 0.0, *NOTHING))
 
     @property
     def t(self) -> float:
@@ -122,9 +113,42 @@ class LoopStage:
         """Work that the wrench has done so far, J: above 0 the loop has made energy."""
         return float(self._y[WORK])
 
+    @property
+    def trace(self) -> np.ndarray:
+        """Tip (pose, rates) and force of the last step, (substeps, 8), each at its begin."""
+        return self._trace
+
+    def take_law(self, law: WallLaw, *, gated: bool) -> None:
+        """Put walls of this law into the vehicles' own steps.
+
+        With ``gated`` the wrench from outside acts only while they are touched: it corrects them.
+        """
+        self._laws[0] = (*law, gated)
+
     def effective_mass(self, nx: float, ny: float) -> float:
         """Return the mass that a contact with this normal (target's axes) feels, kg."""
         return 1.0 / float(mobility(self._system, self._y, self._stages, nx, ny))
+
+    def exchanged(self, state: tuple[np.ndarray, int] | None = None) -> np.ndarray:
+        """Return work, that of the wrench held alone (J), and impulse (N s), now or as saved."""
+        y = self._y if state is None else state[0]
+        return y[[WORK, HELD_WORK, IMPULSE_SIZE]]
+
+    def saved(self) -> tuple[np.ndarray, int]:
+        """Return the state, for :meth:`restore`."""
+        return self._y.copy(), self._count
+
+    def restore(self, state: tuple[np.ndarray, int]) -> None:
+        """Go back to a saved state."""
+        self._y[:], self._count = state[0], state[1]
+
+    def trial(self, wrench: Wrench) -> float:
+        """Return the work that this wrench would do in a step, J; nothing moves."""
+        kept = self._y.copy()
+        self._go(wrench)
+        work = self._y[HELD_WORK] - kept[HELD_WORK]
+        self._y[:] = kept
+        return float(work)
 
     def advance(self, wrench: Wrench) -> TipState:
         """Go one step with the wrench held; return where the tip is then.
@@ -134,14 +158,17 @@ class LoopStage:
         SafeStopError
             The probe is pushed in up to its tip, or the state is not finite any more.
         """
-        h = self.step / self._substeps
-        step_with_wrench(self._system, self._y, self._stages, h, self._substeps, *wrench)
+        self._go(wrench)
         self._count += 1
         if not np.all(np.isfinite(self._y)) or self._y[4] < self.scene.probe.tip_radius:
             raise SafeStopError(
                 f"stopped at t = {self.t:.6g} s: the probe is pushed in up to its tip"
             )
         return self.tip
+
+    def _go(self, wrench: Wrench) -> None:
+        h = self.step / self.substeps
+        step_with_wrench(self._system, self._laws, self._y, self._stages, self._trace, h, *wrench)
 
 
 class WrenchHold:
@@ -196,8 +223,8 @@ class WrenchHold:
             self._fault = f"a force of {force:.4g} N came: allowed is <= {self._force_limit:g}"
         return ""
 
-    def at(self, now: float) -> Wrench:
-        """Return what acts now.
+    def at(self, now: float) -> tuple[float, Wrench]:
+        """Return stamp (s) and wrench that are held now.
 
         Raises
         ------
@@ -213,4 +240,4 @@ class WrenchHold:
                 f"<= {self._timeout:g}"
             )
         self.ages.append(age)
-        return self._wrench
+        return self._stamp, self._wrench

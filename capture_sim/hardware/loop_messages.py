@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.in_the_loop import TipState, Wrench
+from capture_sim.hardware.walls import TipState, Wrench
 from capture_sim.messages.convert import (
     CONE_FRAME,
     TIP_FRAME,

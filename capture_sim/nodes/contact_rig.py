@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from capture_sim.hardware.contact_rig import ContactRig
-from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH, TipState
+from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
+from capture_sim.hardware.walls import TipState, WallLaw
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode, run
 
 
 class ContactRigNode(BenchNode):
-    """Elastic walls, see :class:`capture_sim.hardware.contact_rig.ContactRig`."""
+    """Walls with a law, see :class:`capture_sim.hardware.contact_rig.ContactRig`."""
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)
@@ -27,8 +28,13 @@ class ContactRigNode(BenchNode):
         exponent = self.declare(
             "exponent", 1.0, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
         )
+        damping = self.declare(
+            "damping", 0.0, "s/m, by which the force grows with the rate", low=0.0, high=1e6
+        )
+        friction = self.declare("friction", 0.0, "coefficient, of a wall", low=0.0, high=10.0)
         lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
-        self._rig = ContactRig(load_scene(name, overrides), stiffness, exponent)
+        law = WallLaw(stiffness, exponent, stiffness * damping, friction=friction)
+        self._rig = ContactRig(load_scene(name, overrides), law)
         self._places: deque[TipState] = deque(maxlen=lag + 1)
         self.open((TIP_WRENCH,))
         self.listen(TIP, self._answer)

@@ -6,11 +6,13 @@ import json
 import threading
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.contact_rig import BounceWatch
+from capture_sim.hardware.closed_loop import Loop
+from capture_sim.hardware.compensation import compensation
 from capture_sim.hardware.in_the_loop import (
     LOOP_SIMULATOR,
     TIP,
@@ -20,6 +22,7 @@ from capture_sim.hardware.in_the_loop import (
     WrenchHold,
 )
 from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
+from capture_sim.hardware.walls import WallLaw
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import FAILED, OK, BenchNode, run
 
@@ -27,12 +30,17 @@ from capture_sim.nodes.node import FAILED, OK, BenchNode, run
 KNOCK = 0.02
 
 
+def _check_compensation(text: str) -> None:
+    compensation(text)
+
+
 class LoopSimulatorNode(BenchNode):
     """Sends where the tip is, and goes on with the wrench that has come, step by step.
 
     It starts when the first place has been answered.  A wrench is held until a newer one
-    comes; without one for ``timeout``, or with one beyond ``force_limit``, the vehicles are
-    stopped and the node ends with exit status 1.
+    comes; without one for ``timeout``, with one beyond ``force_limit``, or when the loop has made
+    more energy than ``energy_limit``, the vehicles are stopped and the node ends with exit
+    status 1.
     """
 
     def __init__(self) -> None:
@@ -57,13 +65,46 @@ class LoopSimulatorNode(BenchNode):
         mass = self.declare(
             "mass", 0.0, "kg, that the contact feels; 0: the tip's", low=0.0, high=1e6
         )
+        energy_limit = self.declare(
+            "energy_limit", 0.1, "J, that the loop may make", low=0.0, high=1e6
+        )
+        way = self.declare(
+            "compensation",
+            "none",
+            "of the delay: none, passivity, hybrid, prediction1, prediction2, model, or several "
+            "joined by +",
+            check=_check_compensation,
+        )
+        stiffness = self.declare(
+            "stiffness",
+            0.0,
+            "N/m^exponent, of the walls: what model begins with (0: the scene's contact), and the "
+            "virtual spring of hybrid",
+            low=0.0,
+            high=1e12,
+        )
+        exponent = self.declare(
+            "exponent",
+            1.5,
+            "of the penetration, for stiffness: 1 a spring, 1.5 Hertz",
+            low=1.0,
+            high=3.0,
+        )
+        drag = self.declare(
+            "drag", 0.0, "N s/m, of the virtual damper of hybrid", low=0.0, high=1e9
+        )
         self._patience = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the first wrench", low=0.1, high=86400.0
         )
         self._report = self.declare("report", "", "JSON file of what was measured; none if empty")
         substeps = max(1, round(40.0 * 1000.0 / rate))
-        self._stage = LoopStage(load_scene(name, overrides), 1.0 / rate, substeps)
-        self._watch = BounceWatch(self._stage, mass or None)
+        scene = load_scene(name, overrides)
+        self._stage = LoopStage(scene, 1.0 / rate, substeps)
+        chosen = compensation(way)
+        law = WallLaw(stiffness, exponent, drag=drag)
+        if chosen.model:
+            law = WallLaw(stiffness or scene.contact_stiffness, exponent)
+        self._loop = Loop(self._stage, chosen, law, energy_limit, mass or None)
         self._hold = WrenchHold(timeout, force_limit)
         self._lock = threading.Lock()
         self._now = 0.0  # of the loop, s
@@ -96,13 +137,12 @@ class LoopSimulatorNode(BenchNode):
                     time.sleep(delay)
                 late += delay < -self._stage.step / self._rtf
                 with self._lock:
-                    wrench = self._hold.at(self._now)
-                self._watch.before(wrench)
-                tip = self._stage.advance(wrench)
+                    stamp, wrench = self._hold.at(self._now)
+                place = self._loop.advance(stamp, wrench)
                 with self._lock:
-                    self._now = tip.t
-                    self._sent[round(tip.t, 9)] = time.monotonic()
-                self.send(TIP, tip_message(self.messages, tip))
+                    self._now = place.t
+                    self._sent[round(place.t, 9)] = time.monotonic()
+                self.send(TIP, tip_message(self.messages, place))
         except SafeStopError as stop:
             stopped = str(stop)
             self.get_logger().error(stopped)
@@ -123,7 +163,7 @@ class LoopSimulatorNode(BenchNode):
 
     def _tell(self, stopped: str, late: int) -> None:
         """Say what was measured, and write it where that is asked for."""
-        bounce = self._watch.bounce(stopped)
+        touches = [asdict(touch) for touch in self._loop.touches]
         found: dict[str, Any] = {
             "stopped": stopped,
             "steps": round(self._stage.t / self._stage.step),
@@ -132,7 +172,7 @@ class LoopSimulatorNode(BenchNode):
             "ages": self._hold.ages,
             "round_trips": self._round_trips,
             "work": self._stage.work,
-            "bounce": None if bounce is None else bounce._asdict(),
+            "touches": touches,
         }
         if self._report:
             Path(self._report).write_text(json.dumps(found), encoding="utf-8")
@@ -141,8 +181,9 @@ class LoopSimulatorNode(BenchNode):
             f"{found['steps']} steps, wrench {ages[len(ages) // 2] * 1e3:.1f} ms old (median), "
             f"{ages[-1] * 1e3:.1f} ms (most); work of the wrench {self._stage.work:.4g} J"
         )
-        if bounce is not None and not stopped:
-            self.get_logger().info(f"first touch: restitution {bounce.restitution:.4f}")
+        if touches:
+            first = self._loop.touches[0]
+            self.get_logger().info(f"first touch: restitution {first.restitution:.4f}")
 
 
 def main(args: Sequence[str] | None = None) -> int:

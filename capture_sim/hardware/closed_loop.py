@@ -1,0 +1,340 @@
+"""The loop closed: what is applied, what the rig is sent, and what energy the loop has made."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.hardware.compensation import (
+    Compensation,
+    ContactFit,
+    passive_share,
+    predicted,
+)
+from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError
+from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, Walls, Wrench
+
+NO_LAW = WallLaw(0.0)
+NO_COMPENSATION = Compensation()
+
+#: Answers with a force from which on a touch is resolved: the trapezoidal rule over n places of
+#: half a sine is wrong by 1 / n^2 of the energy.
+RESOLVED = 10
+
+#: Share of a touch's energy that is not worth a wrench.
+SETTLED = 1e-4
+
+#: Share of what is owed that a step takes out: more would make the buffer ring.
+PAID = 0.1
+
+
+@dataclass
+class Touch:
+    """One touch, from its first force to its last.
+
+    Attributes
+    ----------
+    begin
+        s.
+    approach_speed
+        m/s, along the force.
+    energy
+        J, of that motion before: half the effective mass times its square.
+    duration
+        s, under force.
+    work
+        J, of the wrench on the vehicles: with a contact that cannot make energy, above 0 the
+        loop's doing.
+    port
+        J, what the rig's contact gave, by its wrenches at the places that they answer; never
+        above 0, as a contact cannot.
+    peak_force
+        N.
+    impulse
+        N s.
+    """
+
+    begin: float
+    approach_speed: float
+    energy: float
+    duration: float = 0.0
+    work: float = 0.0
+    port: float = 0.0
+    peak_force: float = 0.0
+    impulse: float = 0.0
+
+    @property
+    def restitution(self) -> float:
+        """Speed after over speed before, from the energy."""
+        return math.sqrt(max(1.0 + self.work / self.energy, 0.0))
+
+
+class Loop:
+    """Goes step by step with the wrenches that come, and says what the rig is to be sent.
+
+    Parameters
+    ----------
+    stage
+        Before its first step.
+    way
+        What is done against the delay.
+    law
+        For ``model``: what is assumed of the walls at first.  For ``hybrid``: the virtual spring
+        and damper.
+    energy_limit
+        J, that the loop may make before it is opened.
+    mass
+        kg, that the contact feels; None takes that of the tip at the first force, which is right
+        for a touch much shorter than the buffer's own motion.
+    """
+
+    def __init__(
+        self,
+        stage: LoopStage,
+        way: Compensation = NO_COMPENSATION,
+        law: WallLaw = NO_LAW,
+        energy_limit: float = math.inf,
+        mass: float | None = None,
+    ) -> None:
+        self.stage, self._way = stage, way
+        self._limit, self._mass = energy_limit, mass
+        self._walls = Walls(stage.scene)
+        self._law = law if way.model or way.hybrid else NO_LAW
+        stage.take_law(self._law, gated=False)
+        self.fit = ContactFit(law) if way.model else None
+        self.place = stage.tip  # to be sent
+        self._sent = {0: self.place}
+        self._answered = -1
+        self._measured = self._held = NOTHING
+        self._at = self.place  # where the latest wrench was measured
+        self._past = deque([self.place], maxlen=2048)
+        self._ages: deque[float] = deque(maxlen=25)
+        # of this touch: what the rig's contact has given, and the least that it must have, J
+        self._port = self._given = 0.0
+        self._made = 0.0  # of touches before, J
+        self._push = NOTHING  # the largest wrench measured, this touch
+        self._touch: Touch | None = None
+        self._begun = np.zeros(3)  # what was exchanged before this touch
+        self._loaded = 0  # answers with a force, this touch
+        self.touches: list[Touch] = []
+
+    def advance(self, stamp: float, wrench: Wrench) -> TipState:
+        """Go one step; return the place to send.
+
+        Parameters
+        ----------
+        stamp
+            s, of the place that the wrench answers; the same as before if nothing new came.
+        wrench
+            As measured.
+
+        Raises
+        ------
+        SafeStopError
+            The loop has made too much energy, or the vehicles cannot go on.
+        """
+        stage = self.stage
+        index = math.floor(stamp / stage.step + 1e-6)
+        if index > self._answered:
+            self._take(index, wrench)
+        self._ages.append(stage.t - stamp)
+        applied = self._controlled() if self._way.passivity else self._held
+        kept = stage.saved()
+        tip = stage.advance(applied)
+        self._observe(kept)
+        self.place = self._next_place(tip)
+        self._sent[round(tip.t / stage.step)] = self.place
+        return self.place
+
+    def _take(self, index: int, wrench: Wrench) -> None:
+        """Take in a new wrench: the rig's energy, the fit, the correction of the law."""
+        place = self._sent[index]
+        for old in [k for k in self._sent if k < index]:
+            del self._sent[old]
+        self._answered = index
+        if wrench != NOTHING:
+            self._loaded += 1
+            if math.hypot(*wrench[:2]) > math.hypot(*self._push[:2]):
+                self._push = wrench
+        before, after = _work(self._measured, self._at, place), _work(wrench, self._at, place)
+        exchanged = 0.5 * (before + after)
+        self._port = min(self._port + exchanged, 0.0)
+        # between two places of a touch too short for them only bounds are known
+        self._given += exchanged if exchanged < 0.0 else max(min(before, after), 0.0)
+        if self._given > self._limit:
+            self._stop(f"the contact has given {self._given:.3g} J more than it took")
+        self._measured, self._at, self._held = wrench, place, wrench
+        if self.fit is None:
+            return
+        walls = self._walls.touching(place)
+        if len(walls) == 1:
+            self.fit.learn(walls[0], wrench)
+        if self._touch is None and not self._walls.touching(self.stage.tip):
+            self._law = self.fit.law
+        fx, fy, torque = self._walls.wrench(self._law, place)
+        self._held = (wrench[0] - fx, wrench[1] - fy, wrench[2] - torque)
+        self.stage.take_law(self._law, gated=bool(walls))
+
+    def _controlled(self) -> Wrench:
+        """Return the wrench that pays what is owed, as far as the next step can.
+
+        It neither pulls nor doubles what is measured; after the touch it brakes the tip with no
+        more than was measured in it.
+        """
+        touch, stage = self._touch, self.stage
+        done = by_held = 0.0
+        if touch is not None:
+            done, by_held, _ = stage.exchanged() - self._begun
+        elif self._held == NOTHING:
+            return NOTHING
+        # a rig that was pushed in by more than the vehicles had gives that back first; a law in
+        # the vehicles' own steps still holds what it has stored
+        known = touch and self._loaded >= RESOLVED and -self._port < touch.energy
+        in_law = self._law is not NO_LAW and self._walls.touching(stage.tip)
+        owed = done - self._port if known and not in_law else 0.0
+        if touch is None or owed < SETTLED * touch.energy:
+            owed = 0.0
+        as_held = stage.trial(self._held)
+        allowed = min(as_held - PAID * owed, -by_held)
+        quiet = self._held == NOTHING
+        if as_held <= allowed or (quiet and owed == 0.0):
+            return self._held
+        unit, low, high = (self._push, -1.0, 0.0) if quiet else (self._held, 0.0, 2.0)
+        share = passive_share(
+            lambda share: stage.trial(_scaled(unit, share)), low, high, not quiet, allowed
+        )
+        return _scaled(unit, share)
+
+    def _observe(self, kept: tuple[np.ndarray, int]) -> None:
+        """See what the step has done; undo it and stop where it has made too much."""
+        stage, trace = self.stage, self.stage.trace
+        force = np.hypot(trace[:, 6], trace[:, 7])
+        loaded = np.flatnonzero(force)
+        if loaded.size and self._touch is None:
+            self._begin(trace[loaded[0]], kept)
+        touch = self._touch
+        if touch is None:
+            return
+        touch.work, _, touch.impulse = map(float, stage.exchanged() - self._begun)
+        made = self._made + max(touch.work, 0.0)
+        if made > self._limit:
+            stage.restore(kept)
+            self._stop(f"the wrench would have made {made:.3g} J")
+        touch.peak_force = max(touch.peak_force, float(force.max()))
+        touch.duration += loaded.size * stage.step / stage.substeps
+        if not loaded.size and self._measured == NOTHING:
+            touch.port = self._port
+            self.touches.append(touch)
+            self._made += max(touch.work, 0.0)
+            self._touch, self._push, self._loaded = None, NOTHING, 0
+            self._port = self._given = 0.0
+            if self.fit is not None:
+                self.fit.next_touch()
+
+    def _begin(self, first: np.ndarray, kept: tuple[np.ndarray, int]) -> None:
+        """Begin a touch with the first row of the trace that has a force."""
+        fx, fy = first[6:]
+        nx, ny = fx / math.hypot(fx, fy), fy / math.hypot(fx, fy)
+        tip = self._tip_of(first)
+        speed = -(tip.vx * nx + tip.vy * ny)
+        mass = self.stage.effective_mass(nx, ny) if self._mass is None else self._mass
+        self._touch = Touch(tip.t, speed, 0.5 * mass * speed**2)
+        self._begun = self.stage.exchanged(kept)
+
+    def _next_place(self, tip: TipState) -> TipState:
+        """Return what the rig is to be sent after a step."""
+        if self._way.prediction:
+            return self._extrapolated(tip, statistics.median(self._ages) + 0.5 * self.stage.step)
+        if self.fit is None:
+            return tip
+        # a touch may lie within a step: then the place of it of which the fit knows least
+        best, most = tip, 0.0
+        loaded: np.ndarray = np.any(self.stage.trace[:, 6:8] != 0.0, axis=1)
+        for row in self.stage.trace[loaded & ~loaded[-1]]:
+            there = self._tip_of(row)._replace(t=tip.t)
+            walls = self._walls.touching(there)
+            unknown = self.fit.ignorance(walls[0]) if len(walls) == 1 else 0.0
+            if unknown > most:
+                best, most = there, unknown
+        return best
+
+    def _extrapolated(self, tip: TipState, delay: float) -> TipState:
+        """Return where the tip will be, by differences over spans of the delay.
+
+        Such differences do not follow a buffer that rings faster than that.
+        """
+        step = self.stage.step
+        self._past.appendleft(tip)
+        n = round(delay / step)
+        span = max(n, 1) * step
+        now, then, before = (
+            np.array(self._past[min(i * max(n, 1), len(self._past) - 1)][1:]) for i in range(3)
+        )
+        if n > 0:
+            rates = (now[:3] - then[:3]) / span
+            accelerations = (now[:3] - 2.0 * then[:3] + before[:3]) / span**2
+        else:
+            rates, accelerations = now[3:], (now[3:] - then[3:]) / span
+        if self._way.prediction == 1:
+            return predicted(tip, delay, rates, np.zeros(3))
+        if n > 0:
+            rates = rates + 0.5 * span * accelerations
+        return predicted(tip, delay, rates, accelerations)
+
+    def _tip_of(self, row: np.ndarray) -> TipState:
+        x, y, theta, vx, vy, omega = row[:6].tolist()
+        return TipState(self.stage.t, x + self.stage.scene.cone.L_T, y, theta, vx, vy, omega)
+
+    def _stop(self, why: str) -> None:
+        raise SafeStopError(
+            f"stopped at t = {self.stage.t:.6g} s: {why}: allowed is <= {self._limit:g} J"
+        )
+
+
+def _work(wrench: Wrench, start: TipState, end: TipState) -> float:
+    """Return the work of a wrench on the tip from one place to another, J."""
+    fx, fy, torque = wrench
+    return fx * (end.x - start.x) + fy * (end.y - start.y) + torque * (end.theta - start.theta)
+
+
+def _scaled(wrench: Wrench, share: float) -> Wrench:
+    return wrench[0] * share, wrench[1] * share, wrench[2] * share
+
+
+#: What comes out of the rig and the way to it: the step's number, the place sent then and the
+#: wrench as (stamp, wrench).
+Channel = Callable[[int, TipState], tuple[float, Wrench]]
+
+
+def late(answer: Callable[[TipState], Wrench], lag: int) -> Channel:
+    """Return a rig that answers ``lag`` steps late."""
+    places: deque[TipState] = deque(maxlen=lag + 1)
+
+    def channel(_: int, place: TipState) -> tuple[float, Wrench]:
+        places.append(place)
+        return places[0].t, answer(places[0])
+
+    return channel
+
+
+def close(loop: Loop, channel: Channel, t_end: float, touches: int | None = None) -> str:
+    """Run a loop in one process, up to a time (s) or a number of touches.
+
+    Returns
+    -------
+    str
+        Why it had to be opened; empty if it had not.
+    """
+    try:
+        for k in range(math.ceil(t_end / loop.stage.step - 1e-9)):
+            loop.advance(*channel(k, loop.place))
+            if touches is not None and len(loop.touches) >= touches:
+                break
+    except SafeStopError as stop:
+        return str(stop)
+    return ""

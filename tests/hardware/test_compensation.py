@@ -1,0 +1,355 @@
+"""What takes the delay out of a loop: each way by itself, and all on the loop-back rig."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene
+from capture_sim.engine.held_wrench import N_LOOP
+from capture_sim.errors import CaptureSimError
+from capture_sim.hardware.closed_loop import Loop, close, late
+from capture_sim.hardware.compensation import (
+    Compensation,
+    ContactFit,
+    compensation,
+    critical_damping,
+    critical_delay,
+    passive_share,
+    predicted,
+)
+from capture_sim.hardware.contact_rig import ContactRig
+from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.hardware.walls import NOTHING, TipState, Touching, WallLaw, Walls
+
+PLATE = 2000.0  # N/m
+WAYS = ("passivity", "hybrid", "prediction1", "prediction2", "model", "model+passivity")
+
+
+@pytest.fixture(scope="module")
+def plate():
+    # slow: at a delay of a whole touch the tip is to stay within the plate's reach, 15 mm
+    return load_scene("_loop", ["initial.chaser.vx=0.02"])
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return load_scene("paper_designed")
+
+
+def plate_mass(scene):
+    off = scene.initial.target.y
+    yields = 1 / scene.chaser_total_mass + 1 / scene.target.mass + off**2 / scene.target.inertia
+    return 1 / yields
+
+
+def soft(plate, way, lag, *, rig=None, law=None, limit=math.inf, channel=None):
+    """Let the chaser meet the soft plate once (235 ms, from t = 0.25 s); the loop."""
+    mass = plate_mass(plate)
+    chosen = compensation(way)
+    if law is None and chosen.hybrid:
+        law = WallLaw(0.0, drag=critical_damping(mass, PLATE, (lag + 0.5) * 1e-3))
+    loop = Loop(LoopStage(plate, 1e-3, 40), chosen, law or WallLaw(PLATE), limit, mass)
+    rig = rig or ContactRig(plate, WallLaw(PLATE))
+    close(loop, (channel or (lambda c: c))(late(rig.wrench, lag)), 1.0 + 4e-3 * lag)
+    return loop
+
+
+def exact(plate, law):
+    """The law in the vehicles' own steps, nothing late."""
+    loop = Loop(LoopStage(plate, 1e-3, 40), mass=plate_mass(plate))
+    loop.stage.take_law(law, gated=False)
+    close(loop, lambda k, place: (place.t, NOTHING), 1.0)
+    return loop
+
+
+def parting(loop):
+    """The vehicles' speed apart, m/s: of their own bodies, the probe rings."""
+    return loop.stage.v[5] - loop.stage.v[0]
+
+
+# names
+
+
+def test_names_are_joined_and_wrong_ones_refused():
+    assert compensation("none") == Compensation()
+    assert compensation("prediction2+passivity") == Compensation(passivity=True, prediction=2)
+    with pytest.raises(CaptureSimError, match="'damping': allowed is none, passivity, hybrid"):
+        compensation("damping")
+    with pytest.raises(CaptureSimError, match="exclude each other"):
+        compensation("model+hybrid")
+
+
+# critical delay
+
+
+@pytest.mark.parametrize("damping, virtual", [(0.0, 40.0), (40.0, 0.0), (25.0, 15.0)])
+def test_the_critical_delay_is_an_imaginary_root(damping, virtual):
+    m, k = 11.17, 2000.0
+    tau = critical_delay(m, k, damping, virtual)
+
+    def characteristic(s):
+        return m * s**2 + virtual * s + (damping * s + k) * np.exp(-s * tau)
+
+    w = np.linspace(1.0, 40.0, 400_001)
+    size = np.abs(characteristic(1j * w))
+    assert size.min() < 1e-3 * k
+    # nothing less late grows: its roots near there lie to the left
+    assert tau == pytest.approx((damping + virtual) / k, rel=0.1)
+
+
+def test_the_critical_damper_undoes_the_critical_delay():
+    for tau in (1e-3, 2e-2, 0.2):
+        virtual = critical_damping(11.17, 2000.0, tau)
+        assert critical_delay(11.17, 2000.0, virtual=virtual) == pytest.approx(tau, rel=1e-12)
+
+
+def test_at_the_critical_delay_a_loop_swings_on(plate):
+    """A plate that pulls as well; damper in the vehicles' steps, spring late."""
+    mass, lag = plate_mass(plate), 10
+    walls = Walls(plate)
+    gains = []
+    for share in (0.8, 1.0, 1.2):
+        drag = share * critical_damping(mass, PLATE, (lag + 0.5) * 1e-3)
+        stage = LoopStage(plate, 1e-3, 40)
+        y, _ = stage.saved()
+        y[0] += 0.01  # 5 mm behind the plate's face
+        stage.restore((y, 0))
+        loop = Loop(stage, compensation("hybrid"), WallLaw(0.0, drag=drag))
+
+        def pulling(tip):
+            (wall,) = walls.touching(tip)
+            force = PLATE * (wall.penetration - 0.005)
+            return force * wall.nx, force * wall.ny, 0.0
+
+        speeds = []
+        channel = late(pulling, lag)
+        for k in range(1500):
+            loop.advance(*channel(k, loop.place))
+            speeds.append(abs(loop.stage.v[0] - loop.stage.v[5]))
+        # one swing takes 470 ms
+        gains.append(max(speeds[1000:1500]) / max(speeds[500:1000]))
+    assert gains[0] > 1.02
+    assert gains[2] < 0.98
+    assert gains[1] == pytest.approx(1.0, abs=0.01)
+
+
+# passivity
+
+
+def test_the_share_does_what_is_allowed_and_stays_near_the_measured():
+    def work(share):  # moving in at first: a push takes energy, then gives it
+        return -2.0 * share + 1.5 * share**2
+
+    assert passive_share(work, 0.0, 2.0, 1.0, 0.0) == 1.0
+    assert work(passive_share(work, 0.0, 2.0, 1.0, -0.6)) == pytest.approx(-0.6)
+    # less than can be had: the least
+    assert passive_share(work, 0.0, 2.0, 1.0, -5.0) == pytest.approx(2.0 / 3.0)
+    # a thousand times too strong a wrench
+    assert passive_share(lambda s: work(1000.0 * s), 0.0, 2.0, 1.0, 0.0) == pytest.approx(
+        2.0 / 1500.0, rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("lag", [0, 5, 20, 60, 235])
+def test_passivity_gives_back_what_a_plate_took(plate, lag):
+    loop = soft(plate, "passivity", lag)
+    assert loop.stage.work == pytest.approx(0.0, abs=2e-3 * loop.touches[0].energy)
+    assert parting(loop) == pytest.approx(parting(exact(plate, WallLaw(PLATE))), rel=0.05)
+
+
+def test_the_observer_knows_what_the_loop_has_made(plate):
+    """The rig's port with its stamps against the vehicles' energy: the causal delay energy."""
+    for law in (WallLaw(PLATE), WallLaw(PLATE, damping=0.3 * PLATE / 0.1)):
+        rig = ContactRig(plate, law)
+        for lag in (0, 5, 20):
+            places = []
+            loop = soft(plate, "none", lag, rig=rig, channel=recorded_path(places))
+            touch = loop.touches[0]
+            taken = path_work(rig, places)
+            assert touch.port == pytest.approx(min(taken, 0.0), abs=2e-3 * touch.energy)
+
+
+def recorded_path(places):
+    def wrap(channel):
+        def listening(k, place):
+            places.append(place)
+            return channel(k, place)
+
+        return listening
+
+    return wrap
+
+
+def path_work(rig, places):
+    """Work of a contact along cubic paths between the places, by Gauss's rule."""
+    s, w = np.polynomial.legendre.leggauss(8)
+    total = 0.0
+    for a, b in itertools.pairwise(places):
+        h = b.t - a.t
+        for u, weight in zip(0.5 * (s + 1.0), 0.5 * w, strict=True):
+            at = TipState(0.0, *(p + (q - p) * u for p, q in zip(a[1:], b[1:], strict=True)))
+            fx, fy, torque = rig.wrench(at)
+            total += weight * h * (fx * at.vx + fy * at.vy + torque * at.omega)
+    return total
+
+
+def test_passivity_turns_the_paper_contact_at_1_khz(paper):
+    """The impulse of a touch a third of a step long is that of the true contact."""
+    law = WallLaw(paper.contact_stiffness, 1.5)
+    true = Loop(LoopStage(paper, 1e-5, 10))
+    close(true, late(ContactRig(paper, law).wrench, 0), 0.005, 1)
+    loop = Loop(LoopStage(paper, 1e-3, 40), compensation("passivity"))
+    assert close(loop, late(ContactRig(paper, law).wrench, 0), 0.15, 8) == ""
+    assert loop.touches[0].impulse == pytest.approx(true.touches[0].impulse, rel=0.05)
+    assert all(touch.restitution == pytest.approx(1.0, abs=1e-3) for touch in loop.touches)
+
+
+# prediction
+
+
+def test_a_parabola_is_foretold():
+    def at(t):
+        return TipState(0.0, 1 + 2 * t + 3 * t**2, -t, 4 * t**2, 2 + 6 * t, -1.0, 8 * t)
+
+    now = at(0.1)
+    got = predicted(now, 0.05, np.array(now[4:]), np.array([6.0, 0.0, 8.0]))
+    assert got == pytest.approx(at(0.15))
+
+
+@pytest.mark.parametrize("way", ["prediction1", "prediction2"])
+def test_prediction_takes_most_of_a_small_delay(plate, way):
+    for lag in (0, 2, 5):
+        loop = soft(plate, way, lag)
+        assert parting(loop) == pytest.approx(parting(exact(plate, WallLaw(PLATE))), rel=2e-3)
+
+
+# the fit
+
+
+def test_stiffness_damping_and_friction_are_found():
+    true = WallLaw(5e4, 1.5, damping=2e5, friction=0.25)
+    fit = ContactFit(WallLaw(1e4, 1.5), noise=0.05)
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        wall = Touching(rng.uniform(1e-3, 5e-3), rng.normal() * 0.05, 0.6, 0.8, rng.normal(), 0.01)
+        normal = wall.penetration**1.5 * (true.stiffness + true.damping * wall.rate)
+        rub = -true.friction * normal * math.tanh(wall.slip / true.slip_speed)
+        noise = rng.normal(size=2) * 0.05
+        fx, fy = normal * wall.nx - rub * wall.ny, normal * wall.ny + rub * wall.nx
+        fit.learn(wall, (fx + noise[0], fy + noise[1], 0.0))
+    assert fit.law.stiffness == pytest.approx(true.stiffness, rel=0.01)
+    assert fit.law.damping == pytest.approx(true.damping, rel=0.05)
+    assert fit.law.friction == pytest.approx(true.friction, rel=0.01)
+
+
+def test_a_fit_never_makes_energy():
+    fit = ContactFit(WallLaw(1e4, 1.0))
+    wall = Touching(1e-3, 0.1, 1.0, 0.0, 0.1, 0.01)
+    for _ in range(50):  # less force while it is pushed in than while it comes out
+        fit.learn(wall, (5.0, 5.0, 0.0))
+        fit.learn(wall._replace(rate=-0.1), (15.0, 5.0, 0.0))
+    assert fit.law.damping == 0.0
+    assert fit.law.friction == 0.0
+    assert fit.law.stiffness > 0.0
+
+
+def test_the_law_in_the_vehicles_steps_is_the_law(paper):
+    """Compiled, and as a wrench held over a step so short that nothing changes."""
+    law = WallLaw(paper.contact_stiffness, 1.5, 8.0 * paper.contact_stiffness, 20.0, 0.3)
+    walls = Walls(paper)
+    stage = LoopStage(paper, 1e-11, 1)
+    rng = np.random.default_rng(5)
+    q, v, rest = stage.q, stage.v, np.zeros(N_LOOP - 16)
+    for _ in range(20):
+        push = [2e-4 + 1e-4 * rng.random(), 0, 0, 0, 0, 0, 0, 0]  # the wall is 0.1 mm away
+        stage.restore((np.concatenate([q + push, v + 0.05 * rng.normal(size=8), rest]), 0))
+        state, tip = stage.saved(), stage.tip
+        assert len(walls.touching(tip)) == 1
+        found = []
+        for inside, wrench in ((law, NOTHING), (WallLaw(0.0), walls.wrench(law, tip))):
+            stage.restore(state)
+            stage.take_law(inside, gated=False)
+            stage.advance(wrench)
+            found.append(stage.v - state[0][8:16])
+        assert found[0] == pytest.approx(found[1], rel=1e-5, abs=1e-12)
+
+
+@pytest.mark.parametrize("guess", [0.1, 0.5, 2.0, 10.0])
+@pytest.mark.parametrize("lag", [0, 5])
+def test_the_model_takes_the_paper_contact_at_1_khz(paper, guess, lag):
+    """0.3 ms in touch, answers every 1 ms: within 1 % of the model's after three touches."""
+    stiffness = paper.contact_stiffness
+    loop = Loop(LoopStage(paper, 1e-3, 40), compensation("model"), WallLaw(guess * stiffness, 1.5))
+    rig = ContactRig(paper, WallLaw(stiffness, 1.5))
+    assert close(loop, late(rig.wrench, lag), 0.2, 8) == ""
+    assert loop.fit.law.stiffness == pytest.approx(stiffness, rel=1e-3)
+    for touch in loop.touches[3:]:
+        assert touch.restitution == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_model_finds_what_a_contact_loses(paper):
+    """Against the same law integrated truly, in steps of 10 us."""
+    stiffness = paper.contact_stiffness
+    law = WallLaw(stiffness, 1.5, 3.0 * stiffness)
+    true = Loop(LoopStage(paper, 1e-5, 10))
+    true.stage.take_law(law, gated=False)
+    close(true, lambda k, place: (place.t, NOTHING), 0.1, 8)
+    loop = Loop(LoopStage(paper, 1e-3, 40), compensation("model"), WallLaw(stiffness, 1.5))
+    close(loop, late(ContactRig(paper, law).wrench, 1), 0.1, 8)
+    assert loop.fit.law.damping == pytest.approx(law.damping, rel=1e-3)
+    for touch, other in zip(loop.touches[3:], true.touches[3:], strict=False):
+        assert touch.restitution == pytest.approx(other.restitution, rel=0.02)
+
+
+@pytest.mark.parametrize("lag", [0, 20, 60, 235])
+def test_the_model_takes_a_delay_of_a_whole_touch(plate, lag):
+    """The second shot, with what the first has found from a guess wrong by two."""
+    for damping in (0.0, 0.3, 1.0):
+        law = WallLaw(PLATE, damping=damping * PLATE / 0.1)
+        rig = ContactRig(plate, law)
+        first = soft(plate, "model", lag, rig=rig, law=WallLaw(0.5 * PLATE))
+        second = soft(plate, "model", lag, rig=rig, law=first.fit.law)
+        true = exact(plate, law)
+        assert parting(second) == pytest.approx(parting(true), rel=0.005)
+        assert second.touches[0].peak_force == pytest.approx(true.touches[0].peak_force, rel=0.01)
+        assert second.touches[0].impulse == pytest.approx(true.touches[0].impulse, rel=0.005)
+
+
+# safety
+
+
+RIGS = {
+    "stiffer": lambda scene: ContactRig(scene, WallLaw(2.0 * PLATE)),
+    "weaker": lambda scene: ContactRig(scene, WallLaw(0.5 * PLATE)),
+    "sticky": lambda scene: ContactRig(scene, WallLaw(PLATE), stick=0.6),
+    "silent": lambda scene: ContactRig(scene, WallLaw(PLATE)),
+}
+
+
+def silent(channel):
+    """Nothing new comes for 50 ms in the middle of the touch."""
+    last = []
+
+    def with_a_gap(k, place):
+        new = channel(k, place)
+        if not 340 <= k < 390:
+            last[:] = [new]
+        return last[0]
+
+    return with_a_gap
+
+
+@pytest.mark.parametrize("lag", [0, 5, 20])
+@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("way", WAYS)
+def test_no_way_makes_more_energy_than_none(plate, way, rig, lag):
+    contact = RIGS[rig](plate)
+    channel = silent if rig == "silent" else None
+    law = None if way == "hybrid" else WallLaw(PLATE)
+    none = soft(plate, "none", lag, rig=contact, channel=channel)
+    loop = soft(plate, way, lag, rig=contact, channel=channel, law=law)
+    assert loop.stage.work <= none.stage.work
+    if "passivity" in way:
+        assert loop.stage.work <= 1e-4 * loop.touches[0].energy
