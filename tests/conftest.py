@@ -7,6 +7,8 @@ import signal
 import tempfile
 from pathlib import Path
 
+import hypothesis
+
 
 def _claim_domain():
     """Return a ROS domain (1 to 101) that no other test session has, and its lock file."""
@@ -24,6 +26,10 @@ def _claim_domain():
 
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# a busy machine is no failure
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()

@@ -9,10 +9,10 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.walls import TipState, Wrench
+from capture_sim.messages.cdr import Columns
 from capture_sim.messages.convert import (
     CONE_FRAME,
     TIP_FRAME,
-    Columns,
     Messages,
     odometry,
     stamp_columns,

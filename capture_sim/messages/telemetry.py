@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
+from capture_sim.messages.cdr import Columns
 from capture_sim.messages.convert import (
     CHASER,
     CHASER_FRAME,
@@ -26,7 +27,6 @@ from capture_sim.messages.convert import (
     TARGET_FRAME,
     TIP_FRAME,
     WORLD,
-    Columns,
     LaunchAction,
     Messages,
     RunDescription,

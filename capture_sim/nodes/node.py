@@ -39,7 +39,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -111,7 +110,7 @@ class BenchNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.messages = Messages(lambda name: message_class(name)(), serialize_message)
+        self.messages = Messages()
         self.failure: Exception | None = None  # that ended the callbacks
         self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
         self.left_behind: list[str] = []  # nodes whose reading stood still

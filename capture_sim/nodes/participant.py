@@ -219,7 +219,7 @@ class Participant(BenchNode):
             if self.publishers_of(topic)
         ]
         run = replace(RunDescription.of(scene, uuid.uuid4().hex, publishers), name=name)
-        self.send(RUN_INFO, self.messages.run_info(run))
+        self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(run)))
 
     def end_trial(self) -> None:
         """End the trial that was begun here, for all participants."""

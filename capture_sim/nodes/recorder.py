@@ -16,10 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import Trigger
 
 from capture_sim.files import why_not_writable
+from capture_sim.messages.definitions import learn_type, typestore
 from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
 from capture_sim.nodes.node import ParameterError, message_class, run
 from capture_sim.nodes.participant import READ, RECORDER, Participant
-from capture_sim.recording.definitions import learn_type, typestore
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.scene.parts import Scene
 
@@ -117,12 +117,10 @@ class RecorderNode(Participant):
         self.get_logger().info(f"{report.path}: {count}, {state}")
         problems = [*super().end(reason), *report.problems]
         counts = {topic: entry.written for topic, entry in report.topics.items()}
-        self.send(
-            STREAM_COUNTS,
-            self.messages.stream_counts(
-                RECORDER, self.run.run_id, counts, complete=not problems, reason="; ".join(problems)
-            ),
+        ended = self.messages.stream_counts(
+            RECORDER, self.run.run_id, counts, complete=not problems, reason="; ".join(problems)
         )
+        self.send(STREAM_COUNTS, self.messages.serialise(ended))
         return problems
 
     def _seek(self) -> None:

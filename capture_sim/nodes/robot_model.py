@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from capture_sim.messages.convert import stamp_ns
 from capture_sim.messages.urdf import (
     Transform,
     moving_transforms,
@@ -60,9 +61,10 @@ class RobotModel:
         return self._tf(transforms=[self._transform(transform, t) for transform in transforms])
 
     def _transform(self, place: Transform, t: float) -> Any:
-        message = self._stamped(
-            header=self._node.messages.header(t, place.parent), child_frame_id=place.child
-        )
+        message = self._stamped(child_frame_id=place.child)
+        message.header.frame_id = place.parent
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(stamp_ns(t), 1_000_000_000)
         message.transform.translation.x = place.x
         message.transform.translation.y = place.y
         message.transform.rotation.z = math.sin(0.5 * place.yaw)

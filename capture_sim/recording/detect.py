@@ -10,8 +10,8 @@ from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import detector_sources, measured
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
 

@@ -15,7 +15,9 @@ from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import file_name, free_path, whole_file
+from capture_sim.messages.cdr import sequence_of, stamp_of
 from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
     BENCH_STATE,
     RECORDED,
@@ -25,9 +27,7 @@ from capture_sim.messages.topics import (
     Topic,
 )
 from capture_sim.recording.bag_metadata import FILE_NAME, TopicEntry, bag_metadata, in_folder
-from capture_sim.recording.cdr import sequence_of, stamp_of
 from capture_sim.recording.completeness import Completeness, TopicCount
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.write import RunWriter
 
 #: What the metadata record says of a live recording's origin.

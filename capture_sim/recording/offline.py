@@ -17,6 +17,7 @@ from capture_sim.files import free_path, is_device, whole_file
 from capture_sim.launch.watch import Launcher, LauncherStatus
 from capture_sim.messages.convert import (
     LaunchAction,
+    Messages,
     RunDescription,
     StringPhase,
     speeds_along_rail,
@@ -30,7 +31,6 @@ from capture_sim.messages.telemetry import (
     samples_per_message,
 )
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
-from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.write import RUN_METADATA, RunWriter
 from capture_sim.results import extremes_to_text
 
@@ -123,7 +123,7 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     """
     _check_grid(result)
     scene, samples = result.scene, result.samples
-    messages = offline_messages()
+    messages = Messages()
     bench = BenchTelemetry(messages, scene, run)
     follower = LauncherTelemetry(messages, run.run_id)
     detector = DetectorTelemetry(messages, run.run_id)

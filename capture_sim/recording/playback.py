@@ -13,9 +13,9 @@ import yaml
 from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
 from capture_sim.recording.contents import Contents, bag_files, read_contents
-from capture_sim.recording.definitions import typestore
 
 
 @dataclass(frozen=True)

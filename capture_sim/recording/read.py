@@ -17,7 +17,9 @@ from rosbags.typesys.store import Typestore
 from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError
 from capture_sim.launch.scenes import load_scene_text
+from capture_sim.messages.cdr import columns, sequence_of
 from capture_sim.messages.convert import CRITERIA, RunDescription, stamp_seconds
+from capture_sim.messages.definitions import schema_text, typestore
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -30,10 +32,8 @@ from capture_sim.messages.topics import (
     Topic,
     topic_named,
 )
-from capture_sim.recording.cdr import columns, sequence_of
 from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.contents import CDR, UNPACKED_RATIO, Contents, read_contents
-from capture_sim.recording.definitions import schema_text, typestore
 from capture_sim.recording.live import described
 from capture_sim.recording.write import (
     END_METADATA,
@@ -298,7 +298,7 @@ class Run:
         return list(self._contents.messages.get(self._resolved(topic), ()))
 
     def columns(self, topic: str | Topic) -> Columns:
-        """Return a topic's fields by path, see :func:`capture_sim.recording.cdr.columns`.
+        """Return a topic's fields by path, see :func:`capture_sim.messages.cdr.columns`.
 
         Empty for a topic without messages.
 

@@ -39,6 +39,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, whole_file
+from capture_sim.messages.cdr import stamp_of
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, RunDescription
 from capture_sim.messages.topics import (
     BENCH_STATE,
@@ -48,7 +49,6 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
-from capture_sim.recording.cdr import stamp_of
 from capture_sim.recording.contents import (
     DAMAGE,
     UNPACKED_RATIO,

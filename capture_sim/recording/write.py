@@ -17,6 +17,7 @@ from mcap.writer import IndexType, Writer
 from capture_sim.errors import RecordingError
 from capture_sim.files import is_device
 from capture_sim.messages.convert import EPOCH_NS, RunDescription
+from capture_sim.messages.definitions import schema_text, type_hash
 from capture_sim.messages.topics import RECORDED, Topic
 from capture_sim.recording.bag_metadata import (
     FileEntry,
@@ -26,7 +27,6 @@ from capture_sim.recording.bag_metadata import (
     qos_profile,
 )
 from capture_sim.recording.contents import MESSAGE_HEAD
-from capture_sim.recording.definitions import schema_text, type_hash
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"

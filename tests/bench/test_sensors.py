@@ -7,10 +7,9 @@ import pytest
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.bench import Bench
-from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
-from capture_sim.recording.definitions import offline_messages
 from capture_sim.recording.offline import PUBLISHERS
 from capture_sim.sensors import Sensors, low_pass
 
@@ -132,7 +131,7 @@ def test_each_sensor_has_noise_of_its_own(bench):
 
 def stream(scene, sizes):
     """What the simulator sends of the sensors, with the run cut into blocks of these sizes."""
-    made = offline_messages()
+    made = Messages()
     telemetry = BenchTelemetry(made, scene, RunDescription.of(scene, "a run", PUBLISHERS))
     bench, first, sent = Bench(scene), 0, []
     for k in range(10_000):

@@ -14,8 +14,8 @@ from capture_sim.hardware.contact_rig import ContactRig, gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.hardware.walls import TipState, WallLaw
-from capture_sim.messages.convert import CONE_FRAME
-from capture_sim.recording.definitions import offline_messages, typestore
+from capture_sim.messages.convert import CONE_FRAME, Messages
+from capture_sim.messages.definitions import typestore
 
 PLATE = 2000.0  # N/m
 
@@ -210,7 +210,7 @@ def test_a_force_beyond_the_limit_stops_for_good():
 
 
 def test_messages_say_what_was_put_in():
-    make = offline_messages()
+    make = Messages()
     tip_state = TipState(0.125, -0.02, 0.004, 0.3, 0.1, -0.05, 0.7)
     read = typestore().deserialize_cdr
     got = tip_of(read(tip_message(make, tip_state), "nav_msgs/msg/Odometry"))

@@ -28,6 +28,7 @@ from capture_sim.cli import main
 from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureState
 from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CAPTURE_CRITERIA,
@@ -42,7 +43,6 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.supervisor import run_suite
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run

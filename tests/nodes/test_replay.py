@@ -13,8 +13,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
 from capture_sim.errors import RecordingError
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CAPTURE_DETECTOR, RECORDED, topic_named
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, Rewritten

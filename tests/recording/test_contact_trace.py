@@ -10,13 +10,13 @@ from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.errors import SimulationError
 from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
     BENCH_STATE,
     CONTACT_TRACE,
     RUN_INFO,
     STREAM_COUNTS,
 )
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
 from capture_sim.samples import TRACE

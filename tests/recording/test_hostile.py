@@ -23,7 +23,8 @@ from mcap.writer import Writer
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.convert import Messages, RunDescription
+from capture_sim.messages.definitions import schema_text, typestore
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -32,7 +33,6 @@ from capture_sim.messages.topics import (
     STREAM_COUNTS,
 )
 from capture_sim.recording.contents import UNPACKED_LEAST
-from capture_sim.recording.definitions import offline_messages, schema_text, typestore
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
@@ -263,7 +263,7 @@ def test_definitions_are_taken_from_wherever_they_are_whole(path, tmp_path):
 
 
 def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
-    store, messages = typestore(), offline_messages()
+    store, messages = typestore(), Messages()
     out = tmp_path / "runs"
     names = ["../../x", str(tmp_path / "elsewhere" / "x"), "a\nb\x1b[0m", "", ".hidden", "n" * 400]
     for name in names:

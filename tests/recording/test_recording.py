@@ -30,7 +30,12 @@ import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.launch.scenes import load_scene_text
-from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.cdr import columns, sequence_of, stamp_of
+from capture_sim.messages.convert import Messages, RunDescription
+from capture_sim.messages.definitions import (
+    schema_text,
+    typestore,
+)
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -41,13 +46,7 @@ from capture_sim.messages.topics import (
     STREAM_COUNTS,
 )
 from capture_sim.recording import live as live_module
-from capture_sim.recording.cdr import columns, sequence_of, stamp_of
 from capture_sim.recording.completeness import Completeness
-from capture_sim.recording.definitions import (
-    offline_messages,
-    schema_text,
-    typestore,
-)
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
@@ -544,7 +543,7 @@ def test_publisher_that_never_ends_is_named(sent, tmp_path):
 
 
 def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
-    messages, store = offline_messages(), typestore()
+    messages, store = Messages(), typestore()
     other = messages.stream_counts("simulator", "another", {"bench/state": 10**6})
     other_run = RunDescription("another", run.name, run.scene, (), 1000.0, 100.0, ())
     strange = [
@@ -556,7 +555,7 @@ def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
 
 
 def test_run_that_ended_early_is_reported(sent, run, tmp_path):
-    messages, store = offline_messages(), typestore()
+    messages, store = Messages(), typestore()
     ended = messages.stream_counts("simulator", run.run_id, {}, complete=False, reason="Ctrl-C")
     data = bytes(store.serialize_cdr(ended, STREAM_COUNTS.type_name))
     report = record(tmp_path, [sent[0], (STREAM_COUNTS, data)]).close()
@@ -781,7 +780,7 @@ def test_completeness_knows_a_late_beginning_from_a_loss():
 
 
 def test_columns_of_texts_and_sequences_whose_length_varies():
-    store, make = typestore(), offline_messages()
+    store, make = typestore(), Messages()
     texts = ["", "a", "bcd", "a", "bcde" * 100, "é"]
     messages = [
         make.serialise(make.stream_counts(text, "r" * i, {"x": i})) for i, text in enumerate(texts)

@@ -2,7 +2,7 @@
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from capture_sim.recording.definitions import typestore
+from capture_sim.messages.definitions import typestore
 from capture_sim.recording.read import read_run
 
 #: What a real bench records at least.

@@ -13,7 +13,7 @@ from benchmarks.noisy_bench import NAMES, noisy_run, with_parameters
 from capture_sim.bench import Bench
 from capture_sim.cli import main
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.recording.definitions import typestore
+from capture_sim.messages.definitions import typestore
 from capture_sim.recording.measured import first_contact, touches_of
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run

@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
-from capture_sim.recording.definitions import typestore
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.export import flat, save_tables, table
 from capture_sim.recording.measured import first_contact

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +19,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages.convert import Columns, fill
 from capture_sim.messages.topics import Stamp, Topic
+
+#: Fields of n messages, (n, ...) each, by their path in the message (``"header.stamp.sec"``).
+Columns = Mapping[str, np.ndarray]
 
 _HEADER = 4
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -122,8 +124,8 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
     return {name: _tidied(column) for name, column in found.items()}
 
 
-def serialised(store: Typestore, message: Any, columns: Columns) -> Iterator[bytes]:
-    """Yield n serialised messages: the given one with n values of some fields.
+class Template:
+    """A serialised message, of which some fields are set to n values.
 
     Texts and the lengths of sequences are those of all, so every field stands at one place.
 
@@ -134,22 +136,38 @@ def serialised(store: Typestore, message: Any, columns: Columns) -> Iterator[byt
     message
         Of rosbags' classes.
     columns
-        (n, ...) by the field's path.
+        The fields that will be set, with values of the shapes they will have.
     """
-    n = len(next(iter(columns.values())))
-    if not n:
-        return
-    for path, column in columns.items():
-        fill(message, path, column[0])
-    type_name = message.__msgtype__
-    data = bytes(store.serialize_cdr(message, type_name))
-    raw = np.tile(np.frombuffer(data, dtype=np.uint8), (n, 1))
-    records = raw.view(_Walk(store, type_name, data).layout().records)[:, 0]
-    for path, column in columns.items():
-        records[path] = column
-    whole = raw.tobytes()
-    for start in range(0, len(whole), len(data)):
-        yield whole[start : start + len(data)]
+
+    def __init__(self, store: Typestore, message: Any, columns: Columns) -> None:
+        for path, column in columns.items():
+            fill(message, path, column[0])
+        type_name = message.__msgtype__
+        data = bytes(store.serialize_cdr(message, type_name))
+        self._data = np.frombuffer(data, dtype=np.uint8)
+        self._records = _Walk(store, type_name, data).layout().records
+
+    def filled(self, columns: Columns) -> Iterator[bytes]:
+        """Yield the n messages with these values."""
+        n, size = len(next(iter(columns.values()))), len(self._data)
+        raw = np.tile(self._data, (n, 1))
+        records = raw.view(self._records)[:, 0]
+        for path, column in columns.items():
+            records[path] = column
+        whole = raw.tobytes()
+        for start in range(0, len(whole), size):
+            yield whole[start : start + size]
+
+
+def fill(message: Any, path: str, value: Any) -> None:
+    """Set a field of a message of rosbags' classes."""
+    *parts, name = path.split(".")
+    for part in parts:
+        message = getattr(message, part)
+    current = getattr(message, name)
+    if isinstance(current, np.ndarray):
+        value = np.ascontiguousarray(value, dtype=current.dtype).ravel()
+    setattr(message, name, value)
 
 
 @dataclass(frozen=True)

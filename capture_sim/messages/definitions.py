@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from capture_sim.messages.convert import Columns, Messages
-from capture_sim.recording.cdr import NUMBERS, serialised
+from capture_sim.messages.cdr import NUMBERS
 from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"
@@ -53,25 +52,11 @@ def learn_type(type_name: str, share: Path) -> bool:
     return type_name in store.types
 
 
-@cache
-def offline_messages() -> Messages:
-    """Return the maker of messages for :func:`typestore`."""
-    store = typestore()
-
-    def serialise(message: Any) -> bytes:
-        return bytes(store.serialize_cdr(message, message.__msgtype__))
-
-    def many(message: Any, columns: Columns) -> Iterator[bytes]:
-        return serialised(store, message, columns)
-
-    return Messages(_blank, serialise, many)
-
-
-def _blank(type_name: str) -> Any:
+def blank(type_name: str) -> Any:
     """Return a message with zeros and nothing in it."""
     kinds: dict[Nodetype, Callable[[Any], Any]] = {
         Nodetype.BASE: lambda of: "" if of[0] == "string" else NUMBERS[of[0]].type(0).item(),
-        Nodetype.NAME: _blank,
+        Nodetype.NAME: blank,
         Nodetype.ARRAY: lambda of: np.zeros(of[1], NUMBERS[of[0][1][0]]),
         Nodetype.SEQUENCE: lambda of: (
             [] if of[0][1][0] not in NUMBERS else np.zeros(0, NUMBERS[of[0][1][0]])
