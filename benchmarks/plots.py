@@ -1,4 +1,4 @@
-"""The benchmark's pictures: logarithmic axes with units, lines labelled where they end."""
+"""The benchmark's pictures: logarithmic axes with units, a colour for a kind of solver, one key."""
 
 from __future__ import annotations
 
@@ -25,13 +25,6 @@ _COLOURS = {
     "engine": "#009E73",
 }
 _MARKERS = "osD^v<>PX*"
-_GROUPS = {
-    "own": "capture_sim",
-    "compiled": "SciPy, compiled RHS",
-    "numpy": "SciPy, NumPy RHS",
-    "python": "SciPy, tuned Python RHS",
-    "engine": "other engines",
-}
 _POSITION = "position error, m or rad"
 
 Value = Callable[[Trial], float]
@@ -90,85 +83,52 @@ def _curves(trials: Sequence[Trial]) -> list[list[Trial]]:
 
 
 def _draw(axes: Axes, trials: Sequence[Trial], x: Value, y: Value) -> None:
-    """Draw a line for each family and label it at its most exact end."""
+    """Draw a line for each family: its group's colour, and its own marker in the group."""
     axes.set_xscale("log")
     axes.set_yscale("log")
-    labels = []
-    count: dict[str, int] = {}
+    families: dict[str, list[str]] = {}
+    for trial in trials:
+        known = families.setdefault(trial.group, [])
+        if trial.family not in known:
+            known.append(trial.family)
     for curve in _curves(trials):
         points = [(x(t), y(t)) for t in curve]
         points = [(a, b) for a, b in points if a > 0.0 and b > 0.0 and math.isfinite(a + b)]
         if not points:
             continue
-        group = curve[0].group
-        number = count[group] = count.get(group, -1) + 1
-        failed = sum(bool(t.failure) for t in trials if t.family == curve[0].family)
-        colour, marker = _COLOURS[group], _MARKERS[number % len(_MARKERS)]
+        family, group = curve[0].family, curve[0].group
         axes.plot(
             *zip(*points, strict=True),
-            color=colour,
-            marker=marker,
+            color=_COLOURS[group],
+            marker=_MARKERS[families[group].index(family) % len(_MARKERS)],
             markersize=3.5,
             linewidth=1.8 if group == "own" else 1.0,
-        )
-        name = curve[0].family.partition(",")[0].removeprefix("SciPy ")
-        name = curve[0].family if group == "engine" else name
-        name += f" ({failed} failed)" if failed else ""
-        labels.append((*points[-1], name, colour))
-    _label(axes, labels)
-
-
-def _label(axes: Axes, labels: list[tuple[float, float, str, str]]) -> None:
-    """Write labels to the right of the lines' ends, shifted where they would overlap."""
-    low, high = axes.get_xlim()
-    axes.set_xlim(low, high * (high / low) ** 0.25)  # room for them
-    least = 0.032  # of the axes' height
-    taken: list[tuple[float, float]] = []
-    for x, y, text, colour in sorted(labels, key=lambda label: label[1]):
-        at = axes.transAxes.inverted().transform(axes.transData.transform((x, y)))
-        place = float(at[1])
-        while any(abs(place - v) < least and abs(at[0] - u) < 0.28 for u, v in taken):
-            place += 0.25 * least
-        taken.append((float(at[0]), place))
-        axes.annotate(
-            text,
-            xy=(x, y),
-            xytext=(float(at[0]) + 0.012, place),
-            textcoords="axes fraction",
-            color=colour,
-            fontsize=7.5,
-            va="center",
-            annotation_clip=False,
+            label=f"capture_sim {family}" if group == "own" else family,
         )
 
 
-def _key(axes: Axes, groups: Sequence[str]) -> None:
-    """Write what the colours stand for, in those colours."""
-    for k, group in enumerate(groups):
-        axes.text(
-            0.02,
-            0.02 + 0.042 * (len(groups) - 1 - k),
-            _GROUPS[group],
-            color=_COLOURS[group],
-            transform=axes.transAxes,
-            fontsize=8.5,
-            weight="bold",
-        )
-
-
-def _groups_of(trials: Sequence[Trial]) -> list[str]:
-    return [group for group in _GROUPS if any(t.group == group and t.seconds for t in trials)]
+def _key(figure: Figure, columns: int) -> None:
+    """Write below all panels what the lines are, each once."""
+    lines = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
+    figure.legend(
+        lines.values(),
+        list(lines),
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=8.0,
+        frameon=False,
+    )
 
 
 def _works(results: Results, x: Value, name: str) -> Figure:
-    figure = _figure(6.2 * len(results.works), 6.0)
+    figure = _figure(6.2 * len(results.works), 7.0)
     panels = figure.subplots(1, len(results.works), squeeze=False)[0]
     for axes, work in zip(panels, results.works, strict=True):
         _draw(axes, work.trials, x, lambda t: t.errors.position)
         axes.set_xlabel(name)
         axes.set_ylabel(_POSITION)
         axes.set_title(f"{results.scene} to {work.plan.t_end:g} s")
-        _key(axes, _groups_of(work.trials))
+    _key(figure, 2 * len(results.works))
     return figure
 
 
@@ -187,12 +147,12 @@ def _quantities(results: Results) -> Figure:
             axes.set_xlabel("wall time, s")
             axes.set_ylabel(name)
             axes.set_title(f"to {work.plan.t_end:g} s")
-            _key(axes, _groups_of(trials))
+    _key(figure, 5)
     return figure
 
 
 def _engines(results: Results) -> Figure:
-    figure = _figure(7.0, 5.5)
+    figure = _figure(7.0, 6.5)
     axes = figure.subplots()
     work = results.works[0]
     trials = [t for t in work.trials if t.group == "own"]
@@ -201,7 +161,7 @@ def _engines(results: Results) -> Figure:
     axes.set_xlabel("wall time, s")
     axes.set_ylabel(_POSITION)
     axes.set_title(f"{results.scene} to {work.plan.t_end:g} s")
-    _key(axes, _groups_of(trials))
+    _key(figure, 2)
     return figure
 
 
@@ -211,29 +171,32 @@ def _costs(results: Results) -> Figure:
     colour = _COLOURS["own"]
 
     def draw(axes: Axes, x: list[float], rows: Sequence[Any], each: list[int]) -> None:
-        y = [row.seconds.median / n for row, n in zip(rows, each, strict=True)]
-        low = [v - row.seconds.low / n for v, row, n in zip(y, rows, each, strict=True)]
-        high = [row.seconds.high / n - v for v, row, n in zip(y, rows, each, strict=True)]
+        y = [1e3 * row.seconds.median / n for row, n in zip(rows, each, strict=True)]
+        low = [v - 1e3 * row.seconds.low / n for v, row, n in zip(y, rows, each, strict=True)]
+        high = [1e3 * row.seconds.high / n - v for v, row, n in zip(y, rows, each, strict=True)]
         axes.set_xscale("log")
-        axes.set_yscale("log")
         axes.errorbar(x, y, yerr=[low, high], color=colour, marker="o", markersize=4, capsize=3)
 
     draw(left, [row.t_end for row in results.times], results.times, [1] * len(results.times))
     for row in results.times:
         left.annotate(
             f"{row.touches}",
-            (row.t_end, row.seconds.median),
+            (row.t_end, 1e3 * row.seconds.median),
             xytext=(0, 7),
             textcoords="offset points",
             ha="right",
             fontsize=8,
         )
+    left.set_yscale("log")
+    left.margins(y=0.1)
     left.set_xlabel("simulated time, s")
-    left.set_ylabel("wall time, s")
+    left.set_ylabel("wall time, ms")
     left.set_title(f"{results.scene}, number of touches at each point")
     sizes = [row.runs for row in results.batches]
     draw(right, [float(n) for n in sizes], results.batches, sizes)
     right.set_xlabel("runs in a batch")
-    right.set_ylabel("wall time per run, s")
+    # what differs little is to look so
+    right.set_ylim(0.0, 1.3e3 * max(row.seconds.high / row.runs for row in results.batches))
+    right.set_ylabel("wall time per run, ms")
     right.set_title(f"runs to {results.works[0].plan.t_end:g} s, with setting up")
     return figure
