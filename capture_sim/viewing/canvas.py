@@ -30,6 +30,41 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def fixed_figure(width: float, height: float) -> Figure:
+    """Return an empty figure, inches, for :func:`rows_of_axes`: not measured, so quick."""
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def rows_of_axes(
+    figure: Figure, sides: tuple[float, float], top: float, rows: Sequence[tuple[float, float]]
+) -> list[Axes]:
+    """Return axes one below the other, all in inches.
+
+    Parameters
+    ----------
+    figure
+        Where.
+    sides
+        Left and right end.
+    top
+        Of the first, below the figure's upper edge.
+    rows
+        Height of each and the gap below it.
+    """
+    width, height = figure.get_size_inches()
+    left, right = sides
+    found, y = [], height - top
+    for high, gap in rows:
+        y -= high
+        found.append(
+            figure.add_axes((left / width, y / height, (right - left) / width, high / height))
+        )
+        y -= gap
+    return found
+
+
 def set_fonts(all_axes: Iterable[Axes], size: float = style.FONT) -> None:
     """Give labels and numbers of axes their size, in points."""
     for axes in all_axes:

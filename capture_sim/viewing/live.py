@@ -41,70 +41,67 @@ class LiveView:
 
     def __init__(self, port: int, memory: int = 64, refresh: float = 10.0) -> None:
         self._server = RecordingServer(port, memory)
+        self.address, self.server_pid = self._server.address, self._server.pid
         self._memory = memory
         self._period = 1.0 / refresh
         self._recording: rr.RecordingStream | None = None
 
-    @property
-    def address(self) -> str:
-        """Where a viewer connects: ``rerun ADDRESS``."""
-        return self._server.address
-
-    @property
-    def server_pid(self) -> int:
-        """Of the server's process."""
-        return self._server.pid
-
     def begin(self, name: str, scene: Scene, *, measured: bool = False) -> None:
-        """Begin to show a run.
-
-        Parameters
-        ----------
-        name
-            Of the run.
-        scene
-            The geometry of buffer and cone.
-        measured
-            Whether its samples are measurements, which know no energies.
-        """
+        """Begin to show a run: its name, geometry, and whether its samples are measurements."""
         self.end()
         # an application of its own, so that each run keeps its layout
         self._recording = rr.RecordingStream(f"capture_sim {name}", recording_id=None)
+        title = f"{name}, live"
         layout = blueprint(
-            [scene], [name], [f"{name}, live"], aligned=False, live=True, energies=not measured
+            [scene], [name], [title], aligned=False, live=True, energies=not measured
         )
         self._recording.connect_grpc(self.address, default_blueprint=layout)
         stream = RunStream(self._recording, name)
-        self._stream = stream
         self._bench = BenchLog(stream, scene, style.BLUE)
         self._plots = PlotLog(stream, style.BLUE)
         self._bench.shapes()
         self._plots.styles()
-        stream.document(f"{name}/scene", f"# {name}, live\n\n```yaml\n{scene.to_yaml()}\n```\n")
-        self._gathered: list[np.ndarray] = []
+        stream.document(f"{name}/scene", f"# {title}\n\n```yaml\n{scene.to_yaml()}\n```\n")
+        self._pending: list[np.ndarray] = []
+        self._last_row: np.ndarray | None = None  # of what is shown
         self._last_logged = time.monotonic()
+        self._measured, self._joined = measured, False
         self._phase: Phase | None = None
-        self._unloaded = Phase.FREE
-        self._measured = measured
+        self._unloaded = Phase.FREE  # phase of a measured run while the tip does not touch
         self._verdict = ""
-        self._first: float | None = None
-        self._last_row: np.ndarray | None = None
 
     def take(self, samples: np.ndarray) -> None:
         """Take in samples, (n,) of dtype SAMPLE, later than those before."""
         if self._recording is None:
             return
-        if self._first is None:
-            self._first = float(samples["t"][0])
-            self._tell_what_is_missing(self._first)
-        self._gathered.append(samples)
+        if not self._joined:
+            self._joined = True
+            self._note_what_is_missing(float(samples["t"][0]))
+        self._pending.append(samples)
         if time.monotonic() - self._last_logged >= self._period:
             self.show()
 
     def show(self) -> None:
         """Show at once what has been taken in."""
-        if self._recording is not None:
-            self._log()
+        if self._recording is None:
+            return
+        self._last_logged = time.monotonic()
+        if not self._pending:
+            return
+        samples = np.concatenate(self._pending)
+        self._pending.clear()
+        self._bench.motion(samples, samples["walls"] != 0)
+        before = samples[:0] if self._last_row is None else self._last_row
+        self._bench.trail_piece(np.append(before, samples))
+        self._last_row = samples[-1:]
+        self._plots.curves(samples)
+        for t, known in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
+            phase = Phase(known)
+            if self._measured and (phase is Phase.FREE or self._unloaded is Phase.LATCHED):
+                phase = self._unloaded
+            if phase is not self._phase:
+                self._phase = phase
+                self._plots.states("phase", np.array([t]), [phase.label])
 
     def touch(self, t: float, peak_force: float) -> None:
         """Mark a touch's peak: its time, s since the release, and force, N."""
@@ -112,14 +109,13 @@ class LiveView:
             self._plots.mark_touches(np.array([t]), np.array([peak_force]))
 
     def event(self, t: float, kind: str, detail: str = "") -> None:
-        """Tell of an event, s since the release; some begin a phase that no sensor tells."""
+        """Show an event, s since the release; some begin a phase that no sensor measures."""
         if self._recording is not None:
             self._plots.note(np.array([t]), [event_text(kind, detail)])
-            if kind in _BEGINS:
-                self._unloaded = _BEGINS[kind]
+            self._unloaded = _BEGINS.get(kind, self._unloaded)
 
     def verdict(self, t: float, state: str) -> None:
-        """Take in the detector's judgement, s since the release."""
+        """Show the detector's state, s since the release."""
         if self._recording is not None and state != self._verdict:
             self._verdict = state
             self._plots.states("verdict", np.array([t]), [state])
@@ -142,29 +138,9 @@ class LiveView:
         finally:
             self._server.close()
 
-    def _tell_what_is_missing(self, first: float) -> None:
+    def _note_what_is_missing(self, first: float) -> None:
         kept = f"a viewer that connects later sees the newest {self._memory} MB"
         if first > LATE:
             self.event(first, f"joined {first:.2f} s after the release, not shown before", kept)
         else:
             self.event(first, "shown from the beginning", kept)
-
-    def _log(self) -> None:
-        self._last_logged = time.monotonic()
-        if not self._gathered:
-            return
-        samples = np.concatenate(self._gathered)
-        self._gathered.clear()
-        touching = samples["walls"] != 0
-        self._bench.motion(samples, touching)
-        joined = samples if self._last_row is None else np.append(self._last_row, samples)
-        self._bench.trail_piece(joined)
-        self._last_row = samples[-1:]
-        self._plots.curves(samples)
-        for t, known in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
-            phase = Phase(known)
-            if self._measured and (phase is Phase.FREE or self._unloaded is Phase.LATCHED):
-                phase = self._unloaded
-            if phase is not self._phase:
-                self._phase = phase
-                self._plots.states("phase", np.array([t]), [phase.name.lower()])

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from capture_sim.samples import EventKind
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import grid, new_figure, save, set_fonts
+from capture_sim.viewing.canvas import fixed_figure, grid, rows_of_axes, save, set_fonts
 from capture_sim.viewing.drawing import (
     LETTERS,
     draw_bench,
@@ -91,15 +91,16 @@ def save_overview(
 
 def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     """Return the figure of one run, under its label or its scene's name."""
-    figure = new_figure(15.5, 10.0)
-    figure.suptitle(headline(run, label), fontsize=19, fontweight="bold")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.15])[0]
-    bench, cone = left.subplots(2, 1, height_ratios=[1.0, 3.2])
-    force, stroke, torsion, distance = right.subplots(
-        4, 1, sharex=True, height_ratios=[1.6, 1, 1, 1]
-    )
+    title = headline(run, label)
+    # titles have y=1.0, or matplotlib measures all ticks to place them
+    figure = fixed_figure(15.5, 10.0)
+    figure.suptitle(title, fontsize=19, fontweight="bold", y=0.993)
+    top = 0.42 + 0.33 * len(title.splitlines())
+    bench, cone = rows_of_axes(figure, (1.05, 6.85), top, [(1.65, 0.95), (6.0, 0.0)])
+    several = [(2.5, 0.43), (1.6, 0.43), (1.6, 0.43), (1.6, 0.0)]
+    force, stroke, torsion, distance = rows_of_axes(figure, (8.4, 15.38), top, several)
     seen = draw_bench(bench, run)
-    bench.set_title(f"From above, {seen}", fontsize=_FONT + 1)
+    bench.set_title(f"From above, {seen}", fontsize=_FONT + 1, y=1.0)
     _draw_trajectory(cone, run, style.BLUE)
     _draw_force(force, run, style.BLUE)
     _draw_buffer(stroke, run, style.STROKE, "Buffer, axial")
@@ -115,22 +116,26 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
     if labels is None:
         labels = distinct_names([run.scene.name for run in runs])
     titles = [headline(run, label, _COLUMN) for run, label in zip(runs, labels, strict=True)]
-    figure = new_figure(6.0 * len(runs), 14.0)
-    rows = figure.subplots(4, len(runs), squeeze=False, height_ratios=[1.15, 3.1, 1.3, 1.1])
+    figure = fixed_figure(6.0 * len(runs), 14.0)
+    top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
+    rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
+    sides = [(6.0 * i + 1.05, 6.0 * i + 5.9) for i in range(len(runs))]
+    columns = [rows_of_axes(figure, side, top, rows) for side in sides]
     for i, (run, title) in enumerate(zip(runs, titles, strict=True)):
-        bench, cone, force, distance = rows[:, i]
+        bench, cone, force, distance = columns[i]
         colour = style.run_colour(i)
         seen = draw_bench(bench, run, colour)
-        bench.set_title(title, fontsize=16, fontweight="bold", pad=12)
+        bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
         dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         _draw_trajectory(cone, run, colour)
-        cone.set_title("The tip in the cone", fontsize=_FONT + 1)  # as wide as the column allows
+        cone.set_title(
+            "The tip in the cone", fontsize=_FONT + 1, y=1.0
+        )  # as wide as the column allows
         _draw_force(force, run, colour)
         _draw_distance(distance, run, colour, "zone:")
         _finish_time_axes(run, force, distance)
-        force.tick_params(labelbottom=False)
-    _give_common_limits(rows[0])
+    _give_common_limits([column[0] for column in columns])
     set_fonts(figure.axes, _FONT)
     return figure
 
@@ -150,7 +155,7 @@ def _draw_trajectory(axes: Axes, run: ViewableRun, colour: str) -> None:
     label_path(axes, colour)
     draw_tip(axes, run.scene, moments, colour)
     frame_cone(axes, run.scene)
-    axes.set_title("The tip in the cone, the chaser comes from the left", fontsize=_FONT + 1)
+    axes.set_title("The tip in the cone, the chaser comes from the left", fontsize=_FONT + 1, y=1.0)
     axes.legend(loc="upper right", fontsize=_FONT - 1, framealpha=1.0).set_zorder(10)
     axes.text(
         0.985,
@@ -185,7 +190,9 @@ def _draw_force(axes: Axes, run: ViewableRun, colour: str) -> None:
     axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
     axes.set_ylabel("normal force\n[N], log scale")
     axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
-    axes.set_title(f"Contact force: up to {highest:.0f} N (markers: peaks)", fontsize=_FONT + 1)
+    axes.set_title(
+        f"Contact force: up to {highest:.0f} N (markers: peaks)", fontsize=_FONT + 1, y=1.0
+    )
 
 
 def _draw_buffer(axes: Axes, run: ViewableRun, quantity: style.Quantity, title: str) -> None:
@@ -194,7 +201,7 @@ def _draw_buffer(axes: Axes, run: ViewableRun, quantity: style.Quantity, title: 
     axes.axhline(0.0, color=style.GREY, lw=0.8)
     axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
     spread = f"{shown.min():.3g} to {shown.max():.3g} {quantity.unit}"
-    axes.set_title(f"{title} ({quantity.sign}): {spread}", fontsize=_FONT + 1)
+    axes.set_title(f"{title} ({quantity.sign}): {spread}", fontsize=_FONT + 1, y=1.0)
 
 
 def _draw_distance(
@@ -208,7 +215,7 @@ def _draw_distance(
     axes.set_ylabel("distance\n[mm]")
     # within the axes, the zone's name would lie under the curve or the verdict
     nearest = f"Tip to BE: nearest {distance.min():.1f} mm"
-    axes.set_title(f"{nearest} ({zone} {radius:g} mm)", fontsize=_FONT + 1)
+    axes.set_title(f"{nearest} ({zone} {radius:g} mm)", fontsize=_FONT + 1, y=1.0)
     start, end = time_window(run)
     for event in run.events:
         if event.kind is EventKind.LATCHED and start <= event.t <= end:
@@ -268,5 +275,6 @@ def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
             zorder=0,
         )
         axes.set_xlim(time_window(run))
+        axes.tick_params(labelbottom=axes is all_axes[-1])
         grid(axes)
     all_axes[-1].set_xlabel(f"time since the {start_word(run.scene)}  [s]   (shaded: in contact)")

@@ -1,4 +1,8 @@
-"""The bench of a run in rerun: in three dimensions, and the tip in the cone from above."""
+"""The bench of a run in rerun: in three dimensions, and the tip in the cone from above.
+
+The motion is plane; heights are for the eye only.  The buffer lies at z = 0, the bodies below it,
+and the upper half of the cone is left out, so that the tip can be seen from above.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +11,16 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from capture_sim.scene.parts import Scene
-from capture_sim.viewing import bench_model, style
+from capture_sim.scene.parts import Cone, Scene
+from capture_sim.viewing import style
 from capture_sim.viewing.rerun_stream import RunStream
 from capture_sim.viewing.shapes import (
     CHASER,
     TARGET,
-    Box,
     H,
     chaser_box,
-    circle,
+    cone_shapes,
     target_box,
-    tip_bound,
     tip_in_cone,
     tip_in_world,
     wall,
@@ -30,33 +32,29 @@ FORCE_SCALE = 3e-3
 _LONGEST_ARROW = 0.12
 _STRING_PERIOD = 0.01  # s, between two positions of the string
 
-_BLACK = style.rgb(style.BLACK)
-_DARK = style.rgb(style.DARK)
-_GREY = style.rgb(style.GREY)
-_SIDES = (("plus", 1, "+y wall"), ("minus", -1, "-y wall"))
+# for the eye, m
+_BODY_TOP, _BODY_HEIGHT = -0.03, 0.06
+_BALL_RADIUS = 0.014
+_FLOOR = _BODY_TOP - _BODY_HEIGHT - 2 * _BALL_RADIUS
+_STRING_Y = -0.17  # beside the bodies, over a pulley behind the target
+_PULLEY_RADIUS, _PULLEY_BEHIND = 0.02, 0.18
+
+_BLACK, _DARK, _GREY = (style.rgb(colour) for colour in (style.BLACK, style.DARK, style.GREY))
 _X_AXIS = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])  # turns z to x
 _Y_AXIS = rr.Quaternion(xyzw=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # turns z to -y
 
 
 class BenchLog:
-    """Logs the bench: shapes once, motion for any stretch of samples.
-
-    Parameters
-    ----------
-    stream
-        Of the run.
-    scene
-        What is on its bench.
-    colour
-        Of the run.
-    """
+    """Logs the bench of a scene in the colour of its run: shapes once, motion as it comes."""
 
     def __init__(self, stream: RunStream, scene: Scene, colour: str) -> None:
-        self._stream = stream
-        self._scene = scene
-        self._colour = style.rgb(colour)
-        self._world = f"{stream.name}/world"
+        self._stream, self._scene, self._colour = stream, scene, style.rgb(colour)
         self._map = f"{stream.name}/close_up"
+        #: How far the collar that the spring pushes sits behind the tip's centre, m.
+        self._collar = scene.probe.tip_radius + 0.5 * scene.probe.length
+        target, chaser = scene.initial.target, scene.initial.chaser
+        height = _BODY_TOP - _BODY_HEIGHT / 2
+        self._pulley = np.array([target.x + _PULLEY_BEHIND, chaser.y + _STRING_Y, height])
 
     def shapes(self) -> None:
         """Log all that does not change."""
@@ -66,48 +64,31 @@ class BenchLog:
         self._log_close_up()
 
     def motion(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        """Log where everything is.
-
-        Parameters
-        ----------
-        samples
-            (n,) of dtype SAMPLE.
-        touching
-            (n,) bool, whether the tip touches.
-        """
+        """Log where everything is, from samples (n,) and whether the tip touches, (n,) bool."""
         t, q = samples["t"], samples["q"]
         for entity, body in (("chaser", CHASER), ("target", TARGET)):
             pose = q[:, list(body)]
             self._move(entity, t, translation=_level(pose[:, :2]), quaternion=_yaw(pose[:, 2]))
         hinge = np.tile([self._scene.buffer.hinge_offset, 0.0, 0.0], (len(t), 1))
         self._move("chaser/cylinder", t, translation=hinge, quaternion=_yaw(samples["torsion"]))
-        along = np.zeros((len(t), 3))
-        along[:, 0] = q[:, H]
+        along, stretch = np.zeros((len(t), 3)), np.ones((len(t), 3))
+        along[:, 0], stretch[:, 0] = q[:, H], q[:, H] - self._collar
         self._move("chaser/cylinder/probe", t, translation=along)
-        stretch = np.ones((len(t), 3))
-        stretch[:, 0] = q[:, H] - self._collar
         self._move("chaser/cylinder/spring", t, scale=stretch)
         self._move_string(samples)
         self._move_tip(samples, touching)
 
     def trail(self, samples: np.ndarray, touching: np.ndarray) -> None:
         """Log the tip's way, (n,) samples: thin, and thick where it touches."""
-        tip = tip_in_world(self._scene, samples["q"])
-        above = np.full((len(tip), 1), self._scene.probe.tip_radius + 0.001)
-        strip = np.concatenate([tip, above], axis=1)
-        self._stream.static(
-            f"{self._world}/trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour)
-        )
+        above = self._scene.probe.tip_radius + 0.001
+        strip = _level(tip_in_world(self._scene, samples["q"]), above)
+        self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
         way = tip_in_cone(samples) * _MM
-        self._stream.static(
-            f"{self._map}/way", rr.LineStrips2D([way], radii=0.3, colors=_BLACK, draw_order=20.0)
-        )
+        self._draw("way", rr.LineStrips2D([way], radii=0.3, colors=_BLACK, draw_order=20.0))
         ends = np.flatnonzero(np.diff(np.concatenate([[0], touching.astype(np.int8), [0]])))
         pieces = [way[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
-        self._stream.static(
-            f"{self._map}/way_in_contact",
-            rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0),
-        )
+        thick = rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0)
+        self._draw("way_in_contact", thick)
 
     def trail_piece(self, samples: np.ndarray) -> None:
         """Log the next piece of the tip's way, seen together with those before it."""
@@ -118,66 +99,43 @@ class BenchLog:
 
     # shapes
 
-    @property
-    def _collar(self) -> float:
-        """How far the collar that the spring pushes sits behind the tip's centre, m."""
-        return self._scene.probe.tip_radius + 0.5 * self._scene.probe.length
+    def _shape(self, entity: str, archetype: rr.AsComponents) -> None:
+        self._stream.static(f"{self._stream.name}/world/{entity}", archetype)
 
-    def _shape(self, entity: str, *archetypes: rr.AsComponents) -> None:
-        self._stream.static(f"{self._world}/{entity}", *archetypes)
+    def _draw(self, entity: str, archetype: rr.AsComponents) -> None:
+        self._stream.static(f"{self._map}/{entity}", archetype)
 
     def _log_bodies(self) -> None:
-        scene = self._scene
-        supports = scene.supports
+        scene, supports = self._scene, self._scene.supports
         for entity, box, balls, grey in (
             ("chaser", chaser_box(scene), supports and supports.chaser.balls, 175),
             ("target", target_box(scene), supports and supports.target.balls, 120),
         ):
-            self._shape(f"{entity}/body", _body(box, grey))
+            half = [(box.front - box.back) / 2, box.half_width, _BODY_HEIGHT / 2]
+            centre = [(box.back + box.front) / 2, 0.0, _BODY_TOP - _BODY_HEIGHT / 2]
+            look: dict[str, Any] = {"colors": (grey, grey, grey), "fill_mode": "solid"}
+            self._shape(f"{entity}/body", rr.Boxes3D(centers=[centre], half_sizes=[half], **look))
             if balls:
-                height = bench_model.FLOOR + bench_model.BALL_RADIUS
-                places = [(x, y, height) for x, y in balls]
-                self._shape(
-                    f"{entity}/balls",
-                    rr.Points3D(places, radii=bench_model.BALL_RADIUS, colors=_GREY),
-                )
-        vertices, triangles = bench_model.cone_mesh(scene.cone)
-        self._shape(
-            "target/cone",
-            rr.Mesh3D(
-                vertex_positions=vertices,
-                triangle_indices=triangles,
-                albedo_factor=(*style.rgb(style.CONE), 255),
-            ),
+                places = [(x, y, _FLOOR + _BALL_RADIUS) for x, y in balls]
+                shown = rr.Points3D(places, radii=_BALL_RADIUS, colors=_GREY)
+                self._shape(f"{entity}/balls", shown)
+        vertices, triangles = cone_mesh(scene.cone)
+        colour = (*style.rgb(style.CONE), 255)
+        mesh = rr.Mesh3D(
+            vertex_positions=vertices, triangle_indices=triangles, albedo_factor=colour
         )
-        for name, side, _ in _SIDES:
-            face = wall(scene.cone, side) - (scene.cone.L_T, 0.0)
-            self._shape(
-                f"target/wall_{name}", rr.LineStrips3D([_level(face)], radii=0.003, colors=_DARK)
-            )
+        self._shape("target/cone", mesh)
+        for side, name in ((1, "plus"), (-1, "minus")):
+            face = _level(wall(scene.cone, side) - (scene.cone.L_T, 0.0))
+            self._shape(f"target/wall_{name}", rr.LineStrips3D([face], radii=0.003, colors=_DARK))
 
     def _log_buffer(self) -> None:
-        scene = self._scene
-        radius = scene.probe.radius
-        length = max(scene.cylinder.length, 1e-3)
-        self._shape("chaser/cylinder/housing", _rod(-length, 0.0, 1.5 * radius, _GREY))
-        rear = -scene.probe.tip_radius - scene.probe.length
-        self._shape(
-            "chaser/cylinder/probe/rod", _rod(rear, -scene.probe.tip_radius, 0.6 * radius, _DARK)
-        )
-        collar = -self._collar
-        self._shape(
-            "chaser/cylinder/probe/collar", _rod(collar - 0.002, collar + 0.002, 2 * radius, _DARK)
-        )
-        self._shape(
-            "chaser/cylinder/probe/tip",
-            rr.Points3D([(0.0, 0.0, 0.0)], radii=scene.probe.tip_radius, colors=self._colour),
-        )
-        # one length unit of spring; the motion stretches it
-        self._shape(
-            "chaser/cylinder/spring",
-            rr.LineStrips3D([bench_model.helix(1.5 * radius)], radii=0.0014, colors=_GREY),
-        )
+        scene, probe, cylinder = self._scene, self._scene.probe, "chaser/cylinder"
+        rods = [  # entity, from, to along the probe's axis, radius, colour
+            ("housing", -max(scene.cylinder.length, 1e-3), 0.0, 1.5, _GREY),
+            ("probe/rod", -probe.tip_radius - probe.length, -probe.tip_radius, 0.6, _DARK),
+            ("probe/collar", -self._collar - 0.002, -self._collar + 0.002, 2.0, _DARK),
+        ]
         if scene.stops is not None:
             rest = scene.rest_length - self._collar
             for name, stroke in (
@@ -185,157 +143,145 @@ class BenchLog:
                 ("extension", scene.stops.extension),
             ):
                 x = rest + stroke
-                self._shape(
-                    f"chaser/cylinder/stop_{name}",
-                    _rod(x - 0.001, x + 0.001, 2.4 * radius, _BLACK),
-                )
+                rods.append((f"stop_{name}", x - 0.001, x + 0.001, 2.4, _BLACK))
+        for name, rear, front, thickness, colour in rods:
+            rod = rr.Cylinders3D(
+                lengths=front - rear,
+                radii=thickness * probe.radius,
+                centers=[(rear + front) / 2, 0.0, 0.0],
+                quaternions=_X_AXIS,
+                colors=colour,
+                fill_mode="solid",
+            )
+            self._shape(f"{cylinder}/{name}", rod)
+        tip = rr.Points3D([(0.0, 0.0, 0.0)], radii=probe.tip_radius, colors=self._colour)
+        self._shape(f"{cylinder}/probe/tip", tip)
+        # a coil as long as the unit, which the motion stretches
+        angle = np.linspace(0.0, 18 * np.pi, 145)
+        coil = 1.5 * probe.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        points = np.column_stack([angle / angle[-1], coil])
+        spring = rr.LineStrips3D([points], radii=0.0014, colors=_GREY)
+        self._shape(f"{cylinder}/spring", spring)
 
     def _log_surroundings(self) -> None:
-        scene = self._scene
-        start = scene.initial.chaser
+        scene, start = self._scene, self._scene.initial.chaser
         if scene.rail is not None:
             along = np.array([np.cos(start.theta), np.sin(start.theta), 0.0])
             side = np.array([-along[1], along[0], 0.0]) * 0.05
-            place = np.array([start.x, start.y, bench_model.FLOOR + 0.004])
+            place = np.array([start.x, start.y, _FLOOR + 0.004])
             ends = [place - 0.13 * along, place + (scene.rail.length + 0.13) * along]
             strips = [[end + s for end in ends] for s in (side, -side)]
             self._shape("rail", rr.LineStrips3D(strips, radii=0.004, colors=_GREY))
         if scene.string is not None:
             self._shape("string", rr.LineStrips3D.from_fields(colors=_BLACK, radii=0.0015))
-            self._shape(
-                "hanging_mass",
-                rr.Boxes3D(half_sizes=[0.02, 0.02, 0.025], colors=_BLACK, fill_mode="solid"),
+            mass = rr.Boxes3D(half_sizes=[0.02, 0.02, 0.025], colors=_BLACK, fill_mode="solid")
+            self._shape("hanging_mass", mass)
+            pulley = rr.Cylinders3D(
+                lengths=0.015,
+                radii=_PULLEY_RADIUS,
+                centers=[self._pulley],
+                quaternions=_Y_AXIS,
+                colors=_GREY,
+                fill_mode="solid",
             )
-            self._shape(
-                "pulley",
-                rr.Cylinders3D(
-                    lengths=0.015,
-                    radii=bench_model.PULLEY_RADIUS,
-                    centers=[bench_model.pulley_place(scene)],
-                    quaternions=_Y_AXIS,
-                    colors=_GREY,
-                    fill_mode="solid",
-                ),
-            )
+            self._shape("pulley", pulley)
         self._shape("contact_force", rr.Arrows3D.from_fields(colors=_BLACK, radii=0.003))
 
     def _log_close_up(self) -> None:
         """Log the cone as seen from above, in its own frame, mm."""
-        scene, stream = self._scene, self._stream
+        scene = self._scene
         # 2D views count y downwards
-        stream.static(self._map, rr.Transform3D(scale=[1.0, -1.0, 1.0]))
-        for name, side, label in _SIDES:
-            face = wall(scene.cone, side) * _MM
-            stream.static(
-                f"{self._map}/wall_{name}",
-                rr.LineStrips2D([face], radii=1.2, colors=_DARK),
-            )
+        self._stream.static(self._map, rr.Transform3D(scale=[1.0, -1.0, 1.0]))
+        for name, shape in cone_shapes(scene).items():
+            if not shape.line:
+                continue  # a wall's body
+            look: dict[str, Any] = {"colors": style.rgb(shape.line), "radii": 0.25 * shape.width}
+            strip = rr.LineStrips2D([shape.points * _MM], **look)
+            self._draw(name.replace(" ", "_").replace("+", "plus_").replace("-", "minus_"), strip)
+        for side, (*_, label) in style.WALLS.items():
             # behind the wall, where the tip never is
-            behind = face.mean(axis=0) + 16.0 * np.array([1.0, side]) * np.sqrt(0.5)
-            stream.static(
-                f"{self._map}/name_{name}",
-                rr.Points2D([behind], radii=0.01, colors=_DARK, labels=label, show_labels=True),
+            behind = wall(scene.cone, side).mean(axis=0) * _MM + 16.0 * np.sqrt(0.5) * np.array(
+                [1.0, side]
             )
-            bound = tip_bound(scene.cone, scene.probe.tip_radius, side) * _MM
-            stream.static(
-                f"{self._map}/tip_bound_{name}",
-                rr.LineStrips2D([bound], radii=0.25, colors=_GREY),
-            )
-        zone = circle(np.zeros(2), scene.detector.capture_radius) * _MM
-        stream.static(
-            f"{self._map}/capture_zone",
-            rr.LineStrips2D([zone], radii=0.5, colors=style.rgb(style.GREEN)),
+            look = {"radii": 0.01, "colors": _DARK, "labels": label, "show_labels": True}
+            self._draw(f"name_{'plus' if side > 0 else 'minus'}", rr.Points2D([behind], **look))
+        thin = rr.LineStrips2D.from_fields(radii=0.3, colors=_BLACK, draw_order=20.0)
+        self._draw("trail", thin)
+        self._draw(
+            "tip", rr.Points2D.from_fields(radii=scene.probe.tip_radius * _MM, draw_order=-5.0)
         )
-        stream.static(
-            f"{self._map}/trail",
-            rr.LineStrips2D.from_fields(radii=0.3, colors=_BLACK, draw_order=20.0),
-        )
-        radius = scene.probe.tip_radius * _MM
-        stream.static(f"{self._map}/tip", rr.Points2D.from_fields(radii=radius, draw_order=-5.0))
-        stream.static(
-            f"{self._map}/centre",
-            rr.Points2D.from_fields(radii=1.0, colors=_BLACK, draw_order=50.0),
-        )
-        stream.static(
-            f"{self._map}/contact_force",
-            rr.Arrows2D.from_fields(radii=0.9, colors=_BLACK, draw_order=60.0),
-        )
+        self._draw("centre", rr.Points2D.from_fields(radii=1.0, colors=_BLACK, draw_order=50.0))
+        arrow = rr.Arrows2D.from_fields(radii=0.9, colors=_BLACK, draw_order=60.0)
+        self._draw("contact_force", arrow)
 
     # motion
 
     def _move(self, entity: str, t: np.ndarray, **values: Any) -> None:
-        self._stream.columns(f"{self._world}/{entity}", t, rr.Transform3D, **values)
+        self._stream.columns(f"{self._stream.name}/world/{entity}", t, rr.Transform3D, **values)
 
     def _move_string(self, samples: np.ndarray) -> None:
-        if self._scene.string is None:
-            return
+        """Move what hangs: the string's level part, and the mass behind the pulley."""
         beats = np.floor(samples["t"] / _STRING_PERIOD + 1e-6)
         few = samples[np.flatnonzero(np.diff(beats, prepend=-1.0))]
         few = few[np.isfinite(few["mass_height"])]
-        if not few.size:
+        if self._scene.string is None or not few.size:
             return
-        strings = bench_model.string_ends(self._scene, few["q"])
-        masses = bench_model.mass_places(self._scene, few["mass_height"])
-        hanging = strings[:, 1:] + (bench_model.PULLEY_RADIUS, 0.0, -bench_model.PULLEY_RADIUS)
-        strips = np.concatenate([strings, hanging, masses[:, None]], axis=1)
-        self._stream.columns(
-            f"{self._world}/string", few["t"], rr.LineStrips3D, strips=list(strips)
+        r = _PULLEY_RADIUS
+        strips = np.tile(self._pulley, (len(few), 4, 1)) + np.array(
+            [[0, 0, r], [0, 0, r], [r, 0, 0], [r, 0, -0.05]]
         )
-        self._move("hanging_mass", few["t"], translation=masses)
+        strips[:, 0, 0] = few["q"][:, 0]
+        strips[:, 3, 2] += few["mass_height"] - few["mass_height"].max(initial=0.0)
+        entity = f"{self._stream.name}/world/string"
+        self._stream.columns(entity, few["t"], rr.LineStrips3D, strips=list(strips))
+        self._move("hanging_mass", few["t"], translation=strips[:, 3])
 
     def _move_tip(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        scene, t = self._scene, samples["t"]
-        above = np.full((len(t), 1), scene.probe.tip_radius + 0.002)
-        origin = np.concatenate([tip_in_world(scene, samples["q"]), above], axis=1)
+        scene, t, columns = self._scene, samples["t"], self._stream.columns
+        origin = _level(tip_in_world(scene, samples["q"]), scene.probe.tip_radius + 0.002)
         # an arrow beyond the view tells nothing
         force = np.nan_to_num(samples["contact_force"]) * FORCE_SCALE
         length = np.linalg.norm(force, axis=1, keepdims=True)
         force *= np.minimum(1.0, _LONGEST_ARROW / np.maximum(length, 1e-12))
-        self._stream.columns(
-            f"{self._world}/contact_force", t, rr.Arrows3D, vectors=_level(force), origins=origin
-        )
+        entity = f"{self._stream.name}/world/contact_force"
+        columns(entity, t, rr.Arrows3D, vectors=_level(force), origins=origin)
         places = tip_in_cone(samples) * _MM
         tint = np.where(touching[:, None], self._colour, style.light(self._colour))
-        self._stream.columns(
-            f"{self._map}/tip", t, rr.Points2D, positions=places, colors=tint.astype(np.uint8)
-        )
-        self._stream.columns(f"{self._map}/centre", t, rr.Points2D, positions=places)
-        c, s = np.cos(samples["q"][:, TARGET[2]]), np.sin(samples["q"][:, TARGET[2]])
-        fx, fy = force.T * _MM
-        vectors = np.stack([c * fx + s * fy, c * fy - s * fx], axis=-1)
-        self._stream.columns(
-            f"{self._map}/contact_force", t, rr.Arrows2D, vectors=vectors, origins=places
-        )
+        tint = tint.astype(np.uint8)
+        columns(f"{self._map}/tip", t, rr.Points2D, positions=places, colors=tint)
+        columns(f"{self._map}/centre", t, rr.Points2D, positions=places)
+        theta = samples["q"][:, TARGET[2]]
+        turned = (force[:, 0] + 1j * force[:, 1]) * np.exp(-1j * theta) * _MM
+        vectors = np.stack([turned.real, turned.imag], axis=-1)
+        columns(f"{self._map}/contact_force", t, rr.Arrows2D, vectors=vectors, origins=places)
 
 
-def _level(points: np.ndarray) -> np.ndarray:
+def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower half of the cone in the target's frame.
+
+    Returns
+    -------
+    vertices : ndarray (2 count, 3)
+        m.
+    triangles : ndarray (2 count - 2, 3)
+        Indices into the vertices, three each.
+    """
+    angle = np.linspace(np.pi, 2 * np.pi, count)
+    rings = [
+        np.stack([np.full(count, x - cone.L_T), r * np.cos(angle), r * np.sin(angle)], axis=-1)
+        for x, r in wall(cone, 1)
+    ]
+    first = np.arange(count - 1)
+    quads = np.stack([first, first + 1, first + count, first + count + 1], axis=-1)
+    return np.concatenate(rings), np.concatenate([quads[:, [0, 1, 2]], quads[:, [1, 3, 2]]])
+
+
+def _level(points: np.ndarray, z: float = 0.0) -> np.ndarray:
     """Return points of the plane (n, 2) in space, (n, 3)."""
-    return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+    return np.column_stack([points, np.full(len(points), z)])
 
 
 def _yaw(angle: np.ndarray) -> np.ndarray:
-    return bench_model.yaw_quaternions(angle)
-
-
-def _rod(
-    x_rear: float, x_front: float, radius: float, colour: tuple[int, int, int]
-) -> rr.Cylinders3D:
-    """Return a cylinder along x, m."""
-    return rr.Cylinders3D(
-        lengths=x_front - x_rear,
-        radii=radius,
-        centers=[(x_rear + x_front) / 2, 0.0, 0.0],
-        quaternions=_X_AXIS,
-        colors=colour,
-        fill_mode="solid",
-    )
-
-
-def _body(box: Box, grey: int) -> rr.Boxes3D:
-    height = bench_model.BODY_HEIGHT
-    return rr.Boxes3D(
-        centers=[(box.back + box.front) / 2, 0.0, bench_model.BODY_TOP - height / 2],
-        half_sizes=[(box.front - box.back) / 2, box.half_width, height / 2],
-        colors=(grey, grey, grey),
-        fill_mode="solid",
-    )
+    """Return turns about z as quaternions x, y, z, w, (n, 4), from rad (n,)."""
+    zero = np.zeros(len(angle))
+    return np.column_stack([zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)])

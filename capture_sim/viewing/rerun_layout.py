@@ -42,48 +42,27 @@ def blueprint(
     length
         Of the timeline it opens on, s: a short one is played slower.
     """
-    string = any(scene.string is not None for scene in scenes)
-    rows = []
-    for scene, name, title in zip(scenes, names, titles, strict=True):
-        bench = rrb.Spatial3DView(
-            origin=f"/{name}/world",
-            name=title,
-            background=_WHITE,
-            line_grid=False,
-            eye_controls=_eye(scene),
-        )
-        close_up = rrb.Spatial2DView(
-            origin=f"/{name}",
-            contents=f"/{name}/close_up/**",
-            name=f"{name}: in the cone, mm",
-            background=_WHITE,
-            visual_bounds=_bounds(scene),
-            # of the trail's pieces all that have come, not only the newest
-            overrides={f"/{name}/close_up/trail": _all_so_far()} if live else None,
-        )
-        rows.append(rrb.Horizontal(bench, close_up, column_shares=[1.5, 1.0]))
+    rows = [
+        rrb.Horizontal(_bench(*one), _close_up(*one[:2], live=live), column_shares=[1.5, 1.0])
+        for one in zip(scenes, names, titles, strict=True)
+    ]
     if len(rows) == 1:
         rows = [rrb.Vertical(*rows[0].contents, row_shares=[1.0, 1.4])]
+    left_out = set() if energies else {"energy"}
+    string = any(scene.string is not None for scene in scenes)
+    # slack long before the contact, which is all that the aligned time shows: behind a tab
+    if aligned or not string:
+        left_out.add("string_tension")
+    texts = [rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names]
+    tabs = rrb.Tabs(
+        _time_series(len(names), left_out),
+        *([_diagram("string_tension")] if string and aligned else []),
+        rrb.TextLogView(origin="/events", name="events"),
+        rrb.Grid(*texts, name="parameters"),
+        active_tab=0,
+    )
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(*rows),
-            rrb.Tabs(
-                _time_series(
-                    len(names),
-                    energies=energies,
-                    string=string and not aligned,
-                ),
-                # slack long before the contact, which is all that the aligned time shows
-                *([_tension()] if string and aligned else []),
-                rrb.TextLogView(origin="/events", name="events"),
-                rrb.Grid(
-                    *(rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names),
-                    name="parameters",
-                ),
-                active_tab=0,
-            ),
-            column_shares=[1.15, 1.0],
-        ),
+        rrb.Horizontal(rrb.Vertical(*rows), tabs, column_shares=[1.15, 1.0]),
         rrb.TimePanel(
             timeline=ALIGNED if aligned else SIM_TIME,
             state="collapsed",
@@ -95,61 +74,53 @@ def blueprint(
     )
 
 
-def _tension() -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin="/plots/string_tension", name="string tension, N")
+def _bench(scene: Scene, name: str, title: str) -> rrb.Spatial3DView:
+    """Look down on the bench, along the approach, from the chaser's left."""
+    y, middle = scene.initial.target.y, 0.03
+    middle += 0.5 * (scene.initial.chaser.x + scene.initial.target.x)
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=(middle, y - 0.325, 0.42),
+        look_target=(middle, y - 0.03, -0.04),
+        eye_up=(0.0, 0.0, 1.0),
+    )
+    look = {"background": _WHITE, "line_grid": False, "eye_controls": eye}
+    return rrb.Spatial3DView(origin=f"/{name}/world", name=title, **look)  # type: ignore[arg-type]
 
 
-def _all_so_far() -> rrb.VisibleTimeRanges:
-    return rrb.VisibleTimeRanges(
+def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
+    """Show the cone and a tip's width around it."""
+    lip, margin = wall(scene.cone, 1)[1] * _MM, scene.probe.tip_radius * _MM
+    # live, of the trail's pieces all that have come, not only the newest
+    so_far = rrb.VisibleTimeRanges(
         timeline=SIM_TIME,
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
+    return rrb.Spatial2DView(
+        origin=f"/{name}",
+        contents=f"/{name}/close_up/**",
+        name=f"{name}: in the cone, mm",
+        background=_WHITE,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(lip[0] - 2 * margin, 2 * margin), y_range=(-lip[1] - 3.0, lip[1] + 3.0)
+        ),
+        overrides={f"/{name}/close_up/trail": so_far} if live else None,
+    )
 
 
-def _time_series(count: int, *, energies: bool, string: bool) -> rrb.Vertical:
+def _diagram(entity: str) -> rrb.TimeSeriesView:
+    title = next(plot.title for plot in PLOTS if plot.entity == entity)
+    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=entity == "distance")
+    return rrb.TimeSeriesView(origin=f"/plots/{entity}", name=title, plot_legend=legend)
+
+
+def _time_series(runs: int, left_out: set[str]) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
-    plots = {
-        plot.entity: rrb.TimeSeriesView(
-            origin=f"/plots/{plot.entity}",
-            name=plot.title,
-            plot_legend=rrb.PlotLegend(
-                corner=rrb.Corner2D.RightTop, visible=plot.entity == "distance"
-            ),
-        )
-        for plot in PLOTS
-        if string or plot.entity != "string_tension"
-    }
-    states = rrb.StateTimelineView(origin="/states", name="phase and verdict")
-    rows: list[tuple[rrb.View, ...]] = [
-        (plots["contact_force"], plots["distance"]),
-        (plots["axial_stroke"], plots["torsion"]),
-    ]
-    lanes = 0.75 + 0.3 * count  # two for each run
-    last = [plots[name] for name in ("speed", "energy", "string_tension") if name in plots]
-    if not energies:
-        last.remove(plots["energy"])
-    rows += [tuple(last[:2]), (states, *last[2:])]
-    return rrb.Vertical(
-        *(rrb.Horizontal(*pair) for pair in rows), row_shares=[1, 1, 1, lanes], name="time series"
-    )
-
-
-def _eye(scene: Scene) -> rrb.EyeControls3D:
-    """Look down on the bench, along the approach, from the chaser's left."""
-    middle = 0.5 * (scene.initial.chaser.x + scene.initial.target.x) + 0.03
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=(middle, scene.initial.target.y - 0.325, 0.42),
-        look_target=(middle, scene.initial.target.y - 0.03, -0.04),
-        eye_up=(0.0, 0.0, 1.0),
-    )
-
-
-def _bounds(scene: Scene) -> rrb.VisualBounds2D:
-    """Show the cone and a tip's width around it."""
-    lip = wall(scene.cone, 1)[1] * _MM
-    margin = scene.probe.tip_radius * _MM
-    return rrb.VisualBounds2D(
-        x_range=(lip[0] - 2 * margin, 2 * margin), y_range=(-lip[1] - 3.0, lip[1] + 3.0)
-    )
+    order = ("contact_force", "distance", "axial_stroke", "torsion", "speed", "energy")
+    shown = [name for name in (*order, "string_tension") if name not in left_out]
+    views: list[rrb.View] = [_diagram(name) for name in shown]
+    views.insert(6, rrb.StateTimelineView(origin="/states", name="phase and verdict"))
+    rows = [rrb.Horizontal(*views[i : i + 2]) for i in range(0, len(views), 2)]
+    lanes = 0.75 + 0.3 * runs  # two for each run
+    return rrb.Vertical(*rows, row_shares=[*[1] * (len(rows) - 1), lanes], name="time series")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,109 +17,95 @@ _MM = 1e3
 
 
 class Plot(NamedTuple):
-    """One diagram: name of its entities, title with unit, and its curves' names."""
+    """One diagram: name of its entities, title with unit, values of samples, curves' names."""
 
     entity: str
     title: str
+    values: Callable[[np.ndarray], np.ndarray]  # (n,) or (n, k) of samples (n,)
     curves: tuple[str, ...] = ("",)
 
 
+def _speeds(samples: np.ndarray) -> np.ndarray:
+    return np.hypot(samples["v"][:, [0, 5]], samples["v"][:, [1, 6]]) * _MM
+
+
+def _ledger(samples: np.ndarray) -> np.ndarray:
+    names = samples.dtype.names or ()
+    parts = [
+        np.sum([samples[name] for name in names if name.startswith(prefix)], axis=0)
+        for prefix in ("kinetic", "dissipated_", "elastic_")
+    ]
+    return np.stack(parts, axis=-1) * _MM
+
+
 PLOTS = (
-    Plot("contact_force", "contact force, N; dots: peaks"),
-    Plot("axial_stroke", "axial stroke, mm"),
-    Plot("torsion", "torsion, mrad"),
-    Plot("distance", "tip to BE, mm"),
-    Plot("speed", "speed, mm/s; target light", ("chaser", "target")),
-    Plot("string_tension", "string tension, N"),
+    Plot("contact_force", "contact force, N; dots: peaks", lambda s: s["normal_force"].sum(axis=1)),
+    Plot("axial_stroke", "axial stroke, mm", style.STROKE.of),
+    Plot("torsion", "torsion, mrad", style.TORSION.of),
+    Plot("distance", "tip to BE, mm", style.DISTANCE.of),
+    Plot("speed", "speed, mm/s; target light", _speeds, ("chaser", "target")),
+    Plot("string_tension", "string tension, N", lambda s: s["string_tension"]),
     Plot(
         "energy",
         "energy, mJ; dissipated light",
+        _ledger,
         ("kinetic", "dissipated", "elastic"),
     ),
 )
 
 
 class PlotLog:
-    """Logs a run's curves, by the entities of :data:`PLOTS`.
-
-    Parameters
-    ----------
-    stream
-        Of the run.
-    colour
-        Of the run.
-    """
+    """Logs a run's curves in its colour, by the entities of :data:`PLOTS`."""
 
     def __init__(self, stream: RunStream, colour: str) -> None:
-        self._stream = stream
-        self._colour = style.rgb(colour)
+        self._stream, self._colour = stream, style.rgb(colour)
+        self._touches = f"{self._path('contact_force')}/touches"
 
     def styles(self) -> None:
         """Log colours, widths and names of the curves."""
-        light = style.light(self._colour)
+        static, name, colour = self._stream.static, self._stream.name, self._colour
         for plot in PLOTS:
-            names = [f"{self._stream.name} {curve}".strip() for curve in plot.curves]
-            colours = [self._colour, light, self._colour][: len(names)]
-            widths = [1.8, 1.8, 0.8][: len(names)]
+            k = len(plot.curves)
             # the peaks are what is looked for: no averaging of rows that share a pixel
             highest = rr.components.AggregationPolicy.Max
-            policy = highest if plot.entity == "contact_force" else None
-            self._stream.static(
-                self._path(plot.entity),
-                rr.SeriesLines(
-                    colors=colours, names=names, widths=widths, aggregation_policy=policy
-                ),
+            lines = rr.SeriesLines(
+                colors=[colour, style.light(colour), colour][:k],
+                names=[f"{name} {curve}".strip() for curve in plot.curves],
+                widths=[1.8, 1.8, 0.8][:k],
+                aggregation_policy=highest if plot.entity == "contact_force" else None,
             )
-        self._stream.static(
-            self._path("contact_force") + "/touches",
-            rr.SeriesPoints(
-                colors=self._colour,
-                markers="circle",
-                marker_sizes=3.5,
-                names=f"{self._stream.name} touches",
-            ),
-        )
+            static(self._path(plot.entity), lines)
+        look = {"colors": colour, "markers": "circle", "marker_sizes": 3.5}
+        static(self._touches, rr.SeriesPoints(names=f"{name} touches", **look))  # type: ignore[arg-type]
         for lane, colours_of in (("phase", style.PHASES), ("verdict", style.STATES)):
-            self._stream.static(
-                self._lane(lane),
-                rr.StateConfiguration(
-                    values=list(colours_of),
-                    labels=list(colours_of),
-                    colors=[style.rgb(colour) for colour in colours_of.values()],
-                ),
-            )
+            words = list(colours_of)
+            colours = [style.rgb(colour) for colour in colours_of.values()]
+            shown = rr.StateConfiguration(values=words, labels=words, colors=colours)
+            static(f"states/{name}/{lane}", shown)
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
-        """Log the curves of a stretch of samples, (n,) of dtype SAMPLE.
-
-        What was not measured (not a number) is left out.
-        """
-        t = samples["t"]
-        if force:
-            self._curve("contact_force", t, samples["normal_force"].sum(axis=1))
-        self._curve("axial_stroke", t, samples["axial_stroke"] * _MM)
-        self._curve("torsion", t, samples["torsion"] * _MM)
-        self._curve("distance", t, samples["tip_distance"] * _MM)
-        v = samples["v"]
-        speed = np.hypot(v[:, [0, 5]], v[:, [1, 6]])
-        self._curve("speed", t, speed * _MM)
-        self._curve("string_tension", t, samples["string_tension"])
-        ledger = [samples["kinetic"], _sum(samples, "dissipated_"), _sum(samples, "elastic_")]
-        self._curve("energy", t, np.stack(ledger, axis=-1) * _MM)
+        """Log the curves of a stretch of samples, (n,); what is not measured (NaN) is left out."""
+        for plot in PLOTS[0 if force else 1 :]:
+            values = plot.values(samples)
+            known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+            if known.any():
+                self._stream.scalars(self._path(plot.entity), samples["t"][known], values[known])
 
     def touches(self, run: ViewableRun) -> None:
         """Log the force with every touch in it, and a mark at each touch's peak."""
-        self._curve("contact_force", *normal_force_with_peaks(run))
+        t, force = normal_force_with_peaks(run)
+        known = np.isfinite(force)
+        self._stream.scalars(self._path("contact_force"), t[known], force[known])
         ordered = run.touches[np.argsort(run.touches["peak_time"], kind="stable")]
         self.mark_touches(ordered["peak_time"], ordered["peak_force"])
 
     def mark_touches(self, t: np.ndarray, force: np.ndarray) -> None:
         """Mark touches by the time and the force of their peaks, (n,) s and N."""
-        self._stream.scalars(self._path("contact_force") + "/touches", t, force)
+        self._stream.scalars(self._touches, t, force)
 
     def states(self, lane: str, t: np.ndarray, states: list[str]) -> None:
         """Log from when on which state holds, in the lane ``phase`` or ``verdict``."""
-        self._stream.columns(self._lane(lane), t, rr.StateChange, state=states)
+        self._stream.columns(f"states/{self._stream.name}/{lane}", t, rr.StateChange, state=states)
 
     def events(self, run: ViewableRun) -> None:
         """Log the events as text."""
@@ -127,35 +114,18 @@ class PlotLog:
 
     def note(self, t: np.ndarray, texts: list[str]) -> None:
         """Log lines of text, at (n,) s."""
-        self._stream.columns(
-            f"events/{self._stream.name}",
-            t,
-            rr.TextLog,
-            text=[f"{self._stream.name}: {text}" for text in texts],
-            level=["INFO"] * len(texts),
-        )
+        name = self._stream.name
+        lines = [f"{name}: {text}" for text in texts]
+        level = ["INFO"] * len(texts)
+        self._stream.columns(f"events/{name}", t, rr.TextLog, text=lines, level=level)
 
     def _path(self, plot: str) -> str:
         return f"plots/{plot}/{self._stream.name}"
-
-    def _lane(self, lane: str) -> str:
-        return f"states/{self._stream.name}/{lane}"
-
-    def _curve(self, plot: str, t: np.ndarray, values: np.ndarray) -> None:
-        known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
-        if known.any():
-            self._stream.scalars(self._path(plot), t[known], values[known])
 
 
 def event_text(kind: str, detail: str) -> str:
     """Return an event in one line."""
     return f"{kind}, {detail}" if detail else kind
-
-
-def _sum(samples: np.ndarray, prefix: str) -> np.ndarray:
-    """Return the sum of all fields whose names begin so, (n,)."""
-    names = [name for name in samples.dtype.names or () if name.startswith(prefix)]
-    return np.sum([samples[name] for name in names], axis=0)
 
 
 def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
@@ -168,38 +138,28 @@ def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     names : list of str
         One each.
     """
-    t = run.samples["t"]
-    phase = np.where(
-        run.samples["phase"] == Phase.CONTACT, int(Phase.FREE), run.samples["phase"]
-    ).astype(int)
+    t, phase = run.samples["t"], run.samples["phase"].astype(int)
+    phase[phase == Phase.CONTACT] = Phase.FREE
     starts = np.flatnonzero(np.diff(phase, prepend=-1))
-    changes = [(float(t[i]), Phase(int(phase[i])).name.lower()) for i in starts]
-
-    def beneath(when: float) -> str:
-        return next(name for start, name in reversed(changes) if start <= when or start == t[0])
-
-    touches = []
-    for start, end in _merged(run.touches):
-        touches.append((start, "contact"))
-        touches.append((end, beneath(end)))
-    inside = [
-        (when, name)
-        for when, name in changes
-        if not any(start < when < end for start, end in _merged(run.touches))
-    ]
-    ordered = sorted([*inside, *touches], key=lambda change: change[0])
-    return np.array([when for when, _ in ordered]), [name for _, name in ordered]
-
-
-def _merged(touches: np.ndarray) -> list[tuple[float, float]]:
-    """Return the intervals with any touch, by time."""
-    merged: list[tuple[float, float]] = []
-    for start, end in sorted(zip(touches["start"].tolist(), touches["end"].tolist(), strict=True)):
-        if merged and start <= merged[-1][1]:
-            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+    # of the walls together
+    inside: list[list[float]] = []
+    for start, end in sorted(run.touches[["start", "end"]].tolist()):
+        if inside and start <= inside[-1][1]:
+            inside[-1][1] = max(inside[-1][1], end)
         else:
-            merged.append((start, end))
-    return merged
+            inside.append([start, end])
+    beneath = phase[starts][
+        np.maximum(np.searchsorted(t[starts], [end for _, end in inside], side="right") - 1, 0)
+    ]
+    changes = [
+        (float(t[i]), Phase(int(phase[i])).label)
+        for i in starts
+        if not any(start < t[i] < end for start, end in inside)
+    ]
+    for (start, end), after in zip(inside, beneath, strict=True):
+        changes += [(start, "contact"), (end, Phase(int(after)).label)]
+    changes.sort(key=lambda change: change[0])
+    return np.array([when for when, _ in changes]), [name for _, name in changes]
 
 
 def verdicts(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
@@ -207,8 +167,7 @@ def verdicts(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     times: list[float] = []
     names: list[str] = []
     for status in run.statuses:
-        name = status.state.label
-        if not names or names[-1] != name:
+        if not names or names[-1] != status.state.label:
             times.append(status.t)
-            names.append(name)
+            names.append(status.state.label)
     return np.array(times), names

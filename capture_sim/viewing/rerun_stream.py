@@ -42,26 +42,14 @@ def aligned_span(run: ViewableRun) -> Span | None:
     touch, t = first_touch(run), run.samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
-    last = max((end for _, end in contacts(run)), default=touch.t)
-    decided = decided_at(run)
-    end = max(last, touch.t if decided is None else decided) + _TRAIL
+    end = max(decided_at(run) or touch.t, *(end for _, end in contacts(run)), touch.t) + _TRAIL
     if t[0] > end:
         return None
     return Span(touch.t, max(touch.t - LEAD, float(t[0])), min(end, float(t[-1])))
 
 
 class RunStream:
-    """Logs one run.
-
-    Parameters
-    ----------
-    recording
-        Of rerun.
-    name
-        The run's prefix.
-    span
-        What of it goes on the aligned timeline; None for nothing.
-    """
+    """Logs one run under its name, with ``span`` of it on the aligned timeline too."""
 
     def __init__(self, recording: rr.RecordingStream, name: str, span: Span | None = None) -> None:
         self.name = name
@@ -75,46 +63,25 @@ class RunStream:
     def columns(
         self, path: str, t: np.ndarray, archetype: Any, **values: Sequence | np.ndarray
     ) -> None:
-        """Log values over time, under the full path of an entity.
-
-        Parameters
-        ----------
-        path
-            Of the entity.
-        t
-            (n,) ascending, s since the start.
-        archetype
-            A class of rerun with a ``columns`` method.
-        values
-            (n, ...) each, its arguments.
-        """
-        first = last = 0
-        if self._span is not None:
-            # with the sample before, so that something is there from the beginning on
-            first = max(int(np.searchsorted(t, self._span.begin, side="right")) - 1, 0)
-            last = max(int(np.searchsorted(t, self._span.end, side="right")), first)
-        self._send(path, t, slice(0, first), archetype, values, None)
-        self._send(path, t, slice(first, last), archetype, values, self._span)
-        self._send(path, t, slice(last, len(t)), archetype, values, None)
-
-    def _send(
-        self, path: str, t: np.ndarray, rows: slice, archetype: Any, values: dict, span: Span | None
-    ) -> None:
-        t = t[rows]
-        if len(t) == 0:
-            return
-        indexes = [rr.TimeColumn(SIM_TIME, duration=t)]
+        """Log values over time: the columns of an archetype, (n, ...) each, at t (n,), s."""
+        span, first, last = self._span, 0, 0
         if span is not None:
-            indexes.append(rr.TimeColumn(ALIGNED, duration=np.maximum(t, span.begin) - span.touch))
-        columns = archetype.columns(**{name: value[rows] for name, value in values.items()})
-        self._recording.send_columns(path, indexes=indexes, columns=columns)
+            # with the sample before, so that something is there from the beginning on
+            first = max(int(np.searchsorted(t, span.begin, side="right")) - 1, 0)
+            last = max(int(np.searchsorted(t, span.end, side="right")), first)
+        for rows in (slice(0, first), slice(first, last), slice(last, len(t))):
+            if not t[rows].size:
+                continue
+            indexes = [rr.TimeColumn(SIM_TIME, duration=t[rows])]
+            if span is not None and rows.start == first and rows.stop == last:
+                late = np.maximum(t[rows], span.begin) - span.touch
+                indexes.append(rr.TimeColumn(ALIGNED, duration=late))
+            columns = archetype.columns(**{name: value[rows] for name, value in values.items()})
+            self._recording.send_columns(path, indexes=indexes, columns=columns)
 
     def scalars(self, path: str, t: np.ndarray, values: np.ndarray) -> None:
         """Log one curve (n,), or several of one entity (n, k)."""
-        if values.ndim == 1:
-            self.columns(path, t, rr.Scalars, scalars=values)
-        else:
-            self.columns(path, t, _Rows(values.shape[1]), scalars=values)
+        self.columns(path, t, rr.Scalars if values.ndim == 1 else _SeveralScalars, scalars=values)
 
     def document(self, path: str, text: str) -> None:
         """Log a text in Markdown."""
@@ -125,13 +92,11 @@ class RunStream:
         self._recording.send_property(self.name, rr.AnyValues(**values))
 
 
-class _Rows:
+class _SeveralScalars:
     """Several scalars a row, as rerun wants them."""
 
-    def __init__(self, width: int) -> None:
-        self._width = width
-
-    def columns(self, scalars: np.ndarray) -> rr.ComponentColumnList:
-        """Return the rows (n, width) as columns."""
+    @staticmethod
+    def columns(scalars: np.ndarray) -> rr.ComponentColumnList:
+        """Return the rows (n, k) as columns."""
         flat = rr.Scalars.columns(scalars=scalars.ravel())
-        return flat.partition(np.full(len(scalars), self._width))
+        return flat.partition(np.full(len(scalars), scalars.shape[1]))

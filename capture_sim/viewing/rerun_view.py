@@ -17,6 +17,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.results import impact_speed
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
+from capture_sim.viewing.curves import has_ledger
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PlotLog, phases, verdicts
@@ -35,21 +36,9 @@ _MM = 1e3
 def save_rrd(
     runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
 ) -> Path:
-    """Save runs side by side as one rerun recording.
+    """Save at least one run as one rerun recording; return its path.
 
-    Parameters
-    ----------
-    runs
-        At least one.
-    path
-        File to write; one that exists is replaced.
-    labels
-        Names of the runs, one each; None for their scenes', numbered where they are the same.
-
-    Returns
-    -------
-    Path
-        Of the file.
+    ``labels`` names the runs; None takes the scenes' names, numbered where they are the same.
 
     Raises
     ------
@@ -71,7 +60,7 @@ def save_rrd(
         titles,
         aligned=any(span is not None for span in spans),
         length=max((span.end - span.begin for span in spans if span is not None), default=np.inf),
-        energies=any(np.isfinite(run.samples["kinetic"]).any() for run in runs),
+        energies=any(has_ledger(run) for run in runs),
     )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -81,8 +70,7 @@ def save_rrd(
         recording = rr.RecordingStream("capture_sim", recording_id=None)
         recording.save(path, default_blueprint=layout)
         for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
-            colour = style.RUNS[i % len(style.RUNS)]
-            _log_run(RunStream(recording, name, span), run, titles[i], colour)
+            _log_run(RunStream(recording, name, span), run, titles[i], style.run_colour(i))
         _log_limits(recording, runs)
         recording.flush()
         recording.disconnect()
@@ -117,19 +105,17 @@ def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> No
 def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
     """Log as level lines what the runs share: capture radius and stops."""
     limits: list[tuple[str, str, str, float]] = []
-    radii = {run.scene.detector.capture_radius for run in runs}
-    if len(radii) == 1:
+    if len(radii := {run.scene.detector.capture_radius for run in runs}) == 1:
         limits.append(("distance", "capture radius", style.ZONE, radii.pop()))
-    all_stops = {run.scene.stops for run in runs}
-    stops = all_stops.pop() if len(all_stops) == 1 else None
-    if stops is not None:
+    stops = runs[0].scene.stops
+    if stops is not None and {run.scene.stops for run in runs} == {stops}:
         limits.append(("axial_stroke", "stop, inwards", style.GREY, -stops.compression))
         limits.append(("axial_stroke", "stop, outwards", style.GREY, stops.extension))
     # as long as the longest run on either timeline
     longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest))
+    few = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
     for plot, name, colour, value in limits:
         path = f"plots/{plot}/{name.replace(', ', '_').replace(' ', '_')}"
         stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))
-        few = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
         stream.scalars(path, few, np.full(len(few), value * _MM))

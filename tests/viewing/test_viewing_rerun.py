@@ -24,6 +24,7 @@ from capture_sim.viewing.source import in_contact, resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
+from capture_sim.viewing.rerun_bench import cone_mesh
 from capture_sim.viewing.rerun_plots import PLOTS, phases
 from capture_sim.viewing.rerun_server import program
 from capture_sim.viewing.rerun_view import save_rrd
@@ -227,6 +228,18 @@ def test_scene_without_a_string_has_no_diagram_of_its_tension(tmp_path):
 
     assert "string tension, N" in views(capture_sim.load_scene("tilt_0"))
     assert "string tension, N" not in views(capture_sim.load_scene("paper_designed"))
+
+
+def test_cone_mesh_joins_inner_edge_and_lip(runs):
+    cone = runs[0].scene.cone
+    vertices, triangles = cone_mesh(cone)
+    radii = np.hypot(vertices[:, 1], vertices[:, 2])
+    slope = (vertices[:, 0].max() - vertices[:, 0].min()) / (radii.max() - radii.min())
+    assert radii.min() == pytest.approx(cone.R_c)
+    assert slope == pytest.approx(1.0 / np.tan(cone.half_angle))
+    assert triangles.min() == 0
+    assert triangles.max() == len(vertices) - 1
+    assert (vertices[:, 2] < 1e-9).all()  # open above
 
 
 def test_run_without_a_touch_is_saved_too(tmp_path):
