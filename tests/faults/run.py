@@ -49,6 +49,7 @@ def main() -> int:
             fault = FAULTS[title]
             path = folder / fault["file"]
             right = path.read_text(encoding="utf-8")
+            assert right.count(fault["text"]) == 1, f"{title}: its text is not in {path} once"
             path.write_text(right.replace(fault["text"], fault["fault"]), encoding="utf-8")
             caught = fails(folder, fault["tests"])
             path.write_text(right, encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import pytest
@@ -55,3 +56,11 @@ def test_run_without_a_touch_has_dashes():
     assert cells["first touch", "time", "s"] == "-"
     assert cells["first contact", "peak", "N"] == "-"
     assert max(map(len, table([run.summary]).splitlines())) <= 100
+
+
+def test_normal_impulse_is_of_all_touches(results):
+    for run in results:
+        every = run.touches["impulse"].tolist()
+        assert len(every) > 1
+        assert run.summary["normal_impulse"] == pytest.approx(math.fsum(every))
+        assert run.summary["normal_impulse"] > 1.01 * max(every)
