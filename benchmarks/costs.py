@@ -59,59 +59,25 @@ class EvaluationCost:
 
 
 @dataclass(frozen=True)
-class PartCost:
-    """What a scene costs with one thing changed.
-
-    Attributes
-    ----------
-    name : str
-        What was added to the row before, or changed.
-    free, contact : float
-        Of one evaluation, s, medians.
-    evaluations, touches : int
-        Of the run to ``t_end``.
-    t_end : float
-        s, simulated.
-    seconds : Spread
-        Wall time of the run.
-    """
-
-    name: str
-    free: float
-    contact: float
-    evaluations: int
-    touches: int
-    t_end: float
-    seconds: Spread
-
-
-@dataclass(frozen=True)
 class RunCost:
     """What a run costs that ends at ``t_end`` (s)."""
 
     t_end: float
     touches: int
     evaluations: int
-    seconds: Spread
+    seconds: Spread  # wall time
+    name: str = ""  # what was added to the row before, or changed
+    free: float = math.nan  # of one evaluation in free flight and in contact, s, medians
+    contact: float = math.nan
 
 
 @dataclass(frozen=True)
 class BatchCost:
-    """What ``runs`` runs of as many different scenes cost.
-
-    Attributes
-    ----------
-    runs : int
-        Number of scenes.
-    seconds : Spread
-        Wall time, all in all.
-    preparing : float
-        Share of it before the integration.
-    """
+    """What ``runs`` runs of as many different scenes cost."""
 
     runs: int
-    seconds: Spread
-    preparing: float
+    seconds: Spread  # wall time, all in all
+    preparing: float  # share of it before the integration
 
 
 def evaluation_cost(scene: Scene, repeats: int) -> EvaluationCost:
@@ -196,24 +162,15 @@ def parts(scene: Scene) -> Iterator[tuple[str, Scene]]:
     yield "+ ball supports", change(rubbing, supports=Supports(support, support))
 
 
-def part_costs(scene: Scene, t_end: float, repeats: int, progress: Progress) -> list[PartCost]:
-    """Measure the paper's scene with and without its parts, and the ground bench's rail."""
+def part_costs(scene: Scene, t_end: float, repeats: int, progress: Progress) -> list[RunCost]:
+    """Measure the paper's scene with and without its parts."""
     rows = []
-    cases = list(parts(with_run(scene, t_end=t_end)))
+    cases = list(parts(scene))
     for number, (name, case) in enumerate(cases):
         progress.at("cost of parts", number, len(cases), name)
-        bench, seconds = _run(case, repeats)
-        rows.append(
-            PartCost(
-                name=name,
-                free=_evaluation(case, touching=False, repeats=repeats).median,
-                contact=_evaluation(case, touching=True, repeats=repeats).median,
-                evaluations=bench.statistics.evaluations,
-                touches=bench.touches.size,
-                t_end=t_end,
-                seconds=seconds,
-            )
-        )
+        free, contact = (_evaluation(case, on, repeats).median for on in (False, True))
+        cost = run_cost(case, t_end, repeats)
+        rows.append(dataclasses.replace(cost, name=name, free=free, contact=contact))
     return rows
 
 
@@ -222,24 +179,14 @@ def rail_cost(scene: Scene, repeats: int) -> RunCost:
     bench = Bench(scene)
     bench.advance(np.zeros(0))
     end = next(event.t for event in bench.events if event.kind.label == "rail_end")
-    return run_cost(scene, 0.999 * end, repeats)
+    cost = run_cost(scene, 0.999 * end, repeats)
+    return dataclasses.replace(cost, name=f"rail and string (closed form), {cost.t_end:.3g} s")
 
 
 def run_cost(scene: Scene, t_end: float, repeats: int) -> RunCost:
     """Measure a run to ``t_end`` (s)."""
     bench, seconds = _run(with_run(scene, t_end=t_end), repeats)
     return RunCost(t_end, bench.touches.size, bench.statistics.evaluations, seconds)
-
-
-def time_costs(
-    scene: Scene, t_ends: tuple[float, ...], repeats: int, progress: Progress
-) -> list[RunCost]:
-    """Measure runs of growing length."""
-    rows = []
-    for number, t_end in enumerate(t_ends):
-        progress.at("cost of simulated time", number, len(t_ends), f"{t_end:g} s")
-        rows.append(run_cost(scene, t_end, repeats))
-    return rows
 
 
 def batch_costs(

@@ -64,6 +64,8 @@ def load() -> float:
 
 #: Cores that others may keep busy on average before a measurement is no more to be trusted.
 QUIET = 0.1
+#: Written at the top of a page then.
+BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
 
 
 class OthersAtWork:

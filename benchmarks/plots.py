@@ -13,7 +13,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from benchmarks import work_precision
-from benchmarks.tables import Results
+from benchmarks.page import Results
 from benchmarks.trial import Trial
 
 # Okabe and Ito's colours, told apart with any common colour vision

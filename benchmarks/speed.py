@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import costs, machine, other_engines, tables, work_precision
-from benchmarks.page import FOLDER, page
+from benchmarks import costs, machine, other_engines, work_precision
+from benchmarks.page import FOLDER, Results, page, summary, write_trials
 from benchmarks.plots import save_all
 from benchmarks.reference import load_reference
-from benchmarks.tables import Results
 from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
 from capture_sim.launch.scenes import load_scene
@@ -58,14 +57,14 @@ def measure(quick: bool, progress: Progress) -> Results:
         },
         evaluation=costs.evaluation_cost(scene, repeats),
         operations=costs.operations(scene),
-        parts=costs.part_costs(scene, horizon, repeats, progress),
-        rail=costs.rail_cost(load_scene(_ON_RAIL), repeats),
-        times=costs.time_costs(
-            scene,
-            (0.1, 0.35) if quick else (0.01, 0.03, 0.1, 0.35, 1.0, 3.0, 10.0),
-            repeats,
-            progress,
-        ),
+        parts=[
+            *costs.part_costs(scene, horizon, repeats, progress),
+            costs.rail_cost(load_scene(_ON_RAIL), repeats),
+        ],
+        times=[
+            costs.run_cost(scene, t_end, repeats)
+            for t_end in ((0.1, 0.35) if quick else (0.01, 0.03, 0.1, 0.35, 1.0, 3.0, 10.0))
+        ],
         batches=costs.batch_costs(
             scene, horizon, (1, 10) if quick else (1, 10, 100, 1000), 3, progress
         ),
@@ -84,22 +83,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="a reduced sweep")
     parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page (default: docs)")
     options = parser.parse_args(arguments)
-    progress = Progress()
-    try:
-        results = measure(options.quick, progress)
-    finally:
-        progress.close()
-    print(save(results, options.out))
+    print(save(measure(options.quick, Progress()), options.out))
     return 0
 
 
-def save(results: tables.Results, folder: Path) -> str:
+def save(results: Results, folder: Path) -> str:
     """Write page, trials and pictures into a folder; return the tables for a terminal."""
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
-    tables.write_trials(results, folder / FOLDER / "trials.csv")
+    write_trials(results, folder / FOLDER / "trials.csv")
     save_all(results, folder / FOLDER)
-    text = tables.summary(results)
+    text = summary(results)
     return f"{text}\n\npage in {folder / 'benchmark.md'}, pictures in {folder / FOLDER}"
 
 

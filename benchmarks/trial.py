@@ -27,56 +27,25 @@ TOUCHED = np.dtype(
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run's result.
+    """A run's result; NaN and None where an engine does not tell."""
 
-    Attributes
-    ----------
-    q : ndarray (8,)
-        Coordinates at the end, m and rad; NaN if it did not get there.
-    evaluations : int
-        Of the equations of motion.
-    touches : ndarray (n,) of dtype TOUCHED, or None
-        In order of their starts; None where an engine does not tell.
-    impulse : float
-        Normal impulse of both walls, N s; NaN where an engine does not tell.
-    peak_force : float
-        Largest normal force, N; NaN where an engine does not tell.
-    failure : str
-        Why there is no result; empty if there is one.
-    """
-
-    q: np.ndarray
-    evaluations: int
-    touches: np.ndarray | None = None
-    impulse: float = math.nan
-    peak_force: float = math.nan
-    failure: str = ""
+    q: np.ndarray  # (8,), coordinates at the end, m and rad; NaN if it did not get there
+    evaluations: int  # of the equations of motion
+    touches: np.ndarray | None = None  # (n,) of dtype TOUCHED, in order of their starts
+    impulse: float = math.nan  # N s, normal, of both walls
+    peak_force: float = math.nan  # N
+    failure: str = ""  # why there is no result
 
 
 @dataclass(frozen=True)
 class Errors:
-    """How far an outcome is from a reference; NaN where it cannot be told.
+    """How far an outcome is from a reference; NaN where it cannot be told."""
 
-    Attributes
-    ----------
-    position : float
-        Largest difference in any coordinate, m or rad.
-    peak_force : float
-        Largest difference in the peak force of a touch of the first contact, per largest
-        force there; NaN if the touches are not the reference's.
-    event_time : float
-        Largest difference in the time of a touch or lift-off, s; NaN likewise.
-    impulse : float
-        Difference in the normal impulse of both walls, per impulse.
-    touches : int
-        Number of touches begun; -1 where an engine does not tell.
-    """
-
-    position: float = math.nan
-    peak_force: float = math.nan
-    event_time: float = math.nan
-    impulse: float = math.nan
-    touches: int = -1
+    position: float = math.nan  # largest difference in any coordinate, m or rad
+    peak_force: float = math.nan  # ... of a touch of the first contact, per largest force there
+    event_time: float = math.nan  # ... of a touch or lift-off, s
+    impulse: float = math.nan  # normal, of both walls, per impulse
+    touches: int = -1  # begun; -1 where an engine does not tell
 
 
 def errors(outcome: Outcome, truth: Outcome) -> Errors:
@@ -124,36 +93,16 @@ WARMED = 0.1
 
 @dataclass
 class Trial:
-    """An engine at one setting.
-
-    Attributes
-    ----------
-    family : str
-        The engine; its settings make a curve.
-    setting : str
-        Such as "rtol 1e-06".
-    prepare : callable
-        Makes a run ready, untimed.
-    group : str
-        "own", "compiled", "numpy", "python" or "engine"; rivals are compared by group.
-    seconds : list of float
-        Wall times so far, one a round; empty if it failed.
-    outcome : Outcome or None
-        Of the first run.
-    errors : Errors
-        Against the reference.
-    skipped : str
-        Why it was not tried at all; empty if it was.
-    """
+    """An engine at one setting; the settings of a family, loose to tight, make a curve."""
 
     family: str
-    setting: str
-    prepare: Prepare
-    group: str
-    seconds: list[float] = field(default_factory=list)
-    outcome: Outcome | None = None
+    setting: str  # such as "rtol 1e-06"
+    prepare: Prepare  # makes a run ready, untimed
+    group: str  # "own", "compiled", "numpy", "python" or "engine"
+    seconds: list[float] = field(default_factory=list)  # one a round; empty if it failed
+    outcome: Outcome | None = None  # of the first run
     errors: Errors = field(default_factory=Errors)
-    skipped: str = ""
+    skipped: str = ""  # why it was not tried at all
 
     @property
     def failure(self) -> str:
@@ -212,28 +161,16 @@ def spread(values: Iterable[float]) -> tuple[float, float]:
 
 
 class Progress:
-    """Tells on standard error what is being done; on a terminal, in place."""
+    """Shows on standard error what is being done, every few seconds."""
 
     def __init__(self) -> None:
-        self._began = time.monotonic()
-        self._last = 0.0
+        self._began = self._last = time.monotonic()
         self._stage = ""
-        self._in_place = sys.stderr.isatty()
 
     def at(self, stage: str, done: int, total: int, detail: str = "") -> None:
-        """Show how far a stage is; not more than five times a second."""
+        """Show how far a stage is."""
         now = time.monotonic()
-        pause = 0.2 if self._in_place else 5.0
-        if stage == self._stage and now - self._last < pause:
-            return
-        self._stage, self._last = stage, now
-        text = f"[{now - self._began:5.0f} s] {stage}: {done + 1} of {total}, {detail}"
-        if self._in_place:
-            print(f"\r\033[K{text[:100]}", end="", file=sys.stderr, flush=True)
-        else:
+        if stage != self._stage or now - self._last > 5.0:
+            self._stage, self._last = stage, now
+            text = f"[{now - self._began:5.0f} s] {stage}: {done + 1} of {total}, {detail}"
             print(text, file=sys.stderr, flush=True)
-
-    def close(self) -> None:
-        """Clear the line."""
-        if self._in_place:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)

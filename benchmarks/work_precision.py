@@ -43,47 +43,21 @@ _LEAST_RTOL = 2.5e-14  # SciPy takes none below 100 times the rounding unit
 
 @dataclass(frozen=True)
 class Plan:
-    """What is tried at one horizon.
+    """What is tried at one horizon."""
 
-    Attributes
-    ----------
-    t_end : float
-        s.
-    rtols, scipy_rtols : tuple of float
-        For our adaptive integrators and for SciPy's with the compiled RHS.
-    numpy_rtols, python_rtols : tuple of float
-        For SciPy's with the other two.
-    steps : tuple of float
-        For our fixed-step ones, s.
-    atols : tuple of str
-        Out of :data:`ATOL`.
-    stiff_rtols : tuple of float
-        For SciPy's implicit methods, out of the ones above.
-    scipy_methods : tuple of str
-        Of ``solve_ivp``.
-    rounds : int
-        Repetitions of everything quick, and of the rivals that matter.
-    quick : float
-        What takes less than this (s) is repeated in any case.
-    allowed : float
-        Cap on any one run, s; twice that with the NumPy right-hand side.
-    targets : tuple of (group, error, ratio)
-        Position error (m or rad), and how many times SciPy's best with that group's RHS must
-        take as long.
-    """
-
-    t_end: float
-    rtols: tuple[float, ...]
-    scipy_rtols: tuple[float, ...]
-    numpy_rtols: tuple[float, ...]
+    t_end: float  # s
+    rtols: tuple[float, ...]  # of our adaptive integrators
+    scipy_rtols: tuple[float, ...]  # of SciPy's, with the compiled right-hand side,
+    numpy_rtols: tuple[float, ...]  # with the other two,
     python_rtols: tuple[float, ...]
-    stiff_rtols: tuple[float, ...]
-    steps: tuple[float, ...]
-    atols: tuple[str, ...]
+    stiff_rtols: tuple[float, ...]  # and, out of these, of its implicit methods
+    steps: tuple[float, ...]  # s, of our fixed-step ones
+    atols: tuple[str, ...]  # out of ATOL
     scipy_methods: tuple[str, ...]
-    rounds: int
-    quick: float
-    allowed: float
+    rounds: int  # of everything quick, and of the rivals that matter
+    quick: float  # s; what takes less is repeated in any case
+    allowed: float  # s, of any one run; twice that with the NumPy right-hand side
+    #: Group of rivals, position error (m or rad), ratio that is wanted there.
     targets: tuple[tuple[str, float, float], ...]
 
 
@@ -143,36 +117,19 @@ QUICK = (
 
 @dataclass(frozen=True)
 class Comparison:
-    """Ours against SciPy's best at the same position error.
+    """The fastest of ours against the fastest of others at the same position error."""
 
-    Attributes
-    ----------
-    t_end, error : float
-        s; m or rad.
-    group : str
-        Whose right-hand side SciPy had.
-    own, rival : str
-        The fastest of either side.
-    own_seconds, rival_seconds : float
-        Medians of the interpolated wall times.
-    ratio, low, high : float
-        Rival's time per ours: median and quartiles over rounds; NaN where one side never got
-        as exact.
-    target : float
-        Wanted ratio; NaN where none is.
-    """
-
-    t_end: float
-    error: float
-    group: str
+    t_end: float  # s
+    error: float  # m or rad
+    group: str  # whose right-hand side SciPy had
     own: str
     rival: str
-    own_seconds: float
+    own_seconds: float  # medians of the interpolated wall times
     rival_seconds: float
-    ratio: float
-    low: float
+    ratio: float  # rival's time per ours: median over rounds; NaN where one never got as exact
+    low: float  # ... and quartiles
     high: float
-    target: float
+    target: float  # NaN where none is wanted
 
     @property
     def met(self) -> bool:
