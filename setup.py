@@ -75,6 +75,7 @@ def cmake_install(build: Path) -> Path:
         f"-DPython3_EXECUTABLE={sys.executable}",
         "-DCMAKE_BUILD_TYPE=Release",
         "-DBUILD_TESTING=OFF",
+        "-DINSTALL_COMMAND=OFF",  # setuptools makes it, see pyproject.toml
     ]
     compile_and_install = [
         *("cmake", "--build", build, "--target", "install"),

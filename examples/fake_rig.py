@@ -4,6 +4,7 @@ std_msgs/Bool on launcher/hold lets the chaser go (false) and puts it back (true
 the rig's own, stamps jitter by 1 ms and 1 % of the messages are lost.
 """
 
+import contextlib
 import math
 import random
 
@@ -15,9 +16,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-RATE, SPEED, DROP = 100.0, 0.105, 0.1  # Hz; m/s, reached after so many metres
+RATE, CLOCK, SPEED, DROP = 100.0, 1.2e9, 0.105, 0.1  # Hz; s, its zero; m/s, reached after m
 START, STOP, TARGET = 0.0, 0.2125, 0.66  # m, x of the chaser, and of the target
-CLOCK = 1.2e9  # s, where this clock begins
 
 
 class FakeRig(Node):
@@ -43,7 +43,7 @@ class FakeRig(Node):
         self.send(self.chaser, PoseStamped(), x=min(x, STOP))
         self.send(self.target, PoseStamped(), x=TARGET)
         self.send(
-            self.joints, JointState(name=["buffer_hinge", "buffer_slide"], position=[0.0] * 2)
+            self.joints, JointState(name=["buffer_hinge", "buffer_slide"], position=[0.0, 0.0])
         )
         self.send(self.cell, WrenchStamped())
 
@@ -57,8 +57,6 @@ class FakeRig(Node):
             publisher.publish(message)
 
 
-try:
+with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.init()
     rclpy.spin(FakeRig())
-except (KeyboardInterrupt, ExternalShutdownException):
-    pass
