@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from capture_sim import __version__
 from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
+from capture_sim.errors import one_line
 
 #: Extra of pyproject.toml that brings a package of another name along.
 _EXTRAS = {
@@ -113,7 +114,7 @@ class _Parser(argparse.ArgumentParser):
         (file or sys.stderr).write(message)
 
     def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {_in_a_line(message)}; see {self.prog} --help\n")
+        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)}; see {self.prog} --help\n")
 
 
 def _failed(error: Exception) -> int:
@@ -146,16 +147,9 @@ def _lacking(error: ImportError) -> str:
     return str(error)
 
 
-def _in_a_line(text: str) -> str:
-    """Return a text without line breaks and control characters, shortened where it is endless."""
-    text = "".join(c if c.isprintable() else " " for c in text)
-    text = " ".join(text.split())
-    return text if len(text) <= 1000 else f"{text[:700]} ... {text[-290:]}"
-
-
 def _complain(text: str) -> None:
     try:
-        print(f"capture-sim: {_in_a_line(text)}", file=sys.stderr, flush=True)
+        print(f"capture-sim: {one_line(text)}", file=sys.stderr, flush=True)
     except OSError:
         sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
+
     from capture_sim.simulation import Result
 
 
@@ -45,5 +45,16 @@ class RecordingError(CaptureSimError):
     """A recording could not be written or read."""
 
 
+class MessageError(RecordingError):
+    """A message from outside, live or recorded, is not usable; the text says why."""
+
+
 class MissingPackageError(CaptureSimError):
     """An optional package is asked for that is not installed; the message names it."""
+
+
+def one_line(text: str) -> str:
+    """Return a text without line breaks and control characters, shortened where it is endless."""
+    text = "".join(c if c.isprintable() else " " for c in text)
+    text = " ".join(text.split())
+    return text if len(text) <= 1000 else f"{text[:700]} ... {text[-290:]}"

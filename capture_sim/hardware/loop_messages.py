@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import MessageError
 from capture_sim.hardware.walls import TipState, Wrench
 from capture_sim.messages.cdr import Columns
 from capture_sim.messages.convert import (
@@ -54,14 +54,14 @@ def tip_of(message: Any) -> TipState:
 
     Raises
     ------
-    CaptureSimError
-        It is given in another frame than target/cone.
+    MessageError
+        It is given in another frame than target/cone, or in numbers that are not finite.
     """
     _check_frame(message)
     pose, twist = message.pose.pose, message.twist.twist
     theta = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
     cos, sin = math.cos(theta), math.sin(theta)
-    return TipState(
+    tip = TipState(
         t=stamp_of(message),
         x=pose.position.x,
         y=pose.position.y,
@@ -70,6 +70,9 @@ def tip_of(message: Any) -> TipState:
         vy=sin * twist.linear.x + cos * twist.linear.y,
         omega=twist.angular.z,
     )
+    if not all(math.isfinite(value) for value in tip):
+        raise MessageError(f"{tip}: allowed are finite numbers")
+    return tip
 
 
 def wrench_of(message: Any) -> Wrench:
@@ -77,7 +80,7 @@ def wrench_of(message: Any) -> Wrench:
 
     Raises
     ------
-    CaptureSimError
+    MessageError
         It is given in another frame than target/cone.
     """
     _check_frame(message)
@@ -88,4 +91,4 @@ def wrench_of(message: Any) -> Wrench:
 def _check_frame(message: Any) -> None:
     frame = message.header.frame_id
     if frame != CONE_FRAME:
-        raise CaptureSimError(f"header.frame_id = {frame!r}: allowed is {CONE_FRAME}")
+        raise MessageError(f"header.frame_id = {frame!r}: allowed is {CONE_FRAME}")

@@ -18,7 +18,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.topics import Stamp, Topic
 
 #: Fields of n messages, (n, ...) each, by their path in the message (``"header.stamp.sec"``).
@@ -51,7 +51,7 @@ def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
 
     Raises
     ------
-    RecordingError
+    MessageError
         The bytes are no such message.
     """
     if topic.stamp is Stamp.NONE:
@@ -59,7 +59,7 @@ def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
     try:
         sec, nanosec = _TIME.unpack_from(data, _HEADER)
     except struct.error:
-        raise RecordingError(f"{topic.name}: message of {len(data)} bytes has no stamp") from None
+        raise MessageError(f"{topic.name}: message of {len(data)} bytes has no stamp") from None
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
@@ -68,7 +68,7 @@ def sequence_of(topic: Topic, data: bytes) -> int | None:
 
     Raises
     ------
-    RecordingError
+    MessageError
         The bytes are no such message.
     """
     if not topic.sequenced:
@@ -78,7 +78,7 @@ def sequence_of(topic: Topic, data: bytes) -> int | None:
         position = _aligned(12 + length, 8)
         (seq,) = _SEQUENCE.unpack_from(data, _HEADER + position)
     except struct.error:
-        raise RecordingError(f"{topic.name}: message of {len(data)} bytes has no seq") from None
+        raise MessageError(f"{topic.name}: message of {len(data)} bytes has no seq") from None
     return int(seq)
 
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Columns, Template, fill
 from capture_sim.messages.definitions import blank, typestore
 from capture_sim.samples import SAMPLE, TRACE, Event, Phase
@@ -152,6 +153,30 @@ class RunDescription:
             rate=scene.run.rate,
             publishers=tuple(publishers),
             consumers=tuple(consumers),
+        )
+
+    @classmethod
+    def of_message(cls, info: Any) -> RunDescription:
+        """Return the description of a run from its RunInfo, of any library.
+
+        Raises
+        ------
+        MessageError
+            A rate is none.
+        """
+        for name in ("state_rate", "rate"):
+            value = float(getattr(info, name))
+            if not 0.0 < value < math.inf:
+                raise MessageError(f"RunInfo.{name} = {value:g} Hz: allowed is above 0")
+        return cls(
+            run_id=info.run_id,
+            name=info.name,
+            scene=info.scene,
+            software=tuple(info.software),
+            state_rate=float(info.state_rate),
+            rate=float(info.rate),
+            publishers=tuple(info.publishers),
+            consumers=tuple(info.consumers),
         )
 
     @property

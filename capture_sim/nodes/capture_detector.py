@@ -7,12 +7,10 @@ from dataclasses import Field, fields, replace
 from functools import partial
 from typing import Any
 
-from rclpy.serialization import deserialize_message
-
 from capture_sim.detection.align import Source, Values
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
-from capture_sim.errors import SceneError
+from capture_sim.errors import MessageError, SceneError
 from capture_sim.messages.convert import CRITERIA, EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
 from capture_sim.messages.measurements import detector_sources, measured
 from capture_sim.messages.telemetry import DetectorTelemetry
@@ -27,7 +25,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import BenchNode, MessageError, ParameterError, message_class, run
+from capture_sim.nodes.node import BenchNode, ParameterError, from_bytes, run
 from capture_sim.nodes.participant import READ, Participant
 from capture_sim.scene.parts import Detector, Scene
 
@@ -108,7 +106,7 @@ class CaptureDetectorNode(Participant):
         source = self._sources.get(topic)
         if source is None:
             return
-        message: Any = deserialize_message(data, message_class(topic.type_name))
+        message: Any = from_bytes(topic, data)
         values = _joints(message) if topic is JOINT_STATES else measured(source, message)
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         if self._zero is None:

@@ -12,10 +12,12 @@ import inspect
 import math
 import os
 import signal
+import struct
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -39,10 +41,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import leave_if_busy
 from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
@@ -62,6 +65,10 @@ OK, FAILED, REFUSED = 0, 1, 2
 LINGER = 0.3
 #: A latched message waits this long for what was sent before it, s (wall).
 IN_ORDER = 1.0
+#: Of messages of a topic that are refused one is named in so many s (wall), the others counted.
+REFUSING = 5.0
+#: What numbers, lists and bytes raise in a callback that no one had in mind.
+_ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 _TYPES = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
@@ -72,6 +79,7 @@ class ParameterError(CaptureSimError):
     """A parameter of a node is not usable; the message says what is allowed."""
 
 
+@cache
 def message_class(type_name: str) -> Any:
     """Return the class of a message type given as ``package/msg/Name``."""
     package, _, name = type_name.split("/")
@@ -117,6 +125,7 @@ class BenchNode(Node):
         self._senders: dict[Topic, Any] = {}
         self._retired: list[Any] = []
         self._latches: dict[Topic, Any] = {}  # of streams whose last state is kept
+        self._refused: dict[Topic, tuple[float, int]] = {}  # when last said, and how many since
         self._checks: dict[str, Callable[[Any], None]] = {}
         # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
         self._given = {
@@ -271,20 +280,21 @@ class BenchNode(Node):
         callback: Callable[[Any], None],
         *,
         latched: bool | None = None,
+        raw: bool = False,
         **options: Any,
     ) -> None:
-        """Subscribe to a topic.
+        """Subscribe to a topic; ``raw``: the callback takes a message's bytes.
 
         A message that cannot be used is refused in one line, and the node goes on; an error
         that is no message's fault ends it.
         """
 
-        def take(message: Any) -> None:
+        def take(data: bytes) -> None:
             try:
                 if self.failure is None:
-                    callback(message)
-            except MessageError as error:
-                self.get_logger().error(f"{topic.name}: refused: {error}")
+                    callback(data if raw else from_bytes(topic, data))
+            except (MessageError, *_ODD_CONTENTS) as error:
+                self.refuse(topic, error)
             except CaptureSimError as error:
                 self.fail(error)
 
@@ -294,8 +304,21 @@ class BenchNode(Node):
             take,
             qos_of(topic, latched=latched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
             **options,
         )
+
+    def refuse(self, topic: Topic, error: Exception) -> None:
+        """Say that a message is refused, at most once in :data:`REFUSING` s of each topic."""
+        kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
+        said, more = self._refused.get(topic, (-math.inf, 0))
+        now = time.monotonic()
+        if now - said < REFUSING:
+            self._refused[topic] = said, more + 1
+            return
+        self._refused[topic] = now, 0
+        unsaid = f" ({more} more before it)" if more else ""
+        self.get_logger().error(one_line(f"{topic.name}: refused: {kind}{error}{unsaid}"))
 
     def fail(self, error: Exception) -> None:
         """Let the main thread end the node because of an error in a callback."""
@@ -383,8 +406,18 @@ class BenchNode(Node):
         return all(acknowledged(s, max(0.0, deadline - time.monotonic())) for s in senders)
 
 
-class MessageError(CaptureSimError):
-    """A message from outside is not usable; the text says why."""
+def from_bytes(topic: Topic, data: bytes) -> Any:
+    """Return the message of a topic that was taken raw.
+
+    Raises
+    ------
+    MessageError
+        The bytes are no such message.
+    """
+    try:
+        return deserialize_message(data, message_class(topic.type_name))
+    except RuntimeError:  # rclpy's RMWError, of several lines
+        raise MessageError(f"{len(data)} bytes are no {topic.type_name}") from None
 
 
 def acknowledged(publisher: Any, limit: float) -> bool:
@@ -532,7 +565,7 @@ def run(
 
 
 def _refuse(reason: str) -> int:
-    print(f"error: {reason}", file=sys.stderr, flush=True)
+    print(f"error: {one_line(reason)}", file=sys.stderr, flush=True)
     return REFUSED
 
 
@@ -571,9 +604,8 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, CaptureSimError):
-        return str(error)
-    return f"stopped by {type(error).__name__}: {error}"
+    kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
+    return one_line(f"{kind}{error}")
 
 
 def _usage(make: Callable[..., object]) -> str:

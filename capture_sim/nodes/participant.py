@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
 
 from capture_sim.control.simulation import QUITTING, RESET, STOPPED
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import (
@@ -54,11 +54,11 @@ from capture_sim.nodes.node import (
     FAILED,
     OK,
     BenchNode,
-    MessageError,
     ParameterError,
     message_class,
 )
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import shown
 from capture_sim.srv import BeginTrial
 
 RECORDER = "recorder"
@@ -77,6 +77,8 @@ INTERRUPTED = "interrupted"
 _EARLY = "ended early: "
 #: ... and that somebody asked the simulator to end: nothing has failed.
 _AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
+#: Characters of a run's name that are taken.
+LONGEST_NAME = 200
 #: What a participant waits for its own readers to be matched at most, s (wall).
 MATCHING = 5.0
 #: Messages that were on their way when the announcer went are waited for this long, s (wall).
@@ -86,7 +88,7 @@ GRACE = 0.5
 FAREWELL = 3.0
 
 
-def readers(topic: Topic, roles: Sequence[str]) -> int:
+def readers(topic: Topic, roles: Collection[str]) -> int:
     """Return how many of these roles subscribe to a topic."""
     return sum(topic in READ.get(role, ()) for role in roles)
 
@@ -258,31 +260,38 @@ class Participant(BenchNode):
                 if not self.simulated:  # of which the counts say how it has ended
                     self._end_with(message_class(STREAM_COUNTS.type_name)(complete=True))
                 return
-            self._finish(f"another run, {info.name}, was announced meanwhile")
         over = self._ended is not None and self._ended.run_id == info.run_id
         if not info.run_id or over:
             return
         try:
             scene = load_scene_text(info.scene)
-            if not (0.0 < info.rate <= info.state_rate < math.inf):
-                raise CaptureSimError(
-                    f"rate = {info.rate:g}, state_rate = {info.state_rate:g} Hz: allowed are "
-                    "numbers > 0, the second not below the first"
-                )
+            described = RunDescription.of_message(info)
         except CaptureSimError as error:
             raise MessageError(str(error)) from None
+        if described.rate > described.state_rate:
+            raise MessageError(f"rate = {info.rate:g} Hz: allowed is <= {info.state_rate:g}")
+        if not info.name.isprintable() or len(info.name) > LONGEST_NAME:
+            raise MessageError(
+                f"name = {shown(info.name)}: allowed are {LONGEST_NAME} printable characters"
+            )
+        if self.run is not None:
+            self._finish(f"another run, {info.name}, was announced meanwhile")
         self._wait_for_readers(info)
         self._came.clear()
         self._counts, self._deadline = None, math.inf
         self.run = info
-        self.begin(info, scene)
+        try:
+            self.begin(info, scene)
+        except Exception:
+            self.run = None
+            raise
 
     def _wait_for_readers(self, info: Any) -> None:
         """Wait until those read this node that take part; callbacks come in order afterwards."""
         deadline = time.monotonic() + MATCHING
         for topic in topics_of(self.role):
             commands = topic is LAUNCH_COMMAND and SIMULATOR in info.publishers
-            wanted = readers(topic, info.consumers) + commands
+            wanted = readers(topic, set(info.consumers)) + commands
             while self.matched(topic) < wanted and time.monotonic() < deadline:
                 time.sleep(0.002)
 
@@ -329,7 +338,7 @@ class Participant(BenchNode):
             problems = []
         for problem in problems:
             self._status = FAILED
-            self.get_logger().error(f"{self.run.name}: {problem}")
+            self.get_logger().error(one_line(f"{self.run.name}: {problem}"))
         self.run = None
         self._deadline = math.inf
         self._runs += 1

@@ -12,13 +12,14 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type, typestore
 from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
-from capture_sim.nodes.node import ParameterError, message_class, run
+from capture_sim.nodes.node import ParameterError, from_bytes, run
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.scene.parts import Scene
@@ -95,9 +96,12 @@ class RecorderNode(Participant):
         self._recorder = LiveRecorder(self._out, topics=self._topics, split=self._split)
         self._recorder.paused = self._paused
         self._recorder.take(RUN_INFO, serialize_message(info))
-        for topic, data in self._early:
-            self._recorder.take(topic, data)
-        self._early.clear()
+        early, self._early = self._early, []
+        for topic, data in early:
+            try:
+                self._recorder.take(topic, data)
+            except MessageError as error:
+                self.refuse(topic, error)
         self.get_logger().info(f"{info.name}: recording in {self._out}")
 
     def complete(self) -> bool:
@@ -154,7 +158,7 @@ class RecorderNode(Participant):
                 self._early.append((topic, data))
             return
         if topic is STREAM_COUNTS:
-            counts: Any = deserialize_message(data, message_class(topic.type_name))
+            counts: Any = from_bytes(topic, data)
             if counts.publisher not in self.run.publishers:
                 return  # another recorder's
         self._recorder.take(topic, data)

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import RunCut, SimulationControl, State
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, MessageError
 from capture_sim.kernels import is_compiled
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
@@ -160,11 +160,17 @@ class SimulatorNode(BenchNode):
             if command.run_id != self._run.id:
                 return  # latched by an earlier run
             if command.action == LaunchAction.ARM:
+                try:
+                    _plan(self._run.scene, command)
+                except CaptureSimError as error:
+                    raise MessageError(str(error)) from None
                 self._run.armed = command
             elif command.action == LaunchAction.RELEASE:
                 self._run.released = True
             elif command.action == LaunchAction.ABORT:
                 self.control.cut("aborted by the launcher")
+            else:
+                raise MessageError(f"action = {command.action}: allowed are 1 to 3")
 
     def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
@@ -286,7 +292,9 @@ class SimulatorNode(BenchNode):
             self.control.ready()
             if launched_by_hand:
                 self._barrier.wait(name, self._launched, None)
-            failure = self._simulate(Bench(announced.scene, self._commanded_plan()))
+            failure = self._simulate(
+                Bench(announced.scene, _plan(announced.scene, self._run.armed))
+            )
         except RunCut as asked:
             cut = asked
             if not asked.asked_for:
@@ -333,19 +341,6 @@ class SimulatorNode(BenchNode):
     def _launched(self) -> str:
         return "" if self._run.armed and self._run.released else "waiting for the release"
 
-    def _commanded_plan(self) -> LaunchPlan:
-        """Return the launch with the mass and height that the launcher has set, if one has."""
-        scene, armed = self._run.scene, self._run.armed
-        if scene.string is None or armed is None:
-            return plan_launch(scene)
-        fitted = replace(
-            scene.string,
-            impact_speed=None,
-            hanging_mass=armed.hanging_mass,
-            drop_height=armed.drop_height,
-        )
-        return plan_launch(replace(scene, string=fitted))
-
     def _end_run(self, reason: str) -> None:
         """Say how much was sent, when it has arrived."""
         assert self._telemetry is not None
@@ -371,6 +366,19 @@ class SimulatorNode(BenchNode):
         finally:
             self.send(RUN_INFO, message_class(RUN_INFO.type_name)())  # no run is on
         return ""
+
+
+def _plan(scene: Scene, armed: Any) -> LaunchPlan:
+    """Return the launch with the mass and height that a launcher has set, if one has."""
+    if scene.string is None or armed is None:
+        return plan_launch(scene)
+    fitted = replace(
+        scene.string,
+        impact_speed=None,
+        hanging_mass=armed.hanging_mass,
+        drop_height=armed.drop_height,
+    )
+    return plan_launch(replace(scene, string=fitted))
 
 
 def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:

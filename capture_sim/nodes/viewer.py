@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.serialization import deserialize_message
 
 from capture_sim.detection.align import Observation, Source, observed
 from capture_sim.detection.exact import CaptureState
@@ -36,7 +35,7 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
     Topic,
 )
-from capture_sim.nodes.node import ParameterError, message_class, run
+from capture_sim.nodes.node import ParameterError, from_bytes, run
 from capture_sim.nodes.participant import Participant
 from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import SAMPLE
@@ -151,7 +150,7 @@ class ViewerNode(Participant):
     def _take_state(self, data: bytes) -> None:
         if not self._is_shown(BENCH_STATE, data):
             return
-        message = deserialize_message(data, message_class(BENCH_STATE.type_name))
+        message = from_bytes(BENCH_STATE, data)
         sample = np.zeros(1, dtype=SAMPLE)
         for name in SAMPLE.names or ():
             sample[name] = getattr(message, name)
@@ -163,7 +162,7 @@ class ViewerNode(Participant):
         if topic is CHASER_ODOMETRY:
             # by now all of the instant before has come
             self._show_pending()
-        message = deserialize_message(data, message_class(topic.type_name))
+        message = from_bytes(topic, data)
         self._newest[topic] = [*self._newest.get(topic, [])[-1:], message]
 
     def _begin_unannounced(self) -> bool:
@@ -238,7 +237,7 @@ class ViewerNode(Participant):
     def _show_verdict(self) -> None:
         if self._judgement is None:
             return
-        status = deserialize_message(self._judgement, message_class(CAPTURE_STATUS.type_name))
+        status = from_bytes(CAPTURE_STATUS, self._judgement)
         t = self._since_start(stamp_seconds(stamp_ns_of(status)))
         # one that is older belongs to the next run, which is not announced yet
         if self.run is not None or self._unannounced or t >= self._last_verdict:

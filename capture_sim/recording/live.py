@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from typing import Any, Self
 
 from rosbags.serde import SerdeError
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import MessageError, RecordingError
 from capture_sim.files import file_name, free_path, whole_file
 from capture_sim.messages.cdr import sequence_of, stamp_of
 from capture_sim.messages.convert import RunDescription
@@ -155,7 +154,7 @@ class RecordingFiles:
 
     def give_up(self) -> None:
         """Close the file as far as that is possible."""
-        with suppress(RecordingError):
+        with suppress(Exception):  # the file is as whole as it can be
             self._writer.close()
 
     def _open(self) -> RunWriter:
@@ -279,7 +278,9 @@ class LiveRecorder:
         Raises
         ------
         RecordingError
-            The file cannot be written, or the bytes are no such message.
+            The file cannot be written.
+        MessageError
+            The bytes are no such message.
         """
         if self._report is not None:
             raise RecordingError(f"{topic.name}: message after the recording was closed")
@@ -292,9 +293,9 @@ class LiveRecorder:
             self._take_counts(data)
         elif topic in self._topics:
             paused = self.paused
+            stamp = self._log_time(topic, data)
             self._completeness.add(topic, sequence_of(topic, data), written=not paused)
             if not paused:
-                stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
                 self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
@@ -321,12 +322,18 @@ class LiveRecorder:
     def __exit__(self, *error: object) -> None:
         self.close()
 
+    def _log_time(self, topic: Topic, data: bytes) -> int | None:
+        stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
+        if stamp is not None and stamp < 0:
+            raise MessageError(f"stamp = {stamp / 1e9:g} s: allowed is >= 0")
+        return stamp
+
     def _take_info(self, data: bytes) -> None:
         info = decoded(RUN_INFO, data)
         if self.run is None:
-            run = described(info)
+            run = RunDescription.of_message(info)
             self._simulated = SIMULATOR in run.publishers
-            stamp = stamp_of(RUN_INFO, data) if self._simulated else time.time_ns()
+            stamp = self._log_time(RUN_INFO, data)
             files = self._queue.open(
                 self._directory, run, self._metadata, self._topics, self._split
             )
@@ -341,16 +348,14 @@ class LiveRecorder:
             self._remarks[f"another run was announced meanwhile: {info.run_id!r}"] = None
 
     def _take_counts(self, data: bytes) -> None:
+        ended = decoded(STREAM_COUNTS, data)
+        if len(ended.topics) != len(ended.counts):
+            raise MessageError(f"{len(ended.topics)} topics and {len(ended.counts)} counts")
         if self.run is None:
             self._early_counts.append(data)
             return
-        ended = decoded(STREAM_COUNTS, data)
         if ended.run_id != self.run.run_id:
             return  # latched by an earlier run
-        if len(ended.topics) != len(ended.counts):
-            raise RecordingError(
-                f"{STREAM_COUNTS.name}: {len(ended.topics)} topics and {len(ended.counts)} counts"
-            )
         self._counts.setdefault(ended.publisher, data)
         counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
         self._completeness.end(
@@ -369,42 +374,18 @@ class LiveRecorder:
         )
 
 
-def described(info: Any) -> RunDescription:
-    """Return the description of a run from its RunInfo.
-
-    Raises
-    ------
-    RecordingError
-        A rate is none.
-    """
-    for name in ("state_rate", "rate"):
-        value = float(getattr(info, name))
-        if not 0.0 < value < math.inf:
-            raise RecordingError(f"{RUN_INFO.name}: {name} = {value:g} Hz: allowed is above 0")
-    return RunDescription(
-        run_id=info.run_id,
-        name=info.name,
-        scene=info.scene,
-        software=tuple(info.software),
-        state_rate=float(info.state_rate),
-        rate=float(info.rate),
-        publishers=tuple(info.publishers),
-        consumers=tuple(info.consumers),
-    )
-
-
 def decoded(topic: Topic, data: bytes) -> Any:
     """Return a message of a topic from its bytes.
 
     Raises
     ------
-    RecordingError
+    MessageError
         The bytes are no such message.
     """
     try:
         return typestore().deserialize_cdr(data, topic.type_name)
     except (SerdeError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{topic.name}: {error}") from None
+        raise MessageError(f"{topic.name}: {error}") from None
 
 
 class _WriteQueue:

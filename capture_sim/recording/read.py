@@ -34,7 +34,6 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.contents import CDR, UNPACKED_RATIO, Contents, read_contents
-from capture_sim.recording.live import described
 from capture_sim.recording.write import (
     END_METADATA,
     RECOVERY_METADATA,
@@ -263,7 +262,7 @@ class Run:
         if len(self.run_ids) != 1:
             return None
         fields = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
-        return described(SimpleNamespace(**fields))
+        return RunDescription.of_message(SimpleNamespace(**fields))
 
     @cached_property
     def scene(self) -> Scene:

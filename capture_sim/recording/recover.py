@@ -58,7 +58,7 @@ from capture_sim.recording.contents import (
     summary_of,
     unpacked,
 )
-from capture_sim.recording.live import decoded, described
+from capture_sim.recording.live import decoded
 from capture_sim.recording.write import (
     BAG_METADATA,
     CHUNK_SIZE,
@@ -491,7 +491,7 @@ def _run(parts: list[_Part]) -> RunDescription | None:
     """Return the description of the run from its announcement, where that is whole."""
     for topic, message in _of_topics(parts, RUN_INFO):
         with suppress(RecordingError):
-            return described(decoded(topic, message.data))
+            return RunDescription.of_message(decoded(topic, message.data))
     return None
 
 

@@ -1,0 +1,210 @@
+"""Whatever a foreign publisher sends, a node goes on: odd messages are refused in a line each.
+
+The messages are drawn from their definitions, with a fixed seed; ``CAPTURE_SIM_EXAMPLES=5000``
+sends that many.  All nodes are started once and see all of them, within runs and between.
+"""
+
+import os
+import re
+import time
+
+import pytest
+from bench_processes import Client, Simulation, processes, wait_until
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from rcl_interfaces.srv import ListParameters
+from rclpy.duration import Duration
+from rclpy.serialization import serialize_message
+
+from capture_sim import load_scene, simulate
+from capture_sim.bench import compile_kernels
+from capture_sim.control.simulation import State
+from capture_sim.hardware.in_the_loop import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
+from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS
+from capture_sim.nodes.node import message_class, qos_of
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
+
+EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
+READY = ("launcher", "capture_detector", "recorder", "viewer", CONTACT_RIG)
+SCENES = [load_scene(name).to_yaml() for name in ("tilt_0", "paper_undamped")]
+RUNS = ("", "run_1", "run_2", "../x", "\x1b[2J\n", "x" * 5000)
+# of each node's lines, beside those of the messages themselves
+FEW = 60
+NUMBERS = (0.0, -0.0, 1.0, -1.0, 0.5, 5e-324, 1e308, float("nan"), float("inf"), -float("inf"))
+TEXTS = (
+    *("", "x", "simulator", "launcher", "capture_detector", "recorder", "bench/state"),
+    *("world", "target/cone", "a\nb", "\x1b[31m", "../../x", "/etc/x", ".", "é" * 300, "y" * 20000),
+    *("buffer_slide", "buffer_hinge", RUN_INFO.name, "/" + CLOCK.name),
+)
+NAMES = (*TEXTS, "tilt_0", "tilt_0 again")
+SCENE_TEXTS = (
+    *("", "a: [", "name: x", "&a [*a, *a]", "{[1]: 2}", "run: {rate: .nan}", "- 1", "!!int x"),
+    *("x: " + "[" * 5000, "name: " + "z" * 100_000, SCENES[0].replace("0.2", ".nan", 1)),
+)
+INTEGERS = {"uint8": (0, 255), "int8": (-128, 127), "int32": (-(2**31), 2**31 - 1)}
+INTEGERS |= {"uint32": (0, 2**32 - 1), "uint64": (0, 2**64 - 1), "uint16": (0, 65535)}
+
+
+def values(kind, field=""):
+    """Return what may stand in a field of a type, as ROS writes the type."""
+    if fixed := re.fullmatch(r"(.+)\[(\d+)\]", kind):
+        return st.lists(values(fixed[1]), min_size=int(fixed[2]), max_size=int(fixed[2]))
+    if kind.startswith("sequence<"):
+        inner = values(kind[9:-1].split(",")[0])
+        return st.lists(inner, max_size=5) | inner.map(lambda value: [value] * 3000)
+    if kind == "boolean":
+        return st.booleans()
+    if kind in ("double", "float"):
+        return st.sampled_from(NUMBERS)
+    if kind == "string":
+        texts = {"run_id": RUNS, "name": NAMES, "scene": SCENE_TEXTS}
+        return st.sampled_from(texts.get(field, TEXTS))
+    if kind in INTEGERS:
+        low, high = INTEGERS[kind]
+        return st.sampled_from((low, high, 1, 2)) | st.integers(0, min(high, 5))
+    package, name = kind.split("/")
+    return messages(message_class(f"{package}/msg/{name}"))
+
+
+def messages(kind):
+    fields = kind.get_fields_and_field_types()
+    return st.fixed_dictionaries(
+        {name: values(type_name, name) for name, type_name in fields.items()}
+    ).map(lambda found: kind(**found))
+
+
+def valid_run():
+    """Return runs that are taken up, so that what follows comes within one."""
+    return st.builds(
+        message_class(RUN_INFO.type_name),
+        run_id=st.sampled_from(RUNS[1:3]),
+        name=st.sampled_from(("foreign_1", "foreign_2")),
+        scene=st.sampled_from(SCENES),
+        state_rate=st.just(1000.0),
+        rate=st.just(100.0),
+        publishers=st.sampled_from(([], ["simulator"], ["launcher", "x"])),
+    )
+
+
+def sent():
+    """Return topics with messages: drawn from the definition, or bytes that are none."""
+    drawn = [
+        st.tuples(st.just(topic), messages(message_class(topic.type_name)))
+        for topic in (*(topic for topic in TOPICS if topic is not CLOCK), TIP)
+    ]
+    drawn.append(messages(message_class(TIP_WRENCH.type_name)).map(not_finite))
+    drawn += [st.tuples(st.just(RUN_INFO), valid_run())] * 3
+    drawn += [st.tuples(st.just(STREAM_COUNTS), messages(message_class(STREAM_COUNTS.type_name)))]
+    whole = st.one_of(drawn)
+    cut = st.tuples(whole, st.integers(0, 60)).map(
+        lambda pair: (pair[0][0], serialize_message(pair[0][1])[: pair[1]])
+    )
+    return whole | whole | whole | whole | cut
+
+
+def not_finite(wrench):
+    """Return a wrench that the loop must not begin with."""
+    wrench.wrench.force.x = float("nan")
+    return TIP_WRENCH, wrench
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """All nodes, the simulation stopped, and a client."""
+    compile_kernels()
+    out = tmp_path_factory.mktemp("foreign") / "out"
+    bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
+    with processes(out.parent) as start, Client() as client:
+        never = {"exit_when_done": "false"}
+        nodes = {
+            "simulator": start("simulator", initial_state="stopped", rtf=0.0, **never),
+            "launcher": start("launcher", **never),
+            "capture_detector": start("capture_detector", **never),
+            "recorder": start("recorder", out=out, **never),
+            "viewer": start("viewer", port=9871, **never),
+            CONTACT_RIG: start(CONTACT_RIG),
+            LOOP_SIMULATOR: start(LOOP_SIMULATOR, start_timeout=3600.0, __ns="/loop"),
+            "player": start("player", bag=bag, topics="[bench/state]", paused="true"),
+        }
+        for name in READY:
+            nodes[name].wait_for("ready")
+        nodes[LOOP_SIMULATOR].wait_for("waiting")
+        yield nodes, client, out
+
+
+def test_odd_messages_end_no_node(bench):
+    nodes, client, out = bench
+    simulation = Simulation(client)
+    assert simulation.state is State.STOPPED
+    publishers, count = {}, 0
+
+    def publish(topic, message):
+        if topic not in publishers:
+            publishers[topic] = client.node.create_publisher(
+                message_class(topic.type_name),
+                f"loop/{topic.name}" if topic is TIP_WRENCH else topic.name,
+                qos_of(topic, latched=topic.latched),
+            )
+            time.sleep(0.1)
+        publishers[topic].publish(message)
+
+    @settings(
+        max_examples=EXAMPLES,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(sent())
+    def send(drawn):
+        nonlocal count
+        publish(*drawn)
+        count += 1
+        if count % 20 == 0:
+            ended = [name for name, node in nodes.items() if node.process.poll() is not None]
+            assert not ended, "\n".join(nodes[name].text[-3000:] for name in ended)
+
+    send()
+    for name, node in nodes.items():
+        full = f"/loop/{name}" if name == LOOP_SIMULATOR else f"/{name}"
+        client.ask(ListParameters, f"{full}/list_parameters", timeout=60.0)
+        assert node.process.poll() is None, node.text
+        assert "Traceback" not in node.text, node.text
+        assert len(node.lines) < FEW + EXAMPLES / 4, (name, len(node.lines))
+        assert all(line.rstrip("\n").isprintable() for line in node.lines), name
+        assert max(map(len, node.lines)) < 1200
+    assert set(out.parent.iterdir()) == {out}
+    # and they do what they are there for, once the foreign publishers have gone
+    for publisher in publishers.values():
+        client.node.destroy_publisher(publisher)
+    wait_until(lambda: client.node.count_publishers(f"/{RUN_INFO.name}") <= 1)
+    for _ in range(2):  # the first takes in what came before it
+        wait_until(lambda: simulation.state is State.STOPPED, 60.0)
+        began = len(nodes["recorder"].lines)
+        assert simulation.set(State.PLAYING)[0] == 1
+        nodes["recorder"].wait_for("/tilt_0", since=began)
+    last = "".join(nodes["recorder"].lines[began:])
+    recorded = re.search(r": (\S*/tilt_0\S*\.mcap): \d+ messages, complete", last)
+    assert recorded, nodes["recorder"].text
+    run = read_run(recorded[1])
+    assert run.problems == ()
+    assert run.statuses[-1].final
+
+
+def test_three_thousand_refusals_are_few_lines(bench):
+    nodes, client, _ = bench
+    kind = message_class(RUN_INFO.type_name)
+    publisher = client.node.create_publisher(kind, RUN_INFO.name, qos_of(RUN_INFO))
+    wait_until(lambda: publisher.get_subscription_count() >= 4)
+    began = {name: len(nodes[name].lines) for name in READY[:-1]}
+    for number in range(3000):
+        publisher.publish(kind(run_id=f"{number}", name="x", scene="a: ["))
+    assert publisher.wait_for_all_acked(Duration(seconds=60))
+    for name, since in began.items():
+        client.ask(ListParameters, f"/{name}/list_parameters", timeout=60.0)
+        refusals = nodes[name].lines[since:]
+        assert "bench/run_info: refused: " in refusals[0]
+        assert len(refusals) < 30, name
+    client.node.destroy_publisher(publisher)
