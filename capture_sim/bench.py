@@ -46,7 +46,7 @@ _FIRST_ERROR = 1e-4  # of the step before the first
 _CAUSES = {
     Status.NOT_FINITE: "the state is not finite any more",
     Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
-    Status.TOO_MANY_STEPS: "run.max_steps integrator steps are used up",
+    Status.TOO_MANY_STEPS: "run.max_steps integrator steps, with those rejected, are used up",
     Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
     "the contact is too soft for this impact",
     Status.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "

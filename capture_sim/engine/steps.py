@@ -154,4 +154,4 @@ def take_step(w, h):
     run.h = h
     run.t1 = run.t0 + h
     measure(w, step.y_new)
-    return Status.TOO_MANY_STEPS if run.steps > par.max_steps else Status.SERVED
+    return Status.TOO_MANY_STEPS if run.steps + run.rejected > par.max_steps else Status.SERVED

@@ -298,7 +298,10 @@ class Run(Checked):
         "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
     )
     max_steps: int = quantity(
-        "1", Range(100, 10**12), default=10_000_000, doc="steps before a run is given up"
+        "1",
+        Range(100, 10**12),
+        default=5_000_000,
+        doc="steps, with those rejected, before a run is given up: within a minute",
     )
 
 

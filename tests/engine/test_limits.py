@@ -39,6 +39,25 @@ def test_run_that_is_too_stiff_names_what_makes_it_so():
         Bench(scene).advance(np.array([]))
 
 
+@pytest.mark.parametrize(
+    "override, part",
+    [
+        ("buffer.k_A=1e308", "axial spring .probe.density, buffer.k_A."),
+        ("probe.density=1e-12", "axial damper .probe.density, buffer.c_A."),
+        ("friction.v_eps=1e-15", "friction of the tip .friction.v_eps."),
+    ],
+)
+def test_hopeless_run_ends_after_so_many_steps_and_names_what_makes_it_so(override, part):
+    """Rejected steps are work, too: the stiffest spring there is has more of them than others."""
+    bench = Bench(load_scene("paper_designed", [override, "run.max_steps=20000"]))
+    with pytest.raises(SimulationError, match=f"stiffest is the {part}"):
+        bench.advance([])
+    cost = bench.statistics
+    tried = cost.steps + cost.rejected
+    assert tried <= 20_000 + 60  # to halve a step until it falls below 1e-15 s
+    assert cost.evaluations <= 16 * tried
+
+
 def test_implicit_steps_are_refused_and_their_absence_is_not():
     load_scene("tilt_0", ["run.stiff=false"])
     with pytest.raises(SceneError, match=r"run\.stiff: there are no implicit steps"):
