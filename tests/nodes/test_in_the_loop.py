@@ -57,7 +57,14 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
     """A soft plate works; slowed down, so that a busy machine does not decide."""
     rig = start("contact_rig", lag=2)
     report = tmp_path / "report.json"
-    loop = start("loop_simulator", report=report, rtf=0.2, timeout=1.0, mass=plate_mass(plate))
+    loop = start(
+        "loop_simulator",
+        report=report,
+        rtf=0.2,
+        timeout=1.0,
+        energy_limit=1e3,
+        mass=plate_mass(plate),
+    )
     assert loop.wait(60.0) == 0, loop.log.read_text()
     rig.send_signal(signal.SIGINT)
     assert rig.wait(10.0) == 0
@@ -94,3 +101,43 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     loop = start("loop_simulator", scene="paper_designed", rtf=0.2, timeout=1.0)
     assert loop.wait(60.0) == 1
     assert "N came: allowed is <= 500" in loop.log.read_text()
+
+
+def test_the_model_takes_the_paper_contact_through_dds(start, tmp_path):
+    """Touches of 0.3 ms, answers at 1 kHz, from a stiffness wrong by two; lateness does no harm."""
+    stiffness = load_scene("paper_designed").contact_stiffness
+    start("contact_rig", scene="paper_designed", stiffness=stiffness, exponent=1.5)
+    report = tmp_path / "report.json"
+    loop = start(
+        "loop_simulator",
+        scene="paper_designed",
+        overrides="[run.t_end=0.08]",
+        rtf=0.05,
+        timeout=1.0,
+        compensation="model",
+        stiffness=0.5 * stiffness,
+        report=report,
+    )
+    assert loop.wait(60.0) == 0, loop.log.read_text()
+    touches = json.loads(report.read_text())["touches"]
+    assert len(touches) > 4
+    for touch in touches[3:]:
+        assert touch["work"] == pytest.approx(0.0, abs=0.02 * touch["energy"])
+
+
+def test_the_observer_stops_the_nodes(start):
+    start("contact_rig", lag=30)
+    loop = start("loop_simulator", rtf=0.5, timeout=10.0, energy_limit=0.001)
+    assert loop.wait(60.0) == 1
+    said = loop.log.read_text()
+    assert "the wrench would have made" in said
+    assert "allowed is <= 0.001 J" in said
+    assert "Traceback" not in said
+
+
+def test_an_unknown_compensation_is_refused(start):
+    loop = start("loop_simulator", compensation="magic")
+    assert loop.wait(60.0) == 2
+    said = loop.log.read_text()
+    assert "compensation = 'magic': allowed is none, passivity, hybrid" in said
+    assert "Traceback" not in said

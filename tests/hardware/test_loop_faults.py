@@ -1,0 +1,96 @@
+"""Faults of a rig: the vehicles are stopped before they have been given more than a bound."""
+
+import math
+
+import numpy as np
+import pytest
+
+from capture_sim import load_scene
+from capture_sim.hardware.closed_loop import Loop, close, late
+from capture_sim.hardware.compensation import compensation, critical_damping
+from capture_sim.hardware.contact_rig import ContactRig
+from capture_sim.hardware.in_the_loop import LoopStage, WrenchHold
+from capture_sim.hardware.walls import WallLaw
+
+BOUND = 0.02  # J; the vehicles approach with 0.056 J
+PLATE = 2000.0  # N/m
+WAYS = (
+    "none",
+    "passivity",
+    "hybrid",
+    "prediction1",
+    "prediction2",
+    "model",
+    "model+passivity",
+    "prediction2+passivity",
+)
+FAULTS = ("frozen", "doubled", "wrong sign", "saturated", "stamped ahead", "late by a jump")
+
+
+def faulty(channel, hold, kind, start, size):
+    """A rig that fails at step ``start``; what it sends goes through the rules of the hold."""
+    kept = []
+    waiting = []
+
+    def sends(k, place):
+        stamp, (fx, fy, torque) = channel(k, place)
+        if k < start:
+            kept[:] = [(fx, fy, torque)]
+        elif kind == "frozen":
+            fx, fy, torque = kept[0] if kept else (fx, fy, torque)
+        elif kind == "doubled":
+            fx, fy, torque = 2.0 * fx, 2.0 * fy, 2.0 * torque
+        elif kind == "wrong sign":
+            fx, fy, torque = -fx, -fy, -torque
+        elif kind == "saturated":
+            share = min(1.0, 2.0 * size / max(math.hypot(fx, fy), 1e-9))
+            fx, fy, torque = share * fx, share * fy, share * torque
+        elif kind == "stamped ahead":
+            stamp += 0.1
+        elif kind == "late by a jump":
+            waiting.append((stamp, (fx, fy, torque)))
+            if len(waiting) > 5 * size:
+                stamp, (fx, fy, torque) = waiting.pop(0)
+        hold.offer(stamp, place.t, (fx, fy, torque))
+        return hold.at(place.t)
+
+    return sends
+
+
+@pytest.mark.parametrize("group", range(8))
+def test_no_fault_gives_the_vehicles_more_than_the_bound(group):
+    scene = load_scene("_loop")
+    off = scene.initial.target.y
+    yields = 1 / scene.chaser_total_mass + 1 / scene.target.mass + off**2 / scene.target.inertia
+    for seed in range(25 * group, 25 * group + 25):
+        rng = np.random.default_rng(seed)
+        way, kind = WAYS[seed % len(WAYS)], FAULTS[seed % len(FAULTS)]
+        lag, start, size = int(rng.integers(8)), int(rng.integers(20, 320)), rng.uniform(0.5, 8.0)
+        chosen = compensation(way)
+        law = WallLaw(PLATE * rng.uniform(0.5, 2.0))
+        if chosen.hybrid:
+            damper = critical_damping(1 / yields, PLATE, (lag + 0.5) * 1e-3)
+            law = WallLaw(0.0, drag=damper)
+        loop = Loop(LoopStage(scene, 1e-3, 10), chosen, law, BOUND, 1 / yields)
+        hold = WrenchHold(timeout=0.05, force_limit=500.0)
+        rig = ContactRig(scene, WallLaw(PLATE, damping=rng.uniform(0.0, 0.5) * PLATE / 0.1))
+        before = loop.stage.energy
+        why = close(loop, faulty(late(rig.wrench, lag), hold, kind, start, size), 0.6)
+        # the energy of the bodies and springs, not the observer's own account
+        assert loop.stage.energy - before <= BOUND * (1.0 + 1e-6), (seed, way, kind)
+        if loop.stage.t < 0.6:
+            assert why.startswith(f"stopped at t = {loop.stage.t:.6g} s: "), (seed, way, kind)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("kind", ["frozen", "doubled", "wrong sign"])
+def test_a_rig_that_gives_energy_is_stopped_by_it(way, kind):
+    """At the deepest, where such a fault gives the most; a pull while the tip goes in."""
+    scene = load_scene("_loop")
+    loop = Loop(LoopStage(scene, 1e-3, 10), compensation(way), WallLaw(PLATE), BOUND, 11.17)
+    hold = WrenchHold(timeout=0.05, force_limit=500.0)
+    rig = ContactRig(scene, WallLaw(PLATE))
+    start = 80 if kind == "wrong sign" else 165
+    why = close(loop, faulty(late(rig.wrench, 2), hold, kind, start, 0.0), 0.9)
+    assert "allowed is <= 0.02 J" in why
+    assert loop.stage.work <= BOUND
