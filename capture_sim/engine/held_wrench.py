@@ -1,7 +1,9 @@
 """Motion with a wrench on the tip from outside the model, and with a law of the walls.
 
-For hardware in the loop: no events, steps of fixed length.  The wrench from outside is held
-over a step; the law of the walls is evaluated at every stage of every Runge-Kutta step.
+For hardware in the loop: steps of fixed length.  The wrench from outside is held over a step; the
+law of the walls is evaluated at every stage of every Runge-Kutta step.  Stroke stops and the latch
+are met where their distance passes zero: the Runge-Kutta step is cut there, inside the step of the
+loop, of which nobody has been told yet.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import math
 
 import numpy as np
 
+from capture_sim.engine.events import event_value
 from capture_sim.kernels import entry_kernel, inline_kernel, kernel
 from capture_sim.model.equations import (
     N_TOTAL,
@@ -21,6 +24,7 @@ from capture_sim.model.equations import (
 )
 from capture_sim.model.observe import kinetic_energy
 from capture_sim.model.trig import hyperbolic_tangent, sine_cosine
+from capture_sim.samples import EventKind
 
 #: The state of the free phases and, behind it, of what acts on the tip: work, that of the wrench
 #: held alone (J), and the integral of the force's size (N s).
@@ -47,9 +51,17 @@ TRACE = 8
 
 @inline_kernel
 def _drive(y, system, law, fx, fy, torque):
-    """Set the wrench on the tip: that of the law, and the one held; return if the latter acts."""
+    """Set the wrench on the tip: that of the law, and the one held; return if the latter acts.
+
+    Latched, the walls have let go: neither acts.
+    """
     mode = system.mode
     mode.driven = 1
+    if mode.latched:
+        mode.wrench[0] = 0.0
+        mode.wrench[1] = 0.0
+        mode.wrench[2] = 0.0
+        return False
     touched = False
     wx = wy = wt = 0.0
     if law.stiffness > 0.0 or law.drag > 0.0:
@@ -104,27 +116,102 @@ def _note(y, row, system):
     row[7] = system.mode.wrench[1]
 
 
+@kernel
+def _runge_kutta(y, stages, system, law, h, fx, fy, torque):
+    """Go one step by the classical Runge-Kutta method."""
+    trial = stages[4]
+    for stage in range(1, 4):
+        share = h if stage == 3 else 0.5 * h
+        for i in range(y.shape[0]):
+            trial[i] = y[i] + share * stages[stage - 1, i]
+        _rate(trial, stages[stage], system, law, fx, fy, torque)
+    for i in range(y.shape[0]):
+        slope = stages[0, i] + 2.0 * (stages[1, i] + stages[2, i]) + stages[3, i]
+        y[i] += h / 6.0 * slope
+
+
+@inline_kernel
+def _has_come(before, y, system, event, which):
+    start, _ = event_value(before, system.par, event, which)
+    end, _ = event_value(y, system.par, event, which)
+    return end < 0.0 <= start
+
+
+@kernel
+def _next_event(before, y, system):
+    """Return what has come between two states: an event and its stop; -1 if nothing has."""
+    par, mode = system.par, system.mode
+    if par.has_latch and not mode.latched and _has_come(before, y, system, EventKind.LATCHED, 0):
+        return EventKind.LATCHED, 0
+    if par.has_stops:
+        for side in (-1, 1):
+            if mode.stop == -side:
+                continue
+            event = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
+            if _has_come(before, y, system, event, side):
+                return event, side
+    return -1, 0
+
+
+#: Halvings that locate an event: to rounding of the place in a Runge-Kutta step.
+_HALVINGS = 50
+
+
+@kernel
+def _meet(y, stages, system, law, h, fx, fy, torque):
+    """Go one Runge-Kutta step, cut where a stop or the latch is met; return its length, s."""
+    before = stages[5]
+    for i in range(y.shape[0]):
+        before[i] = y[i]
+    _runge_kutta(y, stages, system, law, h, fx, fy, torque)
+    event, which = _next_event(before, y, system)
+    if event < 0:
+        return h
+    low, high = 0.0, h
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        for i in range(y.shape[0]):
+            y[i] = before[i]
+        _runge_kutta(y, stages, system, law, middle, fx, fy, torque)
+        earlier, its = _next_event(before, y, system)
+        if earlier >= 0:
+            high, event, which = middle, earlier, its
+        else:
+            low = middle
+    for i in range(y.shape[0]):
+        y[i] = before[i]
+    _runge_kutta(y, stages, system, law, high, fx, fy, torque)
+    mode = system.mode
+    if event == EventKind.LATCHED:
+        px, py, _, _ = tip_in_cone(y, system.par)
+        mode.latched = 1
+        mode.latch_x = px
+        mode.latch_y = py
+    else:
+        mode.stop = which if event == EventKind.STOP_HIT else 0
+    return high
+
+
 @entry_kernel
 def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
     """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
 
-    ``y`` (29,) is changed; ``stages`` (5, 29) is overwritten; ``trace`` (n, 8) receives tip and
+    ``y`` (29,) is changed; ``stages`` (6, 29) is overwritten; ``trace`` (n, 8) receives tip and
     force at the begin of each.  The wrench held is in the target's axes.
     """
     system = systems[0]
     law = laws[0]
-    trial = stages[4]
     for k in range(trace.shape[0]):
         _rate(y, stages[0], system, law, fx, fy, torque)
         _note(y, trace[k], system)
-        for stage in range(1, 4):
-            share = h if stage == 3 else 0.5 * h
-            for i in range(y.shape[0]):
-                trial[i] = y[i] + share * stages[stage - 1, i]
-            _rate(trial, stages[stage], system, law, fx, fy, torque)
-        for i in range(y.shape[0]):
-            slope = stages[0, i] + 2.0 * (stages[1, i] + stages[2, i]) + stages[3, i]
-            y[i] += h / 6.0 * slope
+        if system.par.has_latch or system.par.has_stops:
+            left = h
+            while left > 0.0:
+                left -= _meet(y, stages, system, law, left, fx, fy, torque)
+                if left > 0.0:
+                    _rate(y, stages[0], system, law, fx, fy, torque)
+        else:
+            _runge_kutta(y, stages, system, law, h, fx, fy, torque)
 
 
 @entry_kernel
@@ -136,10 +223,17 @@ def tip_state(systems, y):
 
 @entry_kernel
 def stored_energy(systems, y):
-    """Return kinetic energy and that of the buffer's springs, J."""
-    p = systems[0].par
+    """Return kinetic energy and that of the springs of buffer, stops and latch, J."""
+    p, mode = systems[0].par, systems[0].mode
     stroke, torsion = y[4] - p.h_0, y[3] - y[2]
-    return kinetic_energy(y, p) + 0.5 * p.k_A * stroke * stroke + 0.5 * p.k_T * torsion * torsion
+    energy = kinetic_energy(y, p) + 0.5 * p.k_A * stroke * stroke + 0.5 * p.k_T * torsion * torsion
+    if mode.stop:
+        past = stroke - (p.stop_compressed if mode.stop < 0 else p.stop_extended)
+        energy += 0.5 * p.k_stop * past * past
+    if mode.latched:
+        px, py, _, _ = tip_in_cone(y, p)
+        energy += 0.5 * p.k_L * ((px - mode.latch_x) ** 2 + (py - mode.latch_y) ** 2)
+    return energy
 
 
 @kernel

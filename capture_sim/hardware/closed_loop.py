@@ -16,7 +16,7 @@ from capture_sim.hardware.compensation import (
     passive_share,
     predicted,
 )
-from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError
+from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, StageState
 from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, Walls, Wrench
 
 NO_LAW = WallLaw(0.0)
@@ -210,7 +210,7 @@ class Loop:
         )
         return _scaled(unit, share)
 
-    def _observe(self, kept: tuple[np.ndarray, int]) -> None:
+    def _observe(self, kept: StageState) -> None:
         """See what the step has done; undo it and stop where it has made too much."""
         stage, trace = self.stage, self.stage.trace
         force = np.hypot(trace[:, 6], trace[:, 7])
@@ -236,7 +236,7 @@ class Loop:
             if self.fit is not None:
                 self.fit.next_touch()
 
-    def _begin(self, first: np.ndarray, kept: tuple[np.ndarray, int]) -> None:
+    def _begin(self, first: np.ndarray, kept: StageState) -> None:
         """Begin a touch with the first row of the trace that has a force."""
         fx, fy = first[6:]
         nx, ny = fx / math.hypot(fx, fy), fy / math.hypot(fx, fy)

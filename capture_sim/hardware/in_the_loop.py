@@ -7,6 +7,7 @@ It is held over each step.  What is too old, or cannot be, stops the stage safel
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,9 +28,11 @@ from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, Wrench
 from capture_sim.interrupts import do_apart
 from capture_sim.kernels import records
 from capture_sim.messages.topics import Rate, Topic
-from capture_sim.model.equations import make_system
+from capture_sim.model.equations import AXIAL, LATCH, STOP, TORSION, make_system
 from capture_sim.model.parameters import pack
+from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
+from capture_sim.simulation import simulate
 
 CONTACT_RIG = "contact_rig"
 LOOP_SIMULATOR = "loop_simulator"
@@ -46,14 +49,38 @@ class SafeStopError(CaptureSimError):
     """The loop had to be opened; the message says when and why."""
 
 
+class StageState(NamedTuple):
+    """All that a stage may be set back to: state vector, number of steps, mode."""
+
+    y: np.ndarray
+    steps: int
+    mode: np.ndarray
+
+
+def behind_the_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates (8,) and rates (8,) with which the chaser leaves its rail.
+
+    A scene's rail ends before the first touch and after the hanging mass has landed.
+
+    Raises
+    ------
+    SceneError
+        The chaser does not get that far.
+    """
+    for event in simulate(scene).events:
+        if event.kind == EventKind.RAIL_END:
+            return event.q, event.v
+    raise SceneError("rail: allowed in the loop is one that the chaser leaves")
+
+
 class LoopStage:
-    """Vehicles and buffer, floating free, with the wrench on the tip from outside.
+    """Vehicles, buffer, stroke stops and latch, floating free, with the tip's wrench from outside.
 
     Parameters
     ----------
     scene
-        Without rail, string, supports, latch and stops: those need located events, and a
-        loop has no second look at a step.
+        Without supports.  With a rail the stage begins where the chaser leaves it.  Once
+        latched, the wrench acts no more.
     step
         s, over which a wrench is held.
     substeps
@@ -66,15 +93,17 @@ class LoopStage:
     """
 
     def __init__(self, scene: Scene, step: float = 1e-3, substeps: int = 10) -> None:
-        for name in ("rail", "string", "supports", "latch", "stops"):
-            if getattr(scene, name) is not None:
-                raise SceneError(f"{name}: allowed in the loop is null; the vehicles float free")
+        if scene.supports is not None:
+            raise SceneError(
+                "supports: allowed in the loop is null; when a vehicle comes to rest on them is "
+                "searched in the dense output of the bench's steps, which the loop's do not have"
+            )
         self.scene = scene
         self.step, self.substeps = step, substeps
         self._system = make_system(pack(scene, 0.0, 0.0))
-        q, v = scene.initial_coordinates()
+        q, v = behind_the_rail(scene) if scene.rail is not None else scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
-        self._stages = np.zeros((5, N_LOOP))
+        self._stages = np.zeros((6, N_LOOP))
         self._laws = records(np.zeros(1, LAW))
         self._trace = np.zeros((substeps, TRACE))
         self._count = 0
@@ -106,7 +135,13 @@ class LoopStage:
     @property
     def energy(self) -> float:
         """Kinetic energy and that of the springs, with what the dampers have taken, J."""
-        return float(stored_energy(self._system, self._y) + self._y[16] + self._y[17])
+        lost = self._y[[AXIAL, TORSION, LATCH, STOP]].sum()
+        return float(stored_energy(self._system, self._y) + lost)
+
+    @property
+    def latched(self) -> bool:
+        """Whether the latch has closed."""
+        return bool(self._system["mode"]["latched"][0])
 
     @property
     def work(self) -> float:
@@ -129,25 +164,26 @@ class LoopStage:
         """Return the mass that a contact with this normal (target's axes) feels, kg."""
         return 1.0 / float(mobility(self._system, self._y, self._stages, nx, ny))
 
-    def exchanged(self, state: tuple[np.ndarray, int] | None = None) -> np.ndarray:
+    def exchanged(self, state: StageState | None = None) -> np.ndarray:
         """Return work, that of the wrench held alone (J), and impulse (N s), now or as saved."""
-        y = self._y if state is None else state[0]
+        y = self._y if state is None else state.y
         return y[[WORK, HELD_WORK, IMPULSE_SIZE]]
 
-    def saved(self) -> tuple[np.ndarray, int]:
+    def saved(self) -> StageState:
         """Return the state, for :meth:`restore`."""
-        return self._y.copy(), self._count
+        return StageState(self._y.copy(), self._count, self._system["mode"].copy())
 
-    def restore(self, state: tuple[np.ndarray, int]) -> None:
+    def restore(self, state: StageState) -> None:
         """Go back to a saved state."""
-        self._y[:], self._count = state[0], state[1]
+        self._y[:], self._count = state.y, state.steps
+        self._system["mode"] = state.mode
 
     def trial(self, wrench: Wrench) -> float:
         """Return the work that this wrench would do in a step, J; nothing moves."""
-        kept = self._y.copy()
+        kept = self.saved()
         self._go(wrench)
-        work = self._y[HELD_WORK] - kept[HELD_WORK]
-        self._y[:] = kept
+        work = self._y[HELD_WORK] - kept.y[HELD_WORK]
+        self.restore(kept)
         return float(work)
 
     def advance(self, wrench: Wrench) -> TipState:

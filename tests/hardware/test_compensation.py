@@ -113,9 +113,9 @@ def test_at_the_critical_delay_a_loop_swings_on(plate):
     for share in (0.8, 1.0, 1.2):
         drag = share * critical_damping(mass, PLATE, (lag + 0.5) * 1e-3)
         stage = LoopStage(plate, 1e-3, 40)
-        y, _ = stage.saved()
-        y[0] += 0.01  # 5 mm behind the plate's face
-        stage.restore((y, 0))
+        begin = stage.saved()
+        begin.y[0] += 0.01  # 5 mm behind the plate's face
+        stage.restore(begin)
         loop = Loop(stage, compensation("hybrid"), WallLaw(0.0, drag=drag))
 
         def pulling(tip):
@@ -261,10 +261,11 @@ def test_the_law_in_the_vehicles_steps_is_the_law(paper):
     walls = Walls(paper)
     stage = LoopStage(paper, 1e-11, 1)
     rng = np.random.default_rng(5)
-    q, v, rest = stage.q, stage.v, np.zeros(N_LOOP - 16)
+    q, v, rest, begin = stage.q, stage.v, np.zeros(N_LOOP - 16), stage.saved()
     for _ in range(20):
         push = [2e-4 + 1e-4 * rng.random(), 0, 0, 0, 0, 0, 0, 0]  # the wall is 0.1 mm away
-        stage.restore((np.concatenate([q + push, v + 0.05 * rng.normal(size=8), rest]), 0))
+        moved = np.concatenate([q + push, v + 0.05 * rng.normal(size=8), rest])
+        stage.restore(begin._replace(y=moved))
         state, tip = stage.saved(), stage.tip
         assert len(walls.touching(tip)) == 1
         found = []
@@ -272,7 +273,7 @@ def test_the_law_in_the_vehicles_steps_is_the_law(paper):
             stage.restore(state)
             stage.take_law(inside, gated=False)
             stage.advance(wrench)
-            found.append(stage.v - state[0][8:16])
+            found.append(stage.v - state.y[8:16])
         assert found[0] == pytest.approx(found[1], rel=1e-5, abs=1e-12)
 
 

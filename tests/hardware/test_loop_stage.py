@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
-from capture_sim import SceneError, load_scene
+from capture_sim import SceneError, load_scene, simulate
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.closed_loop import Loop, close, late
@@ -16,6 +16,7 @@ from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_messa
 from capture_sim.hardware.walls import TipState, WallLaw
 from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
+from capture_sim.samples import EventKind
 
 PLATE = 2000.0  # N/m
 
@@ -115,13 +116,55 @@ def test_effective_mass_is_what_an_impulse_meets():
         assert gained == pytest.approx(stage.step / mass, rel=1e-6)
 
 
-@pytest.mark.parametrize("part", ["rail", "string", "supports", "latch"])
-def test_parts_that_need_located_events_are_refused(part):
-    off = [f"{name}=null" for name in ("string", "rail", "supports", "latch") if name != part]
-    if part == "string":
-        off.remove("rail=null")
-    with pytest.raises(SceneError, match="allowed in the loop is null"):
-        LoopStage(load_scene("tilt_0", off))
+def test_supports_are_refused_with_the_reason():
+    with pytest.raises(SceneError, match="supports: allowed in the loop is null; when a vehicle"):
+        LoopStage(load_scene("tilt_0"))
+
+
+def test_the_loop_begins_behind_the_rail():
+    scene = load_scene("tilt_0", ["supports=null"])
+    run = simulate(scene)
+    (end,) = (event for event in run.events if event.kind == EventKind.RAIL_END)
+    touch = next(event for event in run.events if event.kind == EventKind.TOUCH)
+    assert end.t < touch.t
+    stage = LoopStage(scene, 1e-3, 10)
+    assert stage.t == 0.0
+    assert stage.v == pytest.approx(end.v)
+    steps = math.floor((touch.t - end.t) / 1e-3)
+    for _ in range(steps):
+        stage.advance((0.0, 0.0, 0.0))
+    (there,) = simulate(scene, t_end=end.t + steps * 1e-3).q[-1:]
+    assert stage.q == pytest.approx(there, abs=1e-7)
+
+
+# stops and latch
+
+
+CAUGHT = [
+    "latch={radius: 0.01, stiffness: 2.0e+4, damping: 80.0}",
+    "stops={compression: 0.004, extension: 0.002, stiffness: 5.0e+4, damping: 20.0}",
+    "contact.restitution=1.0",
+    "friction.law=none",
+]
+
+
+@pytest.mark.parametrize("until", [0.05, 0.1, 0.2, 0.4])
+def test_stops_and_latch_are_met_as_by_the_offline_bench(until):
+    """The elastic law of the walls in the loop's steps, against the bench's located events."""
+    scene = load_scene("paper_designed", [*CAUGHT, "buffer.c_A=60", "initial.chaser.vx=0.3"])
+    run = simulate(scene, t_end=until)
+    stage = LoopStage(scene, 1e-3, 1000)
+    stage.take_law(WallLaw(scene.contact_stiffness, 1.5), gated=False)
+    energy = stage.energy
+    for _ in range(round(until / 1e-3)):
+        stage.advance((0.0, 0.0, 0.0))
+    assert stage.q == pytest.approx(run.q[-1], abs=2e-6)
+    assert stage.v == pytest.approx(run.v[-1], abs=2e-4)
+    assert stage.energy - energy == pytest.approx(stage.work, abs=1e-7)
+    assert stage.latched == any(event.kind == EventKind.LATCHED for event in run.events)
+    met = {event.kind for event in run.events}
+    assert EventKind.STOP_HIT in met
+    assert (EventKind.LATCHED in met) == (until > 0.17)
 
 
 # what a delay does
