@@ -1,7 +1,6 @@
 """A bench that knows nothing of capture_sim: cameras, encoders and a load cell, in plain rclpy.
 
-std_msgs/Bool on launcher/hold lets the chaser go (false) and puts it back (true).  The clock is
-the rig's own, stamps jitter by 1 ms and 1 % of the messages are lost.
+launcher/hold, a Bool, lets the chaser go.  Own clock; stamps jitter by 1 ms, 1 % is lost.
 """
 
 import contextlib
@@ -10,7 +9,6 @@ import random
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -57,6 +55,6 @@ class FakeRig(Node):
             publisher.publish(message)
 
 
-with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
     rclpy.init()
     rclpy.spin(FakeRig())
