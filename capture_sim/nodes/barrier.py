@@ -8,7 +8,7 @@ from typing import Any
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import STREAM_COUNTS, Topic
-from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.node import BenchNode, full_name
 from capture_sim.nodes.participant import readers
 
 #: A waiting thread looks up this often, s (wall).
@@ -69,7 +69,7 @@ class Barrier:
 
     def all_ended(self) -> str:
         """Return what is waited for after a run; nothing if all have said their counts."""
-        left = min(self._present, self._others()) - len(self._ended)
+        left = min(self._present, self._others()) - len(self._ended) - self._left_behind()
         return f"waiting for {left} others to end the run" if left > 0 else ""
 
     def wait(self, what: str, lacking: Callable[[], str], limit: float | None) -> None:
@@ -94,6 +94,14 @@ class Barrier:
 
     def _others(self) -> int:
         return self._node.publishers_of(STREAM_COUNTS) - 1
+
+    def _left_behind(self) -> int:
+        """Return how many of the others no longer read: they would say their counts too late."""
+        if not self._node.left_behind:
+            return 0
+        name = self._node.resolve_topic_name(STREAM_COUNTS.name)
+        others = self._node.get_publishers_info_by_topic(name)
+        return sum(full_name(other) in self._node.left_behind for other in others)
 
     def _counted(self, counts: Any) -> None:
         if counts.run_id == self._run_id and counts.publisher not in self._own:

@@ -389,7 +389,7 @@ class BenchNode(Node):
     def readers(self, topic: Topic) -> list[str]:
         """Return the full names of the nodes that subscribe to a topic."""
         found = self.get_subscriptions_info_by_topic(self.resolve_topic_name(topic.name))
-        return sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in found})
+        return sorted({full_name(reader) for reader in found})
 
     def matched(self, topic: Topic) -> int:
         """Return how many subscribers an open topic has found."""
@@ -418,6 +418,11 @@ def from_bytes(topic: Topic, data: bytes) -> Any:
         return deserialize_message(data, message_class(topic.type_name))
     except RuntimeError:  # rclpy's RMWError, of several lines
         raise MessageError(f"{len(data)} bytes are no {topic.type_name}") from None
+
+
+def full_name(end: Any) -> str:
+    """Return the full name of the node that an end of a topic belongs to."""
+    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
 
 
 def acknowledged(publisher: Any, limit: float) -> bool:

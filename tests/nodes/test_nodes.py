@@ -320,12 +320,14 @@ def test_reader_that_stands_still_is_left_behind_by_name(start_all, tmp_path):
         def wait(self, topic, data):
             if topic.name == "bench/state" and self.run is not None:
                 print("stands still", flush=True)
-                time.sleep(40.0)
+                time.sleep(20.0)
             take(self, topic, data)
         node.RecorderNode._take = wait
     """
     nodes = start_all(
-        recorder_change=stuck, consumer_timeout="2.0", overrides="[run.state_rate=10000]"
+        recorder_change=stuck,
+        consumer_timeout="2.0",
+        overrides="[run.state_rate=10000, run.t_end=3.0]",
     )
     nodes["simulator"].wait_for("/recorder: has read nothing of", 120.0)
     assert "/capture_detector" not in nodes["simulator"].text
