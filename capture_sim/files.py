@@ -7,8 +7,10 @@ import re
 import secrets
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from capture_sim.errors import RecordingError
 
 #: Bytes of a name, so that a number, a suffix and a mark for unfinished files fit behind it.
 NAME_BYTES = 180
@@ -74,22 +76,27 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     ------
     FileExistsError
         The file exists and may not be replaced.
-    OSError
+    RecordingError
         It cannot be written.
     """
-    if is_device(path):
-        yield path
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem[:NAME_BYTES]}.part-{secrets.token_hex(4)}{path.suffix}")
     try:
+        if is_device(path):
+            yield path
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         if replace:
             part.replace(path)
         else:
             _take_name(part, path)
+    except OSError as error:
+        if isinstance(error, FileExistsError) and path.exists():
+            raise
+        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _take_name(part: Path, path: Path) -> None:

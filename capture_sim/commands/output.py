@@ -19,7 +19,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from capture_sim.errors import RecordingError
 from capture_sim.files import whole_file
 
 if TYPE_CHECKING:
@@ -102,11 +101,8 @@ class Progress:
 
 def write_text(path: Path, text: str) -> Path:
     """Write a text file that is whole once it has its name; return its path."""
-    try:
-        with whole_file(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
     return path
 
 

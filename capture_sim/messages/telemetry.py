@@ -10,43 +10,23 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import groupby
+from itertools import groupby, repeat
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
+from capture_sim.messages import convert
 from capture_sim.messages.cdr import Columns
 from capture_sim.messages.convert import (
-    CHASER,
     CHASER_FRAME,
     CONE_FRAME,
-    HINGE_JOINT,
-    SLIDE_JOINT,
-    TARGET,
     TARGET_FRAME,
     TIP_FRAME,
     WORLD,
     LaunchAction,
     Messages,
     RunDescription,
-    bench_event,
-    bench_states,
-    buffer_states,
-    capture_criteria,
-    contact_states,
-    contact_trace,
-    contact_wrenches,
-    joint_states,
-    launch_command,
-    odometry,
-    sensed_poses,
-    stamp_columns,
-    stamp_ns,
-    stamps_ns,
-    statuses,
-    string_states,
-    wrenches,
 )
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -184,24 +164,22 @@ class _Stream:
         self.by_topic[topic] += 1
         header = self._messages.header(t, frame)
         message = self._messages.new(topic.type_name, header=header, **seq, **fields)
-        return Sent(topic, stamp_ns(t), self._messages.serialise(message))
+        return Sent(topic, convert.stamp_ns(t), self._messages.serialise(message))
 
     def _many(
         self, topic: Topic, t: np.ndarray, frame: str, columns: Columns, **fixed: Any
     ) -> Iterator[Sent]:
-        """Yield n messages, stamped t (n,), s since the release."""
-        stamps = stamps_ns(t)
+        """Return n messages, stamped t (n,), s since the release."""
+        stamps = convert.stamps_ns(t)
         path = "clock" if topic.stamp is Stamp.CLOCK else "header.stamp"
-        columns = {**stamp_columns(path, stamps), **columns}
+        columns = {**convert.stamp_columns(path, stamps), **columns}
         if topic.sequenced:
             columns["seq"] = self.by_topic[topic] + np.arange(len(t))
         if frame:
             fixed["header.frame_id"] = frame
-        for stamp, data in zip(
-            stamps.tolist(), self._messages.many(topic.type_name, columns, **fixed), strict=True
-        ):
-            self.by_topic[topic] += 1
-            yield Sent(topic, stamp, data)
+        self.by_topic[topic] += len(t)
+        serialised = self._messages.many(topic.type_name, columns, **fixed)
+        return map(Sent._make, zip(repeat(topic), stamps.tolist(), serialised))
 
     def _by_reason(
         self, topic: Topic, frame: str, known: Iterable[tuple[float, Any]], *names: str
@@ -209,7 +187,7 @@ class _Stream:
         """Yield a message for each time and status, many at once while the reason is one."""
         for reason, group in groupby(known, key=lambda entry: entry[1].reason):
             times, some = zip(*group, strict=True)
-            columns = statuses(some, *names)
+            columns = convert.statuses(some, *names)
             yield from self._many(topic, np.array(times), frame, columns, reason=reason)
 
 
@@ -248,7 +226,7 @@ class BenchTelemetry(_Stream):
         """Return what comes before the first sample."""
         self.by_topic[RUN_INFO] += 1
         info = self._messages.run_info(self._run)
-        return Sent(RUN_INFO, stamp_ns(0.0), self._messages.serialise(info))
+        return Sent(RUN_INFO, convert.stamp_ns(0.0), self._messages.serialise(info))
 
     def block(
         self,
@@ -276,7 +254,7 @@ class BenchTelemetry(_Stream):
         periodic = range(-self.by_topic[BENCH_STATE] % self._every, len(samples), self._every)
         sets = self._periodic(samples[periodic], self._since_last(samples, before, periodic))
         sensed = self._sensed(samples)
-        states = self._many(BENCH_STATE, samples["t"], WORLD, bench_states(samples))
+        states = self._many(BENCH_STATE, samples["t"], WORLD, convert.bench_states(samples))
         for i, (t, state) in enumerate(zip(times, states, strict=True)):
             for event in before.get(i, ()):
                 yield self._event(event)
@@ -342,31 +320,31 @@ class BenchTelemetry(_Stream):
         return {"peak_force": peaks, "impulse": sums, "touches": begun.astype(int)}
 
     def _event(self, event: Event) -> Sent:
-        return self._one(BENCH_EVENT, event.t, WORLD, bench_event(event))
+        return self._one(BENCH_EVENT, event.t, WORLD, convert.bench_event(event))
 
     def _traced(self, t: float, count: int) -> Iterator[Sent]:
         """Yield the first ``count`` points that wait, stamped ``t``."""
         if count:
             points, self._trace = self._trace[:count], self._trace[count:]
-            yield self._one(CONTACT_TRACE, t, CONE_FRAME, contact_trace(points))
+            yield self._one(CONTACT_TRACE, t, CONE_FRAME, convert.contact_trace(points))
 
     def _periodic(self, samples: np.ndarray, since: Columns) -> Iterator[tuple[Sent, ...]]:
         t, q, v = samples["t"], samples["q"], samples["v"]
-        joints = {"name": [HINGE_JOINT, SLIDE_JOINT]}
+        joints = {"name": [convert.HINGE_JOINT, convert.SLIDE_JOINT]}
 
         def of_body(topic: Topic, frame: str, body: slice) -> Iterator[Sent]:
-            columns = odometry(q[:, body], v[:, body])
+            columns = convert.odometry(q[:, body], v[:, body])
             return self._many(topic, t, WORLD, columns, child_frame_id=frame)
 
         return zip(
             self._many(CLOCK, t, "", {}),
-            self._many(BUFFER_STATE, t, CHASER_FRAME, buffer_states(samples)),
-            self._many(CONTACT_STATE, t, CONE_FRAME, contact_states(samples, since)),
-            self._many(STRING_STATE, t, WORLD, string_states(samples, self._scene)),
-            of_body(CHASER_ODOMETRY, CHASER_FRAME, CHASER),
-            of_body(TARGET_ODOMETRY, TARGET_FRAME, TARGET),
-            self._many(CONTACT_WRENCH, t, TIP_FRAME, contact_wrenches(samples)),
-            self._many(JOINT_STATES, t, "", joint_states(samples), **joints),
+            self._many(BUFFER_STATE, t, CHASER_FRAME, convert.buffer_states(samples)),
+            self._many(CONTACT_STATE, t, CONE_FRAME, convert.contact_states(samples, since)),
+            self._many(STRING_STATE, t, WORLD, convert.string_states(samples, self._scene)),
+            of_body(CHASER_ODOMETRY, CHASER_FRAME, convert.CHASER),
+            of_body(TARGET_ODOMETRY, TARGET_FRAME, convert.TARGET),
+            self._many(CONTACT_WRENCH, t, TIP_FRAME, convert.contact_wrenches(samples)),
+            self._many(JOINT_STATES, t, "", convert.joint_states(samples), **joints),
             strict=True,
         )
 
@@ -383,8 +361,9 @@ class BenchTelemetry(_Stream):
         ):
             due = [i for i, reading in enumerate(read) if getattr(reading, name) is not None]
             values = np.array([getattr(read[i], name) for i in due]).reshape(-1, 3)
-            columns = wrenches(values) if topic is LOAD_CELL else sensed_poses(values)
-            frame = TARGET_FRAME if topic is LOAD_CELL else WORLD
+            columns, frame = convert.sensed_poses(values), WORLD
+            if topic is LOAD_CELL:
+                columns, frame = convert.wrenches(values), TARGET_FRAME
             streams.append((set(due), self._many(topic, samples["t"][due], frame, columns)))
         for i in range(len(samples)):
             yield [next(stream) for due, stream in streams if i in due]
@@ -397,7 +376,8 @@ class LauncherTelemetry(_Stream):
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
         """Return a command that follows the plan, at a time since the release, s."""
-        return self._one(LAUNCH_COMMAND, t, WORLD, launch_command(self._run_id, action, plan))
+        fields = convert.launch_command(self._run_id, action, plan)
+        return self._one(LAUNCH_COMMAND, t, WORLD, fields)
 
     def state(self, t: float, status: LauncherStatus) -> Sent:
         """Return the launcher's state at a time since the release, s."""
@@ -416,7 +396,8 @@ class DetectorTelemetry(_Stream):
 
     def begin(self, limits: Detector) -> Sent:
         """Return the detector's limits."""
-        return self._one(CAPTURE_CRITERIA, 0.0, CONE_FRAME, capture_criteria(self._run_id, limits))
+        fields = convert.capture_criteria(self._run_id, limits)
+        return self._one(CAPTURE_CRITERIA, 0.0, CONE_FRAME, fields)
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
         """Return the status of the sample at a time since the release, s."""

@@ -12,7 +12,8 @@ from capture_sim.messages.topics import Topic
 #: The file that rosbag2 looks for in a bag's folder.
 FILE_NAME = "metadata.yaml"
 
-_NANOSECONDS = 1_000_000_000
+# libyaml's takes a tenth of the time
+_SafeDumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _UNLIMITED = {"sec": 9223372036, "nsec": 854775807}  # as rosbag2 writes it
 
 
@@ -111,6 +112,6 @@ def _span(start: int, end: int) -> dict[str, dict[str, int]]:
     }
 
 
-class _Plain(yaml.SafeDumper):
+class _Plain(_SafeDumper):  # type: ignore[valid-type, misc]  # one or the other
     def ignore_aliases(self, data: object) -> bool:
         return True

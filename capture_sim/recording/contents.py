@@ -10,7 +10,6 @@ import os
 import struct
 import zlib
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import pairwise
@@ -54,8 +53,10 @@ _RECORD = struct.Struct("<BQ")  # opcode, length
 #: What stands before a message's data: opcode, length, channel, sequence, log and publish
 #: time (ns).
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_INDEX = struct.Struct("<HI")  # channel, bytes
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, places of summary and offsets, checksum
 _CRC_SIZE = 4
+_Fields = tuple[int, int, bytes, int, int]
 
 #: What parsing of a damaged record may raise.
 DAMAGE = (
@@ -215,8 +216,35 @@ def unpacked(chunk: Chunk, limit: int) -> bytes:
     return records
 
 
-def records_in(data: bytes) -> Iterator[tuple[int, int, bytes, int, int] | Schema | Channel]:
-    """Yield messages and definitions of a chunk.
+@dataclass
+class Unparsed(McapRecord):
+    """A record as it stands in the file."""
+
+    opcode: Opcode
+    data: bytes
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Write it as it was."""
+        stream.start_record(self.opcode)
+        stream.write(self.data)
+        stream.finish_record()
+
+
+class Records(StreamReader):
+    """The library's reader, but for the messages' index, whose parsing takes the longest."""
+
+    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        if opcode != Opcode.MESSAGE_INDEX:
+            return super()._read_record(opcode, length)
+        data = self._stream.read(length)
+        _, size = _INDEX.unpack_from(data)
+        if size != length - _INDEX.size:
+            raise EndOfFile
+        return Unparsed(Opcode.MESSAGE_INDEX, data)
+
+
+def records_in(data: bytes) -> tuple[list[Schema | Channel], list[_Fields]]:
+    """Return definitions and messages of a chunk.
 
     A message is channel, log time (ns), data, publish time (ns), sequence: the fields of
     mcap's ``Message``, which takes longer to make.
@@ -226,39 +254,51 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, bytes, int, int] | Schem
     ValueError
         The records do not fill the chunk.
     """
+    definitions: list[Schema | Channel] = []
+    messages: list[_Fields] = []
     position, end, head, size = 0, len(data), MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
+    a_message = int(Opcode.MESSAGE)
     while position + size <= end:
         opcode, length, channel, sequence, log_time, publish_time = head(data, position)
         start, position = position, position + _RECORD.size + length
         if position > end:
             break
-        if opcode == Opcode.MESSAGE:
-            yield channel, log_time, data[start + size : position], publish_time, sequence
+        if opcode == a_message:
+            body = data[start + size : position]
+            messages.append((channel, log_time, body, publish_time, sequence))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            body = ReadDataStream(BytesIO(data[start + _RECORD.size : position]))
-            yield Schema.read(body) if opcode == Opcode.SCHEMA else Channel.read(body)
+            stream = ReadDataStream(BytesIO(data[start + _RECORD.size : position]))
+            kind = Schema if opcode == Opcode.SCHEMA else Channel
+            definitions.append(kind.read(stream))
     if position != end:
         raise ValueError("a chunk ends within a record")
+    return definitions, messages
 
 
-def summary_of(file: IO[bytes] | mmap) -> tuple[int | None, bool]:
+def summary_of(file: IO[bytes] | mmap, footer: int | None = None) -> tuple[int | None, bool]:
     """Return where the summary begins, and whether a checksum confirms it.
 
     Index and statistics, which others find messages by, stand there.  No place if it is damaged.
+
+    Parameters
+    ----------
+    file
+        An MCAP file; it is read somewhere else afterwards.
+    footer
+        Where its footer begins; None looks before the mark at the file's end.
     """
-    file.seek(0, os.SEEK_END)
-    size = file.tell()
-    place = size - len(MCAP0_MAGIC) - _FOOTER.size
-    if place < 0:
-        return None, False
-    file.seek(place)
+    if footer is None:
+        file.seek(0, os.SEEK_END)
+        footer = file.tell() - len(MCAP0_MAGIC) - _FOOTER.size
+        file.seek(max(footer + _FOOTER.size, 0))
+        if footer < 0 or file.read() != MCAP0_MAGIC:
+            return None, False
+    file.seek(footer)
     opcode, length, start, _, crc = _FOOTER.unpack(file.read(_FOOTER.size))
-    if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _RECORD.size) or start > place:
+    if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _RECORD.size) or start > footer:
         return None, False
-    if file.read() != MCAP0_MAGIC:
-        return None, False
-    file.seek(start := start or place)
-    fits = not crc or zlib.crc32(file.read(place + _FOOTER.size - _CRC_SIZE - start)) == crc
+    file.seek(start := start or footer)
+    fits = not crc or zlib.crc32(file.read(footer + _FOOTER.size - _CRC_SIZE - start)) == crc
     return start if fits else None, bool(crc)
 
 
@@ -293,9 +333,7 @@ class _Reader:
         """Read all records, or those before the place where the file was cut."""
         # a record that is longer than the file is no record
         limit = max(self._size, 1)
-        reader = StreamReader(
-            self._file, emit_chunks=True, validate_crcs=True, record_size_limit=limit
-        )
+        reader = Records(self._file, emit_chunks=True, validate_crcs=True, record_size_limit=limit)
         position = len(MCAP0_MAGIC)
         try:
             for record in reader.records:
@@ -354,24 +392,23 @@ class _Reader:
                 )
         elif isinstance(record, Footer):
             here = self._file.tell()
-            if summary_of(self._file)[0] is None:
+            if summary_of(self._file, here - _FOOTER.size)[0] is None:
                 raise ValueError("the index does not match its checksum")
             self._file.seek(here)
 
     def _messages(self, data: bytes) -> None:
         """Take in the records of a chunk."""
         lists = self._lists
-        for record in records_in(data):
-            if isinstance(record, tuple):
-                channel, log_time, message, _, _ = record
-                if channel not in lists:
-                    raise ValueError(f"message of unknown channel {channel}")
-                messages, times = lists[channel]
-                messages.append(message)
-                times.append(log_time)
-                self._count += 1
-            else:
-                self._take(record)
+        definitions, messages = records_in(data)
+        for definition in definitions:
+            self._take(definition)
+        for channel, log_time, message, _, _ in messages:
+            if channel not in lists:
+                raise ValueError(f"message of unknown channel {channel}")
+            of_channel, times = lists[channel]
+            of_channel.append(message)
+            times.append(log_time)
+        self._count += len(messages)
 
     def _channel(self, channel: Channel) -> None:
         topic, contents = channel.topic, self._contents

@@ -15,6 +15,7 @@ import numpy as np
 
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.files import whole_file
 from capture_sim.studies.envelope import ROW, Envelope, replay
 from capture_sim.studies.envelope_runs import plan_from_mapping, plan_to_mapping
 
@@ -64,13 +65,8 @@ def write_envelope(envelope: Envelope, path: Path | str) -> Path:
     schema = pa.schema(fields, metadata={_PLAN: plan.encode()})
     buffer = io.BytesIO()
     parquet.write_table(pa.Table.from_arrays(columns, schema=schema), buffer, compression="zstd")
-    beside = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_bytes(buffer.getvalue())
-        beside.replace(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    with whole_file(path) as part:
+        part.write_bytes(buffer.getvalue())
     return path
 
 

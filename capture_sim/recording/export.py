@@ -154,13 +154,10 @@ def _paths(topics: Collection[str], folder: Path, suffix: str) -> dict[str, Path
 
 
 def _save_csv(columns: Mapping[str, np.ndarray], path: Path) -> None:
-    try:
-        with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows(zip(*(_cells(c) for c in columns.values()), strict=True))
-    except OSError as error:
-        raise _failed(path, error) from None
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(_cells(c) for c in columns.values()), strict=True))
 
 
 def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
@@ -173,11 +170,8 @@ def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
         name: pa.array([_plain(x) for x in column] if column.dtype == object else column)
         for name, column in columns.items()
     }
-    try:
-        with whole_file(path) as part:
-            parquet.write_table(pa.table(arrays), part, compression="zstd")
-    except OSError as error:
-        raise _failed(path, error) from None
+    with whole_file(path) as part:
+        parquet.write_table(pa.table(arrays), part, compression="zstd")
 
 
 def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Path) -> None:
@@ -190,11 +184,8 @@ def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Pa
     }
     if run.has_scene:
         arrays["scene"] = np.array(run.scene_text)
-    try:
-        with whole_file(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
-    except OSError as error:
-        raise _failed(path, error) from None
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
 
 
 def _cells(column: np.ndarray) -> list[object]:
@@ -211,7 +202,3 @@ def _cell(value: object) -> object:
 
 def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _failed(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(f"{path}: cannot write: {error.strerror or error}")

@@ -174,12 +174,8 @@ class RecordingFiles:
             topics[entry.name] = replace(entry, count=count)
         files = [part.file_entry for part in parts]
         text = bag_metadata(list(topics.values()), files, self._writer.run_id)
-        path = self.path / FILE_NAME
-        try:
-            with whole_file(path) as part:
-                part.write_text(in_folder(text), encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+        with whole_file(self.path / FILE_NAME) as part:
+            part.write_text(in_folder(text), encoding="utf-8")
 
 
 @dataclass(frozen=True)

@@ -77,18 +77,15 @@ def write_run(
     _check_grid(result)
     path = Path(path)
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
-    try:
-        while True:
-            replaced = is_device(path) or (replace and is_simulated(path))
-            target = path if replaced else free_path(path)
-            try:
-                with whole_file(target, replace=replaced) as part:
-                    _write(result, run, part, target.name)
-            except FileExistsError:
-                continue  # another command was faster
-            return target
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+    while True:
+        replaced = is_device(path) or (replace and is_simulated(path))
+        target = path if replaced else free_path(path)
+        try:
+            with whole_file(target, replace=replaced) as part:
+                _write(result, run, part, target.name)
+        except FileExistsError:
+            continue  # another command was faster
+        return target
 
 
 def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:

@@ -52,6 +52,7 @@ from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metada
 from capture_sim.recording.contents import (
     DAMAGE,
     UNPACKED_RATIO,
+    Records,
     allowance,
     bag_files,
     records_in,
@@ -150,8 +151,8 @@ def recover(
     try:
         with whole_file(target, replace=False) as beside:
             return _save(parts, lost, beside, target)
-    except OSError as error:
-        raise RecordingError(f"{target}: cannot write: {error.strerror or error}") from None
+    except FileExistsError:
+        raise RecordingError(f"{target}: cannot write: it exists") from None
 
 
 class _Loss(NamedTuple):
@@ -244,7 +245,7 @@ class _Part:
         """Yield place, end and content of the records from a place on, while they are whole."""
         data = self._data
         data.seek(start)
-        reader = StreamReader(data, skip_magic=True, emit_chunks=True, record_size_limit=self.size)
+        reader = Records(data, skip_magic=True, emit_chunks=True, record_size_limit=self.size)
         with suppress(*DAMAGE):
             for record in reader.records:
                 end, builder = data.tell(), RecordBuilder()
@@ -258,15 +259,15 @@ class _Part:
         """Take in a record; return whether it is whole."""
         if isinstance(record, Chunk):
             try:
-                inner = list(_unpacked(record, self._left))
+                definitions, messages = records_in(unpacked(record, self._left))
             except DAMAGE:
                 return False
-            self._left -= record.uncompressed_size + _RECORD_COST * len(inner)
+            self._left -= record.uncompressed_size + _RECORD_COST * len(messages)
             self.chunks += 1
             self.unchecked += not record.uncompressed_crc
-            for each in inner:
+            for each in definitions:
                 self._define(each, confirmed=bool(record.uncompressed_crc))
-            self.messages += [each for each in inner if isinstance(each, Message)]
+            self.messages += [Message(*each) for each in messages]
         elif isinstance(record, Attachment):
             self.attachments[record.name] = record
             if record.name == DEFINITIONS_ATTACHMENT:
@@ -305,7 +306,7 @@ class _Part:
                 _, _, record = next(self._records(at), (at, at, None))
                 if isinstance(record, Chunk):
                     with suppress(*DAMAGE):
-                        list(_unpacked(record, self._left))
+                        records_in(unpacked(record, self._left))
                         return at
         return None
 
@@ -337,18 +338,6 @@ class _Part:
 
     def _lose(self, start: int, end: int, why: str) -> None:
         self.losses.append(_Loss(start, end, why, len(self.messages)))
-
-
-def _unpacked(chunk: Chunk, limit: int) -> Iterator[McapRecord]:
-    """Yield the definitions and messages of a chunk.
-
-    Raises
-    ------
-    ValueError
-        It is damaged.
-    """
-    for record in records_in(unpacked(chunk, limit)):
-        yield Message(*record) if isinstance(record, tuple) else record
 
 
 def _save(parts: list[_Part], lost: list[str], beside: Path, target: Path) -> Recovery:

@@ -14,7 +14,6 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from capture_sim.errors import RecordingError
 from capture_sim.files import whole_file
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import Shape
@@ -145,11 +144,8 @@ def save_as(figure: Figure, paths: Sequence[Path | str]) -> list[Path]:
     done = []
     for path in map(Path, paths):
         metadata = {"Date": None} if path.suffix == ".svg" else None
-        try:
-            with whole_file(path) as part, mpl.rc_context(_SAVING):
-                figure.savefig(part, dpi=style.DPI, metadata=metadata)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+        with whole_file(path) as part, mpl.rc_context(_SAVING):
+            figure.savefig(part, dpi=style.DPI, metadata=metadata)
         figure.set_layout_engine("none")  # arranged by the first
         done.append(path)
     return done

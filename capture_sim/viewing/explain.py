@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 from PIL import Image
 
-from capture_sim.errors import RecordingError
 from capture_sim.files import whole_file
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Scene
@@ -254,11 +253,8 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
     palette = frames[-1].quantize(48)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     times = [1000 // _FPS] * (len(small) - 1) + [2500]
-    try:
-        with whole_file(path) as part:
-            small[0].save(part, save_all=True, append_images=small[1:], duration=times, loop=0)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+    with whole_file(path) as part:
+        small[0].save(part, save_all=True, append_images=small[1:], duration=times, loop=0)
     return path
 
 

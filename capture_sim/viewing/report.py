@@ -17,7 +17,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 import capture_sim
-from capture_sim.errors import RecordingError, SceneError, SimulationError
+from capture_sim.errors import SceneError, SimulationError
 from capture_sim.files import whole_file
 from capture_sim.results import LEGEND, first_cluster, heads, rows
 from capture_sim.samples import ENERGIES
@@ -147,11 +147,8 @@ def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
         The file cannot be written.
     """
     path, text = Path(path), report(reported)
-    try:
-        with whole_file(path) as part:
-            part.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
     return path
 
 

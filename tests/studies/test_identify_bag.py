@@ -104,7 +104,7 @@ def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path,
     assert " 4 touches" in said
     known = "--fix-release" in release
     true = [*run.true] if known else [*run.true, STOOD]
-    rows = [line.split() for line in said.splitlines()[1 : 1 + len(true)]]
+    rows = [line.split() for line in said.splitlines()[2 : 2 + len(true)]]
     for row, expected in zip(rows, true, strict=True):
         assert abs(float(row[1]) - expected) < 3.0 * float(row[2]), row
     if not known:
@@ -136,7 +136,7 @@ def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
     main(["identify", path, "mu", "--starts", "1"])
     assert "release" not in capsys.readouterr().out
     main(["identify", path, "mu", "release", "--starts", "1"])
-    row = capsys.readouterr().out.splitlines()[2]
+    row = capsys.readouterr().out.splitlines()[3]
     assert row.startswith("release ")
     assert "s after the recorded release" in row
     assert abs(float(row.split()[1])) < 1e-6

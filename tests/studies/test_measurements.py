@@ -28,7 +28,7 @@ def test_bench_whose_clock_is_the_walls_is_fitted_as_well(path, tmp_path, capsys
         np.testing.assert_array_equal(mine.values, theirs.values)
     command = ["identify", str(bag), "mu", "--scene", "tilt_0", "--set", "friction.mu=0.3"]
     assert main([*command, "--starts", "1"]) == 0
-    value = float(capsys.readouterr().out.splitlines()[1].split()[1])
+    value = float(capsys.readouterr().out.splitlines()[2].split()[1])
     assert value == pytest.approx(0.33, rel=1e-3)
 
 
