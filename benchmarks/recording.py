@@ -29,7 +29,7 @@ import capture_sim
 from benchmarks.damage import cuts, expected, flips, saved_rightly
 from benchmarks.machine import clock_rate, describe, load
 from benchmarks.noisy_bench import NAMES, noisy_run
-from capture_sim.messages.convert import RunDescription, stamp_ns
+from capture_sim.messages.convert import RunDescription
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
@@ -68,8 +68,8 @@ def measure_writing(folder: Path) -> str:
     def write_alone() -> None:
         (folder / "alone.mcap").unlink(missing_ok=True)
         with RunWriter(folder / "alone.mcap", run) as writer:
-            for topic, t, data in stream:
-                writer.write(topic, data, stamp_ns(t))
+            for topic, stamp, data in stream:
+                writer.write(topic, data, stamp)
 
     def read_all() -> None:
         found = read_run(path)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 SIMULATOR = "simulator"
 LAUNCHER = "launcher"
@@ -70,39 +71,24 @@ class Topic:
         return self.name if self.name.startswith("/") else f"/{self.name}"
 
 
+def _ours(
+    name: str, message: str, publisher: str, rate: Rate = Rate.PERIODIC, **more: Any
+) -> Topic:
+    return Topic(name, f"capture_sim/msg/{message}", (publisher,), rate, **more)
+
+
+_KEPT: dict[str, Any] = {"depth": 1, "latched": True}
+_NUMBERED: dict[str, Any] = {"sequenced": True}
+
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
-RUN_INFO = Topic(
-    "bench/run_info",
-    "capture_sim/msg/RunInfo",
-    (SIMULATOR,),
-    Rate.ONCE,
-    depth=1,
-    latched=True,
-)
-BENCH_STATE = Topic(
-    "bench/state", "capture_sim/msg/BenchState", (SIMULATOR,), Rate.STATE, sequenced=True
-)
+RUN_INFO = _ours("bench/run_info", "RunInfo", SIMULATOR, Rate.ONCE, **_KEPT)
+BENCH_STATE = _ours("bench/state", "BenchState", SIMULATOR, Rate.STATE, **_NUMBERED)
 # where the scene asks for it
-CONTACT_TRACE = Topic(
-    "bench/contact_trace", "capture_sim/msg/ContactTrace", (SIMULATOR,), Rate.EVENT, sequenced=True
-)
-BUFFER_STATE = Topic(
-    "bench/buffer", "capture_sim/msg/BufferState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
-)
-CONTACT_STATE = Topic(
-    "bench/contact", "capture_sim/msg/ContactState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
-)
-STRING_STATE = Topic(
-    "bench/string", "capture_sim/msg/StringState", (SIMULATOR,), Rate.PERIODIC, sequenced=True
-)
-BENCH_EVENT = Topic(
-    "bench/event",
-    "capture_sim/msg/BenchEvent",
-    (SIMULATOR,),
-    Rate.EVENT,
-    latched=True,
-    sequenced=True,
-)
+CONTACT_TRACE = _ours("bench/contact_trace", "ContactTrace", SIMULATOR, Rate.EVENT, **_NUMBERED)
+BUFFER_STATE = _ours("bench/buffer", "BufferState", SIMULATOR, **_NUMBERED)
+CONTACT_STATE = _ours("bench/contact", "ContactState", SIMULATOR, **_NUMBERED)
+STRING_STATE = _ours("bench/string", "StringState", SIMULATOR, **_NUMBERED)
+BENCH_EVENT = _ours("bench/event", "BenchEvent", SIMULATOR, Rate.EVENT, latched=True, **_NUMBERED)
 CHASER_ODOMETRY = Topic("chaser/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
 TARGET_ODOMETRY = Topic("target/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
 CONTACT_WRENCH = Topic(
@@ -117,40 +103,14 @@ TARGET_POSE = Topic(
     "motion_capture/target", "geometry_msgs/msg/PoseStamped", (SIMULATOR,), Rate.SENSOR
 )
 LOAD_CELL = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.SENSOR)
-LAUNCH_COMMAND = Topic(
-    "launcher/command",
-    "capture_sim/msg/LaunchCommand",
-    (LAUNCHER,),
-    Rate.EVENT,
-    depth=10,
-    latched=True,
+LAUNCH_COMMAND = _ours(
+    "launcher/command", "LaunchCommand", LAUNCHER, Rate.EVENT, depth=10, latched=True
 )
-LAUNCHER_STATE = Topic(
-    "launcher/state",
-    "capture_sim/msg/LauncherState",
-    (LAUNCHER,),
-    Rate.PERIODIC,
-    depth=1,
-    latched=True,
-    sequenced=True,
+LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_KEPT, **_NUMBERED)
+CAPTURE_CRITERIA = _ours(
+    "capture/criteria", "CaptureCriteria", CAPTURE_DETECTOR, Rate.ONCE, **_KEPT
 )
-CAPTURE_CRITERIA = Topic(
-    "capture/criteria",
-    "capture_sim/msg/CaptureCriteria",
-    (CAPTURE_DETECTOR,),
-    Rate.ONCE,
-    depth=1,
-    latched=True,
-)
-CAPTURE_STATUS = Topic(
-    "capture/status",
-    "capture_sim/msg/CaptureStatus",
-    (CAPTURE_DETECTOR,),
-    Rate.PERIODIC,
-    depth=1,
-    latched=True,
-    sequenced=True,
-)
+CAPTURE_STATUS = _ours("capture/status", "CaptureStatus", CAPTURE_DETECTOR, **_KEPT, **_NUMBERED)
 STREAM_COUNTS = Topic(
     "bench/stream_counts",
     "capture_sim/msg/StreamCounts",
