@@ -78,7 +78,7 @@ faults: setup
 picture: setup
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	cp build/picture/overview.png docs/experiments.png
-	$(BIN)/python -m capture_sim.viewing.explain docs
+	$(BIN)/python -m tools.explain docs
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 format: setup

@@ -46,16 +46,24 @@ def trust(measured: list[Measured]) -> np.ndarray:
     )
 
 
+def error_table(measured: list[Measured]) -> list[str]:
+    """Return the table of errors, line by line."""
+    errors = np.array([m.error for m in measured])
+    return [
+        "| s after the first touch | median | 99 % | largest | below 1e-6 m |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {after:g} | {quantiles(errors[:, i])} | {np.mean(errors[:, i] < 1e-6):.1%} |"
+            for i, after in enumerate(AFTER)
+        ),
+    ]
+
+
 def page(measured: list[Measured], ratios: list[float]) -> str:
     """Return the page as Markdown."""
-    errors = np.array([m.error for m in measured])
     wrong = [m for m in measured if m.wrong]
     known = trust(measured)
     inside = np.mean([0.01 < ratio < 100.0 for ratio in ratios])
-    rows = [
-        f"| {after:g} | {quantiles(errors[:, i])} | {np.mean(errors[:, i] < 1e-6):.1%} |"
-        for i, after in enumerate(AFTER)
-    ]
     return "\n".join(
         [
             "# The default tolerance over random benches",
@@ -66,9 +74,7 @@ def page(measured: list[Measured], ratios: list[float]) -> str:
             f"rtol {DEFAULT:g} and at 1e-12. Errors in m, the largest of all coordinates, angles "
             "by their arm.",
             "",
-            "| s after the first touch | median | 99 % | largest | below 1e-6 m |",
-            "|---|---|---|---|---|",
-            *rows,
+            *error_table(measured),
             "",
             f"Touches in another order or number than at 1e-12: {len(wrong)}; not flagged by "
             "`simulate(..., check=True)`: "
@@ -91,11 +97,6 @@ def page(measured: list[Measured], ratios: list[float]) -> str:
 
 def wide_page(measured: list[Measured], scenes: int) -> str:
     """Return the page of the wider benches as Markdown."""
-    errors = np.array([m.error for m in measured])
-    rows = [
-        f"| {after:g} | {quantiles(errors[:, i])} | {np.mean(errors[:, i] < 1e-6):.1%} |"
-        for i, after in enumerate(AFTER)
-    ]
     wrong = [m for m in measured if m.wrong]
     return "\n".join(
         [
@@ -107,9 +108,7 @@ def wide_page(measured: list[Measured], scenes: int) -> str:
             "1.1 rad, every law of contact and friction, offset, attitudes, speed and buffer as in "
             f"random_scenes.md), each at the default rtol {DEFAULT:g} and at 1e-12. Errors in m.",
             "",
-            "| s after the first touch | median | 99 % | largest | below 1e-6 m |",
-            "|---|---|---|---|---|",
-            *rows,
+            *error_table(measured),
             "",
             "Without those whose touches come in another order or number than at 1e-12 "
             f"({len(wrong)}; not flagged by `simulate(..., check=True)`: "

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from capture_sim.samples import EventKind
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import fixed_figure, grid, rows_of_axes, save, set_fonts
+from capture_sim.viewing.canvas import grid, new_figure, rows_of_axes, save, set_fonts
 from capture_sim.viewing.drawing import (
     LETTERS,
     draw_bench,
@@ -42,50 +42,14 @@ _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
 
 
 def save_figure(run: ViewableRun, path: Path | str, label: str | None = None) -> Path:
-    """Draw a run and save it, as PNG or whatever the path's ending says.
-
-    Parameters
-    ----------
-    run, path
-        What, and where to.
-    label
-        The run's name; None for its scene's.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
-    """
+    """Save the picture of :func:`draw_run` and return its path, see :func:`canvas.save`."""
     return save(draw_run(run, label), path)
 
 
 def save_overview(
     runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
 ) -> Path:
-    """Draw several runs side by side and save them, as PNG or whatever the ending says.
-
-    Parameters
-    ----------
-    runs, path
-        What, and where to.
-    labels
-        Names of the runs, one each; None for their scenes', numbered where they are the same.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
-    """
+    """Save the picture of :func:`draw_overview` and return its path, see :func:`canvas.save`."""
     return save(draw_overview(runs, labels), path)
 
 
@@ -93,7 +57,7 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     """Return the figure of one run, under its label or its scene's name."""
     title = headline(run, label)
     # titles have y=1.0, or matplotlib measures all ticks to place them
-    figure = fixed_figure(15.5, 10.0)
+    figure = new_figure(15.5, 10.0, arranged=False)
     figure.suptitle(title, fontsize=19, fontweight="bold", y=0.993)
     top = 0.42 + 0.33 * len(title.splitlines())
     bench, cone = rows_of_axes(figure, (1.05, 6.85), top, [(1.65, 0.95), (6.0, 0.0)])
@@ -112,11 +76,14 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
 
 
 def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = None) -> Figure:
-    """Return the figure of several runs side by side, one column each, under their labels."""
+    """Return the figure of several runs side by side, one column each, under their labels.
+
+    These are the scenes' names, numbered where they are the same, unless given.
+    """
     if labels is None:
         labels = distinct_names([run.scene.name for run in runs])
     titles = [headline(run, label, _COLUMN) for run, label in zip(runs, labels, strict=True)]
-    figure = fixed_figure(6.0 * len(runs), 14.0)
+    figure = new_figure(6.0 * len(runs), 14.0, arranged=False)
     top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
     rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
     sides = [(6.0 * i + 1.05, 6.0 * i + 5.9) for i in range(len(runs))]

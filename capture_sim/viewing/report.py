@@ -40,25 +40,11 @@ _SECTIONS = (
 
 @dataclass(frozen=True)
 class ErrorStatement:
-    """How far a run's numbers can be trusted, in words and numbers.
-
-    Attributes
-    ----------
-    text
-        For people.
-    reproduced
-        Largest difference of the run's states to a run made now, m and rad; None if not run.
-    error
-        Largest difference to a run with a finer integration, m, to the end of the first
-        contact and to the end of the run; None if not run.
-    same_touches
-        Whether the finer run has the same touches.
-    """
+    """How far a run's numbers can be trusted, for people, and what of it was found."""
 
     text: str
+    #: Largest difference of the run's states to a run made now, m and rad; None if not run.
     reproduced: float | None = None
-    error: tuple[float, float] | None = None
-    same_touches: bool = False
 
 
 def error_statement(run: ViewableRun) -> ErrorStatement:
@@ -91,7 +77,7 @@ def error_statement(run: ViewableRun) -> ErrorStatement:
         )
     residual = float(np.abs(run.samples["energy_residual"]).max())
     text += f"The energy ledger closes to {residual:.1e} J."
-    return ErrorStatement(text, reproduced, (early, late), check.same_touches)
+    return ErrorStatement(text, reproduced)
 
 
 def not_simulated() -> ErrorStatement:
@@ -104,42 +90,19 @@ def not_simulated() -> ErrorStatement:
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """A run and what is told about it.
-
-    Attributes
-    ----------
-    run
-        To be drawn.
-    label
-        Its name, no other's of the report; empty for its scene's.
-    source
-        Where it comes from, in words.
-    summary
-        As :func:`capture_sim.results.summarize` gives.
-    software
-        ``"name version"`` each, of what made the run.
-    error
-        How far it can be trusted.
-    problems
-        What is wrong with its recording, one line each.
-    """
+    """A run and what the page states of it."""
 
     run: ViewableRun
-    source: str
-    summary: dict[str, Any]
-    software: Sequence[str]
+    source: str  # where it comes from, in words
+    summary: dict[str, Any]  # as :func:`capture_sim.results.summarize` gives
+    software: Sequence[str]  # "name version" each, of what made the run
     error: ErrorStatement
-    problems: Sequence[str] = ()
-    label: str = ""
+    problems: Sequence[str] = ()  # of its recording, one line each
+    label: str = ""  # no other's of the report; empty for its scene's name
 
 
 def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
-    """Save the report of runs as one HTML file.
-
-    Returns
-    -------
-    Path
-        Of the file.
+    """Save the report of runs as one HTML file; return its path.
 
     Raises
     ------
@@ -176,7 +139,7 @@ def report(reported: Sequence[ReportedRun]) -> str:
         version=capture_sim.__version__,
         sections=_SECTIONS,
         names=names,
-        runs=[_told(one, name) for one, name in zip(reported, names, strict=True)],
+        runs=[_of_run(one, name) for one, name in zip(reported, names, strict=True)],
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
         columns=[(name, unit) for _, name, unit in heads()],
         results=[
@@ -202,7 +165,7 @@ def report(reported: Sequence[ReportedRun]) -> str:
     )
 
 
-def _told(one: ReportedRun, name: str) -> dict[str, Any]:
+def _of_run(one: ReportedRun, name: str) -> dict[str, Any]:
     """Return what the page says of a run."""
     run = one.run
     lines = []

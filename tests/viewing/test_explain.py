@@ -9,7 +9,7 @@ from PIL import Image
 
 import capture_sim
 from capture_sim.launch.scenes import load_scene
-from capture_sim.viewing.explain import draw_geometry, save_capture_gif
+from tools.explain import draw_geometry, save_capture_gif
 
 
 def test_every_symbol_of_the_geometry_is_named():

@@ -218,16 +218,6 @@ def test_target_is_drawn_turned_the_right_way(runs):
         assert turned == pytest.approx(degrees, abs=0.1)
 
 
-def test_columns_of_the_overview_are_of_one_size(runs):
-    figure = plots.draw_overview(runs)
-    figure.draw_without_rendering()
-    for row in np.array(figure.axes).reshape(len(runs), 4).T:
-        boxes = [one.get_position().bounds for one in row]
-        assert np.ptp([box[1:] for box in boxes], axis=0).max() < 1e-6
-        titles = [one.title.get_position()[1] for one in row]
-        assert np.ptp(titles) < 1e-6
-
-
 def test_no_name_lies_under_a_box_or_another(runs, papers, interrupted):
     """Names of the walls and letters of the moments against legend and list of moments."""
     drawn = [plots.draw_overview(runs), plots.draw_overview(papers)]
@@ -326,10 +316,6 @@ def test_run_without_a_touch_is_drawn_too(tmp_path):
     run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=1.0)
     assert "no touch" in headline(run)
     assert plots.save_figure(run, tmp_path / "x.png").stat().st_size > 10_000
-    pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing.rerun_view import save_rrd
-
-    assert save_rrd([run], tmp_path / "x.rrd").stat().st_size > 10_000
 
 
 def test_unwritable_folder_is_refused_in_one_line(runs, tmp_path):
@@ -350,6 +336,8 @@ DEUTAN = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 
 BESIDE_EACH_OTHER = {
     "runs": style.RUNS[:4],
     "verdicts": [look.colour for look in style.VERDICTS.values()],
+    "phases": [*style.PHASES.values()],
+    "states": [*style.STATES.values()],
     **{f"layers {i}": (LAYERS[i][1], LAYERS[i + 1][1]) for i in range(len(LAYERS) - 1)},
 }
 
@@ -359,9 +347,10 @@ BESIDE_EACH_OTHER = {
 def test_colours_differ_also_for_the_colour_blind(what, matrix):
     colours = np.array([to_rgb(colour) for colour in BESIDE_EACH_OTHER[what]]) ** 2.2
     seen = (colours @ matrix.T).clip(0.0, 1.0) ** (1 / 2.2)
+    least = 0.14 if what in ("phases", "states") else 0.2  # names stand in the lanes as well
     for i in range(len(seen)):
         for j in range(i):
-            assert np.abs(seen[i] - seen[j]).max() > 0.2, (what, i, j)
+            assert np.abs(seen[i] - seen[j]).max() > least, (what, i, j)
 
 
 def test_nothing_but_a_run_has_a_runs_colour():
@@ -369,13 +358,3 @@ def test_nothing_but_a_run_has_a_runs_colour():
     meant |= {*style.PHASES.values(), *style.STATES.values()}
     assert not meant & set(style.RUNS)
     assert len({marker for marker, *_ in style.WALLS.values()}) == 2
-
-
-def test_states_differ_also_for_the_colour_blind():
-    for colours_of in (style.PHASES, style.STATES):
-        colours = np.array([to_rgb(colour) for colour in colours_of.values()]) ** 2.2
-        for matrix in (NORMAL, PROTAN, DEUTAN):
-            seen = (colours @ matrix.T).clip(0.0, 1.0) ** (1 / 2.2)
-            gaps = np.abs(seen[:, None] - seen).max(axis=-1) + np.eye(len(seen))
-            # their names stand in the lanes as well
-            assert gaps.min() > 0.14

@@ -1,6 +1,6 @@
 """Pictures for who sees the bench for the first time: its geometry with every symbol, a capture.
 
-    python -m capture_sim.viewing.explain docs
+    python -m tools.explain docs
 
 writes ``geometry.svg`` and ``capture.gif``.
 """
