@@ -32,7 +32,6 @@ from capture_sim.viewing.curves import (
     Window,
     as_shown,
     common_window,
-    energy_layers,
     split,
     time_label,
 )
@@ -202,40 +201,6 @@ def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     # above: inside, the loops are everywhere
     figure.legend(loc="outside upper center", fontsize=style.SMALL)
     set_fonts([axes])
-    return figure
-
-
-def energy(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw what the energy put in has become, layer on layer, a panel for each run.
-
-    The layers' sum is drawn against what was put in (dashed): both lie on each other when the
-    ledger closes.
-    """
-    shown = as_shown(runs, labels)
-    figure = new_figure(5.6 * len(shown) + 1.0, 6.2)
-    row = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    named: dict[str, Artist] = {}  # each layer once, whichever run has it
-    for axes, one in zip(row, shown, strict=True):
-        t, put_in, layers = energy_layers(one.run)
-        below = np.zeros(len(t))
-        for name, colour, layer in layers:
-            axes.fill_between(t, below, below + layer, color=colour, lw=0, label=name)
-            below = below + layer
-        axes.plot(t, put_in, color=style.BLACK, lw=1.8, ls=style.FREE_LINE, label="put in")
-        axes.set_ylim(0.0, 1.08 * put_in.max())
-        _finish_time_axis(axes, [one], (float(t[0]), float(t[-1])))
-        axes.set_title(one.label, fontsize=style.FONT, fontweight="bold")
-        handles, names = axes.get_legend_handles_labels()
-        named.update(zip(names, handles, strict=True))
-    row[0].set_ylabel("energy  [mJ]")
-    figure.legend(
-        handles=list(named.values()),
-        labels=list(named),
-        loc="outside lower center",
-        ncols=3,
-        fontsize=style.SMALL,
-    )
-    set_fonts(row)
     return figure
 
 
