@@ -99,5 +99,5 @@ def _arrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise RecordingError("Parquet needs pyarrow: pip install pyarrow") from None
+        raise RecordingError("Parquet needs pyarrow: pip install 'capture_sim[study]'") from None
     return pyarrow, pyarrow.parquet
