@@ -225,14 +225,14 @@ def _batch(scene: Scene, size: int) -> tuple[float, float]:
 # The kernels are run as the Python functions that they were made from, with numbers that count
 # what is done with them.
 
-tally: Counter[str] = Counter()
+calls: Counter[str] = Counter()
 
 
 class Counted(float):
     """A number that counts its operations."""
 
     def _count(self, what: str, value: Any) -> Any:
-        tally[what] += 1
+        calls[what] += 1
         return Counted(value)
 
     def __add__(self, other: Any) -> Any:
@@ -268,7 +268,7 @@ def _watched(name: str) -> Any:
     function = getattr(math, name)
 
     def call(*values: Any) -> Any:
-        tally[name] += 1
+        calls[name] += 1
         return Counted(function(*map(float, values)))
 
     return call
@@ -321,7 +321,7 @@ def operations(scene: Scene) -> dict[str, dict[str, int]]:
         out = SimpleNamespace(
             **{k: [Counted(0.0)] * 2 if OUT[k].shape else Counted(0.0) for k in OUT.names or ()}
         )
-        tally.clear()
+        calls.clear()
         evaluate(0.0, y, f, SimpleNamespace(par=par, mode=mode, out=out))
-        counts[phase] = dict(tally)
+        counts[phase] = dict(calls)
     return counts

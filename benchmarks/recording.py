@@ -197,7 +197,7 @@ def measure_recovery(folder: Path) -> str:
         [
             f"A run of {len(chunks)} chunks, damaged 50 times each:",
             "",
-            "| | every whole chunk saved, the loss told | no whole chunk in it, refused | wrong |",
+            "| | every whole chunk saved, loss reported | no whole chunk in it, refused | wrong |",
             "|---|---|---|---|",
             *rows,
         ]

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from capture_sim.engine import loop
 from capture_sim.engine.state import N_WATCHED, WORKSPACE, Status
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.interrupts import do_apart
+from capture_sim.interrupts import in_worker
 from capture_sim.kernels import records
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
@@ -68,7 +68,7 @@ def compile_kernels() -> None:
     """
     global _compiled
     if not _compiled:
-        do_apart(_use_kernels)
+        in_worker(_use_kernels)
         _compiled = True
 
 

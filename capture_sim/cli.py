@@ -56,9 +56,9 @@ def command_parser(name: str) -> argparse.ArgumentParser:
 
     Ctrl-C is not lost in the import of a compiled module.
     """
-    from capture_sim.interrupts import do_apart  # not for --help
+    from capture_sim.interrupts import in_worker  # not for --help
 
-    command = do_apart(lambda: import_module(f"capture_sim.commands.{name}"))
+    command = in_worker(lambda: import_module(f"capture_sim.commands.{name}"))
     parser = _Parser(
         prog=f"capture-sim {name}",
         description=command.DESCRIPTION,

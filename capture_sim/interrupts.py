@@ -14,10 +14,10 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-_NAME = "apart"
+_NAME = "worker"
 
 
-def do_apart(work: Callable[[], T]) -> T:
+def in_worker(work: Callable[[], T]) -> T:
     """Do some work; return what it returns, raise what it raises.
 
     Raises
@@ -54,7 +54,7 @@ def leave_if_busy(status: int, *names: str) -> None:
     status
         Exit status of the process.
     names
-        Of other threads that may be; those of :func:`do_apart` always count.
+        Of other threads that may be; those of :func:`in_worker` always count.
     """
     if any(thread.name in (_NAME, *names) for thread in threading.enumerate()):
         sys.stdout.flush()

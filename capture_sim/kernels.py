@@ -69,7 +69,7 @@ def cache_folder() -> Path:
 
 
 def is_compiled() -> bool:
-    """Tell whether the kernels of this source have been compiled here before."""
+    """Return whether the kernels of this source have been compiled here before."""
     return any(cache_folder().rglob("loop.advance*.nbc"))
 
 

@@ -21,7 +21,7 @@ def with_run(scene: Scene, **changes: Any) -> Scene:
 
 
 def has_fixed_steps(scene: Scene, method: str) -> bool:
-    """Tell whether a method takes ``run.step`` instead of ``run.rtol``."""
+    """Return whether a method takes ``run.step`` instead of ``run.rtol``."""
     return bool(packed(with_run(scene, method=method))[0]["fixed_step"] > 0.0)
 
 

@@ -103,7 +103,7 @@ class Reference:
         return contact.gap, contact.rate
 
     def _hides_something(self, h: Any, y_new: np.ndarray) -> bool:
-        """Tell whether a dip below zero may lie inside a step that ends above zero."""
+        """Return whether a dip below zero may lie inside a step that ends above zero."""
         if h < 1e-9:
             return False
         for wall in (0, 1):

@@ -20,7 +20,7 @@ _TICK = 1e-9
 DESCRIPTION = (
     "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
     "detector's limits as they were when it was recorded (capture/criteria; the scene's, where the "
-    "recording does not tell them) or changed by --set detector.capture_radius=0.004. Unchanged "
+    "recording does not hold them) or changed by --set detector.capture_radius=0.004. Unchanged "
     "it must come to the recorded verdict, else the exit status is 1. Times are s since the "
     "release."
 )
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     for status in statuses:
         if status.state is not state:
             since = status.t - status.time_in_state
-            late = f", told at {status.t:.3f} s" if status.time_in_state > _TICK else ""
+            late = f", reported at {status.t:.3f} s" if status.time_in_state > _TICK else ""
             say(f"{since:10.3f} s  {status.state.label:9} {status.reason}{late}")
             state = status.state
     verdict = statuses[-1]
@@ -77,11 +77,11 @@ def run(options: argparse.Namespace) -> int:
         return OK
     if recorded.criteria is None:
         say(
-            "the recording does not tell the detector's limits: judged by the scene's, and others "
+            "the recording does not hold the detector's limits: judged by the scene's, and others "
             "that were set on its node would explain the difference"
         )
     else:
-        say("the limits are those of then: what the detector heard is not all here, or it changed")
+        say("the limits are the same: not all that the detector received is here, or it changed")
     return FAILED
 
 

@@ -25,7 +25,7 @@ from capture_sim.engine.held_wrench import (
 )
 from capture_sim.errors import CaptureSimError, SceneError
 from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, Wrench
-from capture_sim.interrupts import do_apart
+from capture_sim.interrupts import in_worker
 from capture_sim.kernels import records
 from capture_sim.messages.topics import Rate, Topic
 from capture_sim.model.equations import AXIAL, LATCH, STOP, TORSION, make_system
@@ -109,7 +109,7 @@ class LoopStage:
         self._count = 0
         # loads the kernel, or compiles it: not within the loop
         no_step = (self._system, self._laws, self._y, self._stages, np.zeros((0, TRACE)))
-        do_apart(lambda: step_with_wrench(*no_step, 0.0, *NOTHING))
+        in_worker(lambda: step_with_wrench(*no_step, 0.0, *NOTHING))
 
     @property
     def t(self) -> float:
@@ -227,7 +227,7 @@ class WrenchHold:
         self.refused = 0
 
     @property
-    def heard(self) -> bool:
+    def received(self) -> bool:
         """Whether there is one."""
         return self._stamp > -math.inf
 

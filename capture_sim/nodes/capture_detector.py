@@ -70,7 +70,7 @@ class CaptureDetectorNode(Participant):
         """Take part until the process is to end; return the exit status."""
         if self._scene is not None:
             self.announce(self._scene.name, self._scene)
-            self.get_logger().info(f"judging by {self._scene.name} until Ctrl-C")
+            self.get_logger().info(f"judged by {self._scene.name} until Ctrl-C")
         return super().work()
 
     def begin(self, info: Any, scene: Scene) -> None:

@@ -154,7 +154,7 @@ class LoopSimulatorNode(BenchNode):
         deadline = time.monotonic() + self._patience
         while True:
             with self._lock:
-                if self._hold.heard:
+                if self._hold.received:
                     return
             if time.monotonic() > deadline:
                 raise CaptureSimError(f"no wrench came for {self._patience:g} s")

@@ -628,5 +628,5 @@ def _usage(make: Callable[..., object]) -> str:
     for section in sections:
         if section.startswith(f"{name}:"):
             lines += [f"Parameters, as they are unless changed ({file}):", "", section.rstrip(), ""]
-    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` tells what is allowed.")
+    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` shows what is allowed.")
     return "\n".join(lines)

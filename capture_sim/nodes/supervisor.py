@@ -206,7 +206,7 @@ def _interruptible() -> Iterator[None]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def signals_deferred() -> Iterator[None]:
     """Put off what would end this process; raise KeyboardInterrupt afterwards if it came.
 
     Processes started within inherit a blocked SIGINT, to open it once they can end in order.
@@ -250,7 +250,7 @@ class _Processes:
 
     def __enter__(self) -> _Processes:
         try:
-            with uninterrupted():
+            with signals_deferred():
                 for name in self._names:
                     self._start(name)
         except BaseException:
@@ -312,7 +312,7 @@ class _Processes:
 
     def _end(self) -> None:
         """End what still runs: by SIGINT, and by SIGKILL what does not follow."""
-        with uninterrupted():
+        with signals_deferred():
             for process in self._running.values():
                 process.send_signal(signal.SIGINT)
             deadline = time.monotonic() + LAST_GRACE

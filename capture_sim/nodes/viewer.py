@@ -139,7 +139,7 @@ class ViewerNode(Participant):
         self._view.begin(name, self._scene, measured=self._geometry is not None)
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
-        """Tell, from a message's first bytes, whether it is one of those that are shown."""
+        """Return, from a message's first bytes, whether it is one of those that are shown."""
         seconds, nanoseconds = _STAMP.unpack_from(data, 4)
         beat = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
         if beat == self._beat.get(topic) or (self.run is None and not self._begin_unannounced()):
@@ -262,7 +262,7 @@ def observation_of(chaser: Any, target: Any, buffer: Any) -> Observation:
 
 
 class _Buffer:
-    """The buffer's state as the joints tell it."""
+    """The buffer's state as the joints report it."""
 
     def __init__(self, joints: Any) -> None:
         slide, hinge = joints.name.index(SLIDE_JOINT), joints.name.index(HINGE_JOINT)

@@ -83,7 +83,7 @@ def error_statement(run: ViewableRun) -> ErrorStatement:
 def not_simulated() -> ErrorStatement:
     """Return what can be said of measurements."""
     return ErrorStatement(
-        "measured. Its errors are those of the sensors, which the recording does not tell; between "
+        "measured. Its errors are those of the sensors, which the recording does not hold; between "
         "two messages lies what was not seen, and the length of a touch is known to one message."
     )
 

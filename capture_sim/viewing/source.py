@@ -303,7 +303,7 @@ def cut(run: ViewableRun, window: tuple[float, float]) -> CutRun:
 
 
 def _same(touches: np.ndarray, others: np.ndarray) -> bool:
-    """Tell whether two runs have the same touches, to 1 us."""
+    """Return whether two runs have the same touches, to 1 us."""
     return len(touches) == len(others) and bool(
         np.array_equal(touches["wall"], others["wall"])
         and np.allclose(touches["start"], others["start"], rtol=0.0, atol=1e-6)

@@ -221,9 +221,9 @@ def test_a_contact_shorter_than_the_delay_cannot_be_in_the_loop():
 
 def test_what_is_not_usable_is_refused_with_a_reason():
     hold = WrenchHold(timeout=0.01, force_limit=100.0)
-    assert not hold.heard
+    assert not hold.received
     assert hold.offer(0.0, 0.0, (1.0, 2.0, 0.0)) == ""
-    assert hold.heard
+    assert hold.received
     assert "is not finite" in hold.offer(0.001, 0.002, (math.nan, 0.0, 0.0))
     assert "0.003 s ahead of the loop" in hold.offer(0.005, 0.002, (1.0, 0.0, 0.0))
     assert hold.offer(0.002, 0.002, (3.0, 0.0, 0.0)) == ""

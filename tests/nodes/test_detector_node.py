@@ -179,7 +179,7 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "within 5 mm of BE for 0.2 s" in said
     assert "recorded limit: min_retreat = 0.03 m" in said
-    # an older recording does not tell them
+    # an older recording does not hold them
     older = LiveRecorder(tmp_path / "older")
     for topic in (*topics_of(SIMULATOR), *topics_of(CAPTURE_DETECTOR)):
         for data in run.raw(topic) if topic is not CAPTURE_CRITERIA else ():
@@ -189,7 +189,7 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
     assert main(["detect", str(old)]) == 1
     said = capsys.readouterr().out
     assert "DIFFERENT" in said
-    assert "does not tell the detector's limits" in said
+    assert "does not hold the detector's limits" in said
 
 
 # live, offline, bag
@@ -227,7 +227,9 @@ def test_live_offline_and_the_bag_agree_on_sensed_poses(tmp_path, capsys):
     since = offline.statuses[-1].t - offline.statuses[-1].time_in_state
     told = next(s.t for s in offline.statuses if s.state is CaptureState.CAPTURED)
     assert told > since + 0.05
-    assert f"{since:10.3f} s  captured  within 5 mm of BE for 0.2 s, told at {told:.3f} s" in said
+    assert (
+        f"{since:10.3f} s  captured  within 5 mm of BE for 0.2 s, reported at {told:.3f} s" in said
+    )
     assert f"verdict: captured since {since:.3f} s" in said
     assert f"recorded: captured since {since:.3f} s" in said
     assert main(["detect", path, "--set", "detector.capture_radius=1e-4"]) == 0
@@ -330,7 +332,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     name = "paper_undamped"
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))
     node = start("capture_detector", scene=name, overrides="['sensors.motion_capture={}']")
-    wait_for(node, "judging by paper_undamped")
+    wait_for(node, "judged by paper_undamped")
     rclpy.init()
     try:
         bench = Bench()

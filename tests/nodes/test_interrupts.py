@@ -12,8 +12,8 @@ import pytest
 
 import capture_sim
 from capture_sim import load_scene
-from capture_sim.interrupts import do_apart
-from capture_sim.nodes.supervisor import run_suite, uninterrupted
+from capture_sim.interrupts import in_worker
+from capture_sim.nodes.supervisor import run_suite, signals_deferred
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
@@ -156,12 +156,12 @@ def test_work_apart_gives_and_raises_as_in_place():
         seen.append(threading.current_thread())
         return 1.0
 
-    assert do_apart(work) == 1.0
+    assert in_worker(work) == 1.0
     assert seen[0] is not threading.main_thread()
     with pytest.raises(ZeroDivisionError):
-        do_apart(lambda: 1 / 0)
+        in_worker(lambda: 1 / 0)
     # from another thread it stays there: that one gets no signals
-    other = threading.Thread(target=do_apart, args=(work,))
+    other = threading.Thread(target=in_worker, args=(work,))
     other.start()
     other.join()
     assert seen[1] is other
@@ -182,7 +182,7 @@ def test_interrupt_within_work_apart_is_not_lost():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            do_apart(work)
+            in_worker(work)
     finally:
         over.set()
         signal.signal(signal.SIGINT, before)
@@ -229,14 +229,14 @@ def test_interrupt_waits_for_what_must_not_be_torn():
     other.start()
     done = False
     try:
-        with pytest.raises(KeyboardInterrupt), uninterrupted():
+        with pytest.raises(KeyboardInterrupt), signals_deferred():
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.05)
             done = True
     finally:
         released.set()
     assert done
-    with uninterrupted():
+    with signals_deferred():
         pass  # what came before is forgotten
 
 
