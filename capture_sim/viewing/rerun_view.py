@@ -6,7 +6,6 @@ in 3D and a close-up of the tip in the cone, and beside them the runs' curves in
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.errors import RecordingError
+from capture_sim.files import whole_file
 from capture_sim.results import impact_speed
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
@@ -62,18 +62,16 @@ def save_rrd(
         length=max((span.end - span.begin for span in spans if span is not None), default=np.inf),
         energies=any(has_ledger(run) for run in runs),
     )
+    recording = rr.RecordingStream("capture_sim", recording_id=None)
+    # written by us: rerun writes in the background, and waits for ever for a disk that is full
+    memory = recording.memory_recording()
+    recording.send_blueprint(layout, make_active=False)
+    for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
+        _log_run(RunStream(recording, name, span), run, titles[i], style.run_colour(i))
+    _log_limits(recording, runs)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # rerun writes in the background and tells of no error: see that it could
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-        recording = rr.RecordingStream("capture_sim", recording_id=None)
-        recording.save(path, default_blueprint=layout)
-        for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
-            _log_run(RunStream(recording, name, span), run, titles[i], style.run_colour(i))
-        _log_limits(recording, runs)
-        recording.flush()
-        recording.disconnect()
+        with whole_file(path) as part:
+            part.write_bytes(memory.drain_as_bytes())
     except OSError as error:
         raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
     return path

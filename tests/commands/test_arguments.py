@@ -82,6 +82,24 @@ def test_wrong_arguments_end_in_a_line(command, tmp_path, capfd, monkeypatch):
     assert left == []
 
 
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "scenes"])
+def test_a_scene_that_exists_does_not_hide_what_is_wrong(command, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rclpy" if command in ("bench", "replay") else "numpy")
+    monkeypatch.chdir(tmp_path)
+    for wrong in (
+        ["--no-such"],
+        ["--set", "buffer.c_A=-1"],
+        ["--set", "buffer.c_A"],
+        ["--set", "nosuch.c_A=1"],
+        ["--out", "/dev/null/x"],
+    ):
+        assert main([command, "tilt_0", *wrong]) == BAD_INPUT, wrong
+        said = capsys.readouterr().err
+        assert 1 <= said.count("\n") <= 3, (wrong, said)
+        assert "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "arguments, said",
     [

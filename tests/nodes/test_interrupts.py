@@ -149,6 +149,42 @@ def test_compiling_is_interrupted_at_once(tmp_path, what, after):
     assert status == expected, said
 
 
+# sends Ctrl-C to this process while NumPy is loaded
+AT_NUMPY = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class AtNumpy:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy.linalg":
+            sys.meta_path.remove(self)
+            print("loading", flush=True)
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, AtNumpy())
+"""
+
+
+@pytest.mark.parametrize(
+    "program, status",
+    [
+        ("from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))", 130),
+        ("from capture_sim.nodes.start import recorder; raise SystemExit(recorder())", 0),
+    ],
+)
+def test_interrupt_while_numpy_is_loaded(program, status, tmp_path):
+    pytest.importorskip("rclpy")
+    done = subprocess.run(
+        [sys.executable, "-c", AT_NUMPY + program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.stdout.startswith("loading")
+    assert "Traceback" not in done.stderr
+    assert done.returncode == status, done.stderr
+    assert done.stderr.count("\n") <= 2
+
+
 def test_work_apart_gives_and_raises_as_in_place():
     seen = []
 

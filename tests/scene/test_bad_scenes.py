@@ -1,6 +1,6 @@
 """Whatever a scene or an override says: a scene comes of it, or one line.
 
-Some hundred cases with fixed seeds; CAPTURE_SIM_CASES=20000 tries more.
+Some hundred cases with fixed seeds; CAPTURE_SIM_EXAMPLES=20000 tries more.
 """
 
 import dataclasses
@@ -8,20 +8,26 @@ import os
 
 import numpy as np
 import pytest
-from hypothesis import given, seed, settings
+from hypothesis import Phase, example, given, seed, settings
 from hypothesis import strategies as st
 
 from capture_sim import Bench, Scene, SceneError, load_scene, scene_names
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.files import MAX_TEXT, parse
 
-CASES = int(os.environ.get("CAPTURE_SIM_CASES", "100"))
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
 TEXT = load_scene("tilt_0").to_yaml()
 
 
 def some(cases=CASES):
     """Return settings for a test of so many fixed cases."""
-    return settings(max_examples=cases, deadline=None, database=None, print_blob=False)
+    return settings(
+        max_examples=cases,
+        deadline=None,
+        database=None,
+        print_blob=False,
+        phases=[Phase.explicit, Phase.generate],
+    )
 
 
 def one_line(load):
@@ -103,6 +109,7 @@ ODD_TEXTS = st.sampled_from(
 @seed(14)
 @some()
 @given(NAMES, NUMBERS)
+@example("run.max_steps", 2**1024)
 def test_any_number_in_any_place(name, number):
     scene = one_line(lambda: load_scene("tilt_0", {name: number}))
     if scene is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes.util
 import io
+import resource
 import socket
 import subprocess
 import time
@@ -15,6 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 import capture_sim
+from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
@@ -376,3 +378,14 @@ def hue_mask(image, colour):
 
 def hue_area(image, colour):
     return int(hue_mask(image, colour).sum())
+
+
+def test_full_disk_is_a_line_and_leaves_no_file(runs, tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))  # Python ignores SIGXFSZ
+    try:
+        with pytest.raises(RecordingError, match=r"runs\.rrd: cannot write"):
+            save_rrd(runs, tmp_path / "runs.rrd")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,24 @@
+"""The nodes' programs: Ctrl-C is held back until the node, once loaded, can answer it."""
+
+from __future__ import annotations
+
+import signal
+from functools import partial
+from importlib import import_module
+
+
+def start(name: str) -> int:
+    """Load a node and run it as this process; return the exit status."""
+    # an import that it met would end in a traceback; nodes.node.run lets it through
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    return int(import_module(f"capture_sim.nodes.{name}").main())
+
+
+simulator = partial(start, "simulator")
+launcher = partial(start, "launcher")
+capture_detector = partial(start, "capture_detector")
+recorder = partial(start, "recorder")
+viewer = partial(start, "viewer")
+player = partial(start, "player")
+loop_simulator = partial(start, "loop_simulator")
+contact_rig = partial(start, "contact_rig")
