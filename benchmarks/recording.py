@@ -212,7 +212,7 @@ def measure_replay(folder: Path) -> str:
         path = write_run(capture_sim.simulate(scene), folder / f"{name}.mcap")
         done = subprocess.run(
             [
-                *(sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "10"),
+                *(sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rtf", "10"),
                 *("--with", "capture_detector", "recorder", "--out", str(folder / "replayed")),
             ],
             capture_output=True,

@@ -22,6 +22,7 @@ from benchmarks.machine import clock_rate, describe
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.commands.inputs import open_runs
+from capture_sim.commands.output import summary_of
 from capture_sim.viewing.plots import save_figure, save_overview
 from capture_sim.viewing.report import ReportedRun, error_statement, save_report
 from capture_sim.viewing.rerun_view import save_rrd
@@ -57,7 +58,13 @@ def measure_files(folder):
     short = [simulate(load_scene(name)) for name in NAMES]
     opened = open_runs(NAMES, None)
     reported = [
-        ReportedRun(one.run, one.source, one.summary(), one.software, error_statement(one.run))
+        ReportedRun(
+            one.run,
+            one.source,
+            summary_of(one.run, one.wall_time),
+            one.software,
+            error_statement(one.run),
+        )
         for one in opened
     ]
     return [
