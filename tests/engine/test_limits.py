@@ -44,7 +44,10 @@ def test_run_that_is_too_stiff_names_what_makes_it_so():
     [
         ("buffer.k_A=1e308", "axial spring .probe.density, buffer.k_A."),
         ("probe.density=1e-12", "axial damper .probe.density, buffer.c_A."),
-        ("friction.v_eps=1e-15", "friction of the tip .friction.v_eps."),
+        (
+            "friction.slip_regularization_speed=1e-15",
+            "friction of the tip .friction.slip_regularization_speed.",
+        ),
     ],
 )
 def test_hopeless_run_ends_after_so_many_steps_and_names_what_makes_it_so(override, part):
