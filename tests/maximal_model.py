@@ -10,6 +10,13 @@ event location or integrator (that is SciPy's DOP853).
 Two readings, both from ``physics.md``: the probe's coordinate is its true centre of mass
 (the paper puts it in the rod's middle), and the axial damper acts on the rate of D's
 length (eq. 9 as printed, on D's rate as a vector, would also resist the probe's turning).
+
+Coulomb's friction slides in a direction that is kept until the slip comes to zero; there the
+tip sticks if it can, by a fifth and sixth constraint: no slip of the two materials at the point of
+contact.
+
+With ``relatched`` the contact has no memory of its first approach: the damping of a touch is set
+anew where the depth comes to rest, by the fastest rate since it was set before.
 """
 
 from __future__ import annotations
@@ -31,6 +38,40 @@ BAUMGARTE = 100.0
 LONGEST_STEP = 2e-4
 #: Places in a step at which events are looked for.
 PLACES = np.linspace(0.0, 1.0, 9)
+#: Laws of friction as numbers, for the compiled functions.
+FRICTION = {"none": 0, "tanh": 1, "clamp": 2, "brown_mcphee": 3, "coulomb": 4}
+#: s: central differences along the motion.
+SMALL_TIME = 1e-6
+
+
+def exact_damping(e: float) -> float:
+    """Damping that returns the restitution e: root of a (1 + e) = ln((1 + a) / (1 - a e))."""
+    if e == 1.0:
+        return 0.0
+    poles = 1.0 / e
+
+    def gap(distance: float) -> float:
+        # counted from the pole at a = 1 / e, which the root may be close to
+        a = poles - distance
+        return a * (1.0 + e) - math.log1p(a) + math.log(e * distance)
+
+    return poles - float(brentq(gap, 1e-300, poles * (1.0 - 1e-6), xtol=1e-300, rtol=1e-15))
+
+
+def damping_factor(law: str, e: float) -> float:
+    """a(e) in F = K delta^1.5 (1 + a delta' / v_0), from the laws' papers as chi v_0 / K."""
+    return {
+        "lankarani_nikravesh": lambda: 3.0 * (1.0 - e**2) / 4.0,
+        "hunt_crossley": lambda: 3.0 * (1.0 - e) / 2.0,
+        "herbert_mcwhannell": lambda: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0),
+        "lee_wang": lambda: 3.0 * (1.0 - e) / 4.0,
+        "gonthier": lambda: (1.0 - e**2) / e,
+        "zhiying_qishao": lambda: 3.0 * (1.0 - e**2) * math.exp(2.0 * (1.0 - e)) / 4.0,
+        "flores": lambda: 8.0 * (1.0 - e) / (5.0 * e),
+        "hu_guo": lambda: 3.0 * (1.0 - e) / (2.0 * e),
+        "carvalho_martins": lambda: 1.5 * (1.0 - e) * (11.0 - e) / (1.0 + 9.0 * e),
+        "exact": lambda: exact_damping(e),
+    }[law]()
 
 
 class Constants(NamedTuple):
@@ -51,9 +92,11 @@ class Constants(NamedTuple):
     along: np.ndarray  # (2, 2) directions from there to the lip
     L_c: float
     K: float
-    damping: float  # 3/4 (1 - e^2)
+    damping: float  # a(e)
     v_0_floor: float
+    friction: int  # of FRICTION
     mu: float
+    mu_s: float
     v_eps: float
     balls: np.ndarray  # (2, 3, 3) chaser's and target's: x, y in its frame, c_rr N
     v_eps_ball: float
@@ -84,9 +127,7 @@ def ball_limits(support: BallSupport, weight: float, ahead: float) -> np.ndarray
 
 
 def constants(scene: Scene) -> Constants:
-    """Gather what the model needs from a scene with the Lankarani-Nikravesh law."""
-    assert scene.contact.law == "lankarani_nikravesh"
-    assert scene.friction.law == "tanh"
+    """Gather what the model needs from a scene."""
     m_P, behind, I_P = probe_masses(scene)
     m_C, L_C = scene.cylinder.mass, scene.cylinder.length
     masses = [scene.chaser.mass] * 2 + [scene.chaser.inertia]
@@ -98,14 +139,14 @@ def constants(scene: Scene) -> Constants:
     balls, v_eps_ball = np.zeros((2, 3, 3)), 1.0
     if scene.supports is not None:
         total = scene.chaser.mass + m_C + m_P
-        ahead = (m_C * (b.a - L_C / 2.0) + m_P * (b.a + h_0 - behind)) / total
+        ahead = (m_C * (b.hinge_offset - L_C / 2.0) + m_P * (b.hinge_offset + h_0 - behind)) / total
         balls[0] = ball_limits(scene.supports.chaser, total * scene.gravity, ahead)
         balls[1] = ball_limits(scene.supports.target, scene.target.mass * scene.gravity, 0.0)
         v_eps_ball = scene.supports.rolling_regularization_speed
     sigma = sum((1.0 - m.nu**2) / m.E for m in (scene.contact.tip, scene.contact.wall))
     return Constants(
         inverse_mass=1.0 / np.array(masses),
-        a=b.a,
+        a=b.hinge_offset,
         half_cylinder=L_C / 2.0,
         tip_ahead=behind,
         rear_behind=p.tip_radius + p.length - behind,
@@ -121,9 +162,11 @@ def constants(scene: Scene) -> Constants:
         ),
         L_c=cone.L_c,
         K=4.0 * math.sqrt(p.tip_radius) / (3.0 * sigma),
-        damping=0.75 * (1.0 - scene.contact.restitution**2),
+        damping=damping_factor(scene.contact.law, scene.contact.restitution),
         v_0_floor=scene.contact.min_approach_speed,
+        friction=FRICTION[scene.friction.law],
         mu=scene.friction.mu,
+        mu_s=scene.friction.mu if scene.friction.mu_s is None else scene.friction.mu_s,
         v_eps=scene.friction.slip_regularization_speed,
         balls=balls,
         v_eps_ball=v_eps_ball,
@@ -157,29 +200,66 @@ def wall_contact(
 
 
 @numba.njit
-def contact_force(z: np.ndarray, c: Constants, wall: int, chi: float) -> tuple[float, float]:
-    """Normal force, eq. (1), and friction along (-n_y, n_x), N; zero out of contact."""
-    gap, rate, nx, ny, px, py = wall_contact(z, c, wall)
-    if gap >= 0.0:
-        return 0.0, 0.0
-    normal = max((-gap) ** 1.5 * (c.K - chi * rate), 0.0)
-    # both bodies' material at the point of contact
+def slip(z: np.ndarray, c: Constants, wall: int) -> float:
+    """Slip of the tip's material on the wall's at the point of contact along (-n_y, n_x), m/s."""
+    _, _, nx, ny, px, py = wall_contact(z, c, wall)
     ux = z[18] - z[20] * (py - z[7]) - z[21] + z[23] * (py - z[10])
     uy = z[19] + z[20] * (px - z[6]) - z[22] - z[23] * (px - z[9])
-    return normal, -c.mu * normal * math.tanh((uy * nx - ux * ny) / c.v_eps)
+    return uy * nx - ux * ny
 
 
 @numba.njit
-def solve_4(M: np.ndarray, b: np.ndarray) -> None:
-    """Gauss elimination of a positive definite system of four, in place; the result is in b."""
-    for k in range(4):
-        for i in range(k + 1, 4):
+def contact_force(
+    z: np.ndarray, c: Constants, wall: int, chi: float, sliding: float
+) -> tuple[float, float]:
+    """Normal force, eq. (1), and friction along (-n_y, n_x), N; zero out of contact.
+
+    ``sliding`` is the sign of the slip for Coulomb's law, 0 where the tip sticks.
+    """
+    gap, rate, _, _, _, _ = wall_contact(z, c, wall)
+    if gap >= 0.0:
+        return 0.0, 0.0
+    normal = max((-gap) ** 1.5 * (c.K - chi * rate), 0.0)
+    if c.friction == 0:
+        return normal, 0.0
+    if c.friction == 4:
+        return normal, -c.mu * normal * sliding
+    x = slip(z, c, wall) / c.v_eps
+    if c.friction == 1:
+        share = c.mu * math.tanh(x)
+    elif c.friction == 2:
+        share = c.mu * min(max(x, -1.0), 1.0)
+    else:
+        share = c.mu * math.tanh(4.0 * x) + (c.mu_s - c.mu) * x / (x**2 / 4.0 + 3.0 / 4.0) ** 2
+    return normal, -share * normal
+
+
+@numba.njit
+def along_a_step(
+    states: np.ndarray, c: Constants, wall: int, chi: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Gap, its rate, normal force and slip of a wall at several states (26, n)."""
+    n = states.shape[1]
+    gaps, rates, forces, slips = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(n):
+        z = states[:, k].copy()
+        gaps[k], rates[k] = wall_contact(z, c, wall)[:2]
+        forces[k] = contact_force(z, c, wall, chi, 0.0)[0]
+        slips[k] = slip(z, c, wall)
+    return gaps, rates, forces, slips
+
+
+@numba.njit
+def solve(M: np.ndarray, b: np.ndarray, n: int) -> None:
+    """Gauss elimination of a positive definite system of n, in place; the result is in b."""
+    for k in range(n):
+        for i in range(k + 1, n):
             f = M[i, k] / M[k, k]
-            for j in range(k, 4):
+            for j in range(k, n):
                 M[i, j] -= f * M[k, j]
             b[i] -= f * b[k]
-    for k in range(3, -1, -1):
-        for j in range(k + 1, 4):
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
             b[k] -= M[k, j] * b[j]
         b[k] /= M[k, k]
 
@@ -193,7 +273,7 @@ def constraints(
     bias: np.ndarray,
     J: np.ndarray,
 ) -> None:
-    """Eq. (6), theta_C = theta_P and eq. (7): values, rates, J' v and Jacobian J."""
+    """Eq. (6), theta_C = theta_P and eq. (7): values, rates, J' v and Jacobian J, in four rows."""
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
     half = c.half_cylinder
@@ -221,19 +301,34 @@ def constraints(
 
 
 @numba.njit
+def no_slip(z: np.ndarray, c: Constants, wall: int, J: np.ndarray) -> float:
+    """Jacobian (12,) of the slip on a wall; returns J' v, by a difference along the motion."""
+    _, _, nx, ny, px, py = wall_contact(z, c, wall)
+    J[6], J[7], J[8] = -ny, nx, nx * (px - z[6]) + ny * (py - z[7])
+    J[9], J[10], J[11] = ny, -nx, -nx * (px - z[9]) - ny * (py - z[10])
+    ahead, behind = z.copy(), z.copy()
+    for k in range(12):
+        ahead[k] += SMALL_TIME * z[12 + k]
+        behind[k] -= SMALL_TIME * z[12 + k]
+    return (slip(ahead, c, wall) - slip(behind, c, wall)) / (2.0 * SMALL_TIME)
+
+
+@numba.njit
 def accelerations(
     z: np.ndarray,
     c: Constants,
     touching: np.ndarray,
     chi: np.ndarray,
+    sliding: np.ndarray,
     resting: np.ndarray,
     acc: np.ndarray,
     held: np.ndarray,
+    friction: np.ndarray,
 ) -> None:
     """Accelerations (12,) of the four bodies.
 
-    ``held`` (2, 3) receives the wrench on either vehicle without its supports.  A resting
-    vehicle is one of infinite mass.
+    ``held`` (2, 3) receives the wrench on either vehicle without its supports, ``friction`` (2,)
+    the force that holds a sticking tip, N.  A resting vehicle is one of infinite mass.
     """
     Q = np.zeros(12)
     cS, sS = math.cos(z[2]), math.sin(z[2])
@@ -262,7 +357,7 @@ def accelerations(
     for wall in range(2):
         if touching[wall]:
             _, _, nx, ny, px, py = wall_contact(z, c, wall)
-            normal, rub = contact_force(z, c, wall, chi[wall])
+            normal, rub = contact_force(z, c, wall, chi[wall], sliding[wall])
             fx, fy = normal * nx - rub * ny, normal * ny + rub * nx
             Q[6] += fx
             Q[7] += fy
@@ -288,38 +383,57 @@ def accelerations(
     for which in range(2):
         if resting[which]:
             W[9 * which : 9 * which + 3] = 0.0
-    phi, rate, b = np.zeros(4), np.zeros(4), np.zeros(4)
-    J, M = np.zeros((4, 12)), np.zeros((4, 4))
+    phi, rate, b = np.zeros(6), np.zeros(6), np.zeros(6)
+    J, M = np.zeros((6, 12)), np.zeros((6, 6))
     constraints(z, c, phi, rate, b, J)
-    for k in range(4):
+    n = 4
+    for wall in range(2):
+        if touching[wall] and c.friction == 4 and sliding[wall] == 0.0:
+            b[n] = no_slip(z, c, wall, J[n])
+            rate[n] = slip(z, c, wall)
+            n += 1
+    for k in range(n):
         b[k] += 2.0 * BAUMGARTE * rate[k] + BAUMGARTE**2 * phi[k]
         for j in range(12):
             b[k] += J[k, j] * W[j] * Q[j]
-        for i in range(4):
+        for i in range(n):
             for j in range(12):
                 M[k, i] += J[k, j] * W[j] * J[i, j]
-    solve_4(M, b)  # b becomes the multipliers
+    solve(M, b, n)  # b becomes the multipliers
     for j in range(12):
         force = 0.0
-        for k in range(4):
+        for k in range(n):
             force += J[k, j] * b[k]
         acc[j] = W[j] * (Q[j] - force)
         if j < 3:
             held[0, j] -= force
+        elif j >= 9:
+            held[1, j - 9] -= force
+    n = 4
+    for wall in range(2):
+        friction[wall] = 0.0
+        if touching[wall] and c.friction == 4 and sliding[wall] == 0.0:
+            friction[wall] = -b[n]
+            n += 1
 
 
 @numba.njit
 def motion(
-    z: np.ndarray, c: Constants, touching: np.ndarray, chi: np.ndarray, resting: np.ndarray
+    z: np.ndarray,
+    c: Constants,
+    touching: np.ndarray,
+    chi: np.ndarray,
+    sliding: np.ndarray,
+    resting: np.ndarray,
 ) -> np.ndarray:
     """Rate of change of the state: 12 coordinates, 12 velocities, normal impulse of each wall."""
     rate = np.zeros(26)
     rate[:12] = z[12:24]
-    held = np.zeros((2, 3))
-    accelerations(z, c, touching, chi, resting, rate[12:24], held)
+    held, friction = np.zeros((2, 3)), np.zeros(2)
+    accelerations(z, c, touching, chi, sliding, resting, rate[12:24], held, friction)
     for wall in range(2):
         if touching[wall]:
-            rate[24 + wall] = contact_force(z, c, wall, chi[wall])[0]
+            rate[24 + wall] = contact_force(z, c, wall, chi[wall], sliding[wall])[0]
     return rate
 
 
@@ -404,6 +518,19 @@ def gather(c: Constants, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return q, v
 
 
+class DenseWhenAsked:
+    """Dense output of a solver's last step, prepared where it is asked for."""
+
+    def __init__(self, solver: DOP853) -> None:
+        self.solver = solver
+        self.dense: DenseOutput | None = None
+
+    def __call__(self, t: float | np.ndarray) -> np.ndarray:
+        if self.dense is None:
+            self.dense = self.solver.dense_output()
+        return np.asarray(self.dense(t))
+
+
 class MaximalBench:
     """Steps the four bodies with SciPy's DOP853 from one located event to the next.
 
@@ -414,11 +541,13 @@ class MaximalBench:
     Parameters
     ----------
     scene
-        Lankarani-Nikravesh contact and tanh friction; no latch closes in the run.
+        No latch closes in the run.
     t, q, v
         Start, in minimal coordinates; the target rests there if the scene has supports.
     rtol, atol
         As in SciPy.
+    relatched
+        Set the contact's damping anew wherever the depth comes to rest.
     """
 
     def __init__(
@@ -429,31 +558,89 @@ class MaximalBench:
         v: np.ndarray,
         rtol: float = 1e-13,
         atol: float = 1e-15,
+        relatched: bool = False,
     ) -> None:
         self.c = constants(scene)
         self.rtol, self.atol = rtol, atol
         self.t, self.z = t, spread(self.c, np.asarray(q), np.asarray(v))
         self.touching = np.zeros(2, dtype=bool)
         self.chi = np.zeros(2)
+        self.sliding = np.ones(2)  # Coulomb's law: sign of the slip, 0 where the tip sticks
         self.resting = np.array([False, scene.supports is not None and not np.any(v[5:])])
         self.open: list[Touch | None] = [None, None]
+        self.relatched = relatched
+        self.fastest = np.zeros(2)  # rate of penetration since the damping was set, m/s
         self.wanted: list[float] = []
+        self.ends = np.zeros((26, 2))  # states at both ends of the present step
         self.run = MaximalRun()
 
     def _rate(self, t: float, z: np.ndarray) -> np.ndarray:
-        return motion(z, self.c, self.touching, self.chi, self.resting)
+        return motion(z, self.c, self.touching, self.chi, self.sliding, self.resting)
+
+    def _reactions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Wrenches that hold the vehicles (2, 3) and friction that holds the tip (2,)."""
+        held, friction = np.zeros((2, 3)), np.zeros(2)
+        state = (self.touching, self.chi, self.sliding, self.resting)
+        accelerations(z, self.c, *state, np.zeros(12), held, friction)
+        return held, friction
 
     def _load(self, z: np.ndarray) -> float:
         """Share of the supports' limit that the resting target uses."""
-        held = np.zeros((2, 3))
-        accelerations(z, self.c, self.touching, self.chi, self.resting, np.zeros(12), held)
-        return limit_used(held[1], self.c.balls[1], z[11])
+        return limit_used(self._reactions(z)[0][1], self.c.balls[1], z[11])
+
+    def _friction_margin(self, z: np.ndarray, wall: int) -> float:
+        """Slip in its direction, m/s; for a sticking tip the friction that is left, N."""
+        if self.sliding[wall] != 0.0:
+            return slip(z, self.c, wall) * float(self.sliding[wall])
+        normal, _ = contact_force(z, self.c, wall, self.chi[wall], 0.0)
+        return self.c.mu_s * normal - abs(float(self._reactions(z)[1][wall]))
+
+    def _friction_change(
+        self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int
+    ) -> float | None:
+        """First time in a step when the tip stops sliding, or sticking, on a wall."""
+        times = t_a + PLACES * (t_b - t_a)
+        if self.sliding[wall] == 0.0:
+            margins = [self._friction_margin(dense(t), wall) for t in times]
+        else:
+            _, _, _, slips = along_a_step(dense(times), self.c, wall, 0.0)
+            margins = list(slips * self.sliding[wall])
+        for k in range(1, times.size):
+            if margins[k] >= 0.0:
+                continue
+            low, high = times[k - 1], times[k]
+            if margins[k - 1] <= 0.0:
+                # it has just changed: look for where it has gone the new way at all
+                inside = low + (high - low) * np.logspace(-9, 0, 40)
+                ahead = [t for t in inside if self._friction_margin(dense(t), wall) > 0.0]
+                if not ahead:
+                    return float(low)
+                low = ahead[-1]
+            return float(
+                brentq(
+                    lambda t: self._friction_margin(dense(t), wall),
+                    low,
+                    high,
+                    xtol=1e-17,
+                    rtol=1e-15,
+                )
+            )
+        return None
+
+    def _change_friction(self, wall: int) -> None:
+        """Stick where friction can hold the tip, else slide the way that it cannot prevent."""
+        was = self.sliding[wall]
+        self.sliding[wall] = 0.0
+        needed = float(self._reactions(self.z)[1][wall])
+        normal, _ = contact_force(self.z, self.c, wall, self.chi[wall], 0.0)
+        if was == 0.0 or abs(needed) >= self.c.mu_s * normal:
+            self.sliding[wall] = 1.0 if needed < 0.0 else -1.0
 
     def _gap(self, z: np.ndarray, wall: int, sign: float) -> tuple[float, float]:
         gap, rate = wall_contact(z, self.c, wall)[:2]
         return sign * gap, sign * rate
 
-    def _crossing(self, dense: DenseOutput, t_a: float, t_b: float, wall: int) -> float | None:
+    def _crossing(self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int) -> float | None:
         """First time in a step when the gap (or, touching, the depth) goes below zero."""
         sign = -1.0 if self.touching[wall] else 1.0
 
@@ -463,13 +650,16 @@ class MaximalBench:
         def slope(t: float) -> float:
             return self._gap(dense(t), wall, sign)[1]
 
+        gaps, rates, _, _ = along_a_step(self.ends, self.c, wall, 0.0)
+        if (sign * gaps).min() > 2.0 * (t_b - t_a) * np.abs(rates).sum():
+            return None  # too far off
         times = t_a + PLACES * (t_b - t_a)
-        states = dense(times)
-        found = [self._gap(states[:, k], wall, sign) for k in range(times.size)]
+        gaps, rates, _, _ = along_a_step(dense(times), self.c, wall, 0.0)
+        gaps, rates = sign * gaps, sign * rates
         for k in range(1, times.size):
             low, high = times[k - 1], times[k]
-            if found[k][0] >= 0.0:
-                if not (found[k - 1][1] < 0.0 < found[k][1]):
+            if gaps[k] >= 0.0:
+                if not (rates[k - 1] < 0.0 < rates[k]):
                     continue
                 dip = brentq(slope, low, high, xtol=1e-16)
                 if value(dip) >= 0.0:
@@ -477,27 +667,41 @@ class MaximalBench:
                 high = dip
             if k == 1:
                 # the start may be on the wall to rounding: begin where the gap is widest
-                if found[0][1] <= 0.0 and found[0][0] <= 1e-16:
+                if rates[0] <= 0.0 and gaps[0] <= 1e-16:
                     return float(low)
-                if found[0][1] > 0.0:
+                if rates[0] > 0.0:
                     low = brentq(slope, low, high, xtol=1e-16)
             return float(brentq(value, low, high, xtol=1e-17, rtol=1e-15))
         return None
 
-    def _watch_peak(self, dense: DenseOutput, t_a: float, t_b: float) -> None:
+    def _rest(self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int) -> float | None:
+        """Time in a step when the depth of a touch is largest or smallest."""
+        _, rates, _, _ = along_a_step(self.ends, self.c, wall, 0.0)
+        # just behind such a time the rate is rounding's
+        if abs(rates[0]) < 1e-9 * self.fastest[wall] or rates[0] * rates[1] >= 0.0:
+            return None
+        return float(brentq(lambda t: self._gap(dense(t), wall, 1.0)[1], t_a, t_b, xtol=1e-17))
+
+    def _set_damping(self, wall: int, speed: float) -> None:
+        self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
+        self.fastest[wall] = 0.0
+
+    def _watch_peak(self, dense: DenseWhenAsked, t_a: float, t_b: float) -> None:
         times = t_a + PLACES * (t_b - t_a)
-        states = dense(times)
         for wall, touch in enumerate(self.open):
             if touch is None:
                 continue
             chi = self.chi[wall]
-            forces = [contact_force(states[:, k], self.c, wall, chi)[0] for k in range(times.size)]
+            _, _, forces, _ = along_a_step(self.ends, self.c, wall, chi)
+            if forces.max() < 0.5 * touch.peak:
+                continue  # steps are a small part of the contact's period
+            _, _, forces, _ = along_a_step(dense(times), self.c, wall, chi)
             best = int(np.argmax(forces))
             if forces[best] < 0.99 * touch.peak:
                 continue
 
             def pull(t: float, wall: int = wall, chi: float = chi) -> float:
-                return -contact_force(dense(t), self.c, wall, chi)[0]
+                return -contact_force(dense(t), self.c, wall, chi, 0.0)[0]
 
             bounds = (times[max(best - 1, 0)], times[min(best + 1, times.size - 1)])
             top = minimize_scalar(pull, bounds=bounds, method="bounded", options={"xatol": 1e-12})
@@ -507,7 +711,9 @@ class MaximalBench:
     def _begin(self, wall: int) -> None:
         speed = max(-self._gap(self.z, wall, 1.0)[1], 0.0)
         self.touching[wall] = True
-        self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
+        self.sliding[wall] = 1.0 if slip(self.z, self.c, wall) >= 0.0 else -1.0
+        self._set_damping(wall, speed)
+        self.fastest[wall] = speed
         touch = Touch(1 - 2 * wall, self.t, speed)
         self.open[wall] = touch
         self.run.touches.append(touch)
@@ -529,13 +735,22 @@ class MaximalBench:
         solver.step()
         if solver.status == "failed":
             raise RuntimeError(f"SciPy gave up at t = {self.t}")
-        dense = solver.dense_output()
+        dense = DenseWhenAsked(solver)
+        self.ends = np.column_stack([self.z, solver.y])
         t_a, t_b = self.t, solver.t
         first, happening = t_b, None
         for wall in range(2):
             at = self._crossing(dense, t_a, t_b, wall)
             if at is not None and (at < first or happening is None):
                 first, happening = at, wall
+            if self.c.friction == FRICTION["coulomb"] and self.touching[wall]:
+                at = self._friction_change(dense, t_a, t_b, wall)
+                if at is not None and (at < first or happening is None):
+                    first, happening = at, 3 + wall
+            if self.relatched and self.touching[wall]:
+                at = self._rest(dense, t_a, t_b, wall)
+                if at is not None and (at < first or happening is None):
+                    first, happening = at, 5 + wall
         if self.resting[1] and self.touching.any() and self._load(dense(first)) > 1.0:
             first = brentq(lambda t: self._load(dense(t)) - 1.0, t_a, first, xtol=1e-16)
             happening = 2
@@ -549,11 +764,18 @@ class MaximalBench:
         self.z = dense(first) if happening is not None else solver.y.copy()
         self.t = first
         self._watch_drift()
+        for wall in np.flatnonzero(self.touching):
+            rate = abs(self._gap(self.z, wall, 1.0)[1])
+            self.fastest[wall] = max(self.fastest[wall], rate)
         if happening is None:
             return False
         if happening == 2:
             self.resting[1] = False
             self.run.moving.append(self.t)
+        elif happening >= 5:
+            self._set_damping(happening - 5, self.fastest[happening - 5])
+        elif happening >= 3:
+            self._change_friction(happening - 3)
         elif self.touching[happening]:
             self._end(happening)
         else:

@@ -122,7 +122,9 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
             ],
             linkParents=[-1, 0, 1, 2, 3],
             jointTransformations=exu.Matrix3DList([np.eye(3)] * 5),
-            jointOffsets=exu.Vector3DList([[x, 0.0, 0.0] for x in (0.0, 0.0, 0.0, b.a, 0.0)]),
+            jointOffsets=exu.Vector3DList(
+                [[x, 0.0, 0.0] for x in (0.0, 0.0, 0.0, b.hinge_offset, 0.0)]
+            ),
             linkInertiasCOM=exu.Matrix3DList([inertia * np.eye(3) for inertia in inertias]),
             linkCOMs=exu.Vector3DList([[x, 0.0, 0.0] for x in middles]),
             linkMasses=[0.0, 0.0, scene.chaser.mass, scene.cylinder.mass, scene.probe.mass],

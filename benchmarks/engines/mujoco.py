@@ -121,7 +121,7 @@ def build(scene: Scene, step: float, integrator: str, solref: tuple[float, float
   <worldbody>
     <body name="chaser">
       {planar("chaser")} {inertial(scene.chaser.mass, scene.chaser.inertia)}
-      <body name="cylinder" pos="{b.a!r} 0 0">
+      <body name="cylinder" pos="{b.hinge_offset!r} 0 0">
         <joint type="hinge" axis="0 0 1" stiffness="{b.k_T!r}" damping="{b.c_T!r}"/>
         {inertial(scene.cylinder.mass, scene.cylinder.inertia, -0.5 * scene.cylinder.length)}
         <body name="probe" pos="{scene.rest_length!r} 0 0">

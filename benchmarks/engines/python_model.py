@@ -85,7 +85,7 @@ class PythonModel:
         self.M_0 = np.diag(np.array([self.m_S, self.m_S, I_S, I_C + I_P, 0], self.dtype))
         b = scene.buffer
         self.a, self.k_A, self.c_A, self.k_T, self.c_T = map(
-            real, (b.a, b.k_A, b.c_A, b.k_T, b.c_T)
+            real, (b.hinge_offset, b.k_A, b.c_A, b.k_T, b.c_T)
         )
         self.h_0 = L_p + R_t if b.rest_length is None else real(b.rest_length)
         self.R_t = R_t
