@@ -154,8 +154,10 @@ class LoopSimulatorNode(BenchNode):
         deadline = time.monotonic() + self._patience
         while True:
             with self._lock:
-                if self._hold.received:
-                    return
+                received = self._hold.received
+            if received:
+                self.get_logger().info("the first wrench has come: the loop is closed")
+                return
             if time.monotonic() > deadline:
                 raise CaptureSimError(f"no wrench came for {self._patience:g} s")
             self.send(TIP, tip_message(self.messages, self._stage.tip))

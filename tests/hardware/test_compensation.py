@@ -304,10 +304,10 @@ def test_the_model_finds_what_a_contact_loses(paper):
         assert touch.restitution == pytest.approx(other.restitution, rel=0.02)
 
 
-@pytest.mark.parametrize("lag", [0, 20, 60, 235])
+@pytest.mark.parametrize("lag", [20, 235])
 def test_the_model_takes_a_delay_of_a_whole_touch(plate, lag):
     """The second shot, with what the first has found from a guess wrong by two."""
-    for damping in (0.0, 0.3, 1.0):
+    for damping in (0.0, 0.5):
         law = WallLaw(PLATE, damping=damping * PLATE / 0.1)
         rig = ContactRig(plate, law)
         first = soft(plate, "model", lag, rig=rig, law=WallLaw(0.5 * PLATE))
@@ -342,7 +342,7 @@ def silent(channel):
     return with_a_gap
 
 
-@pytest.mark.parametrize("lag", [0, 5, 20])
+@pytest.mark.parametrize("lag", [0, 20])
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("way", WAYS)
 def test_no_way_makes_more_energy_than_none(plate, way, rig, lag):
