@@ -146,17 +146,21 @@ def passive_share(
     """
     share = 0.0
     for _ in range(_QUARTERS):
-        share = _on_parabola(
-            [work(s) for s in (low, 0.5 * (low + high), high)], low, high, wanted, allowed
-        )
+        works = [work(s) for s in (low, 0.5 * (low + high), high)]
+        share = _on_parabola(works, low, high, wanted, allowed)
         if abs(share) > 0.1 * (high - low):
             break
         low, high, wanted = 0.25 * low, 0.25 * high, min(wanted, 0.25 * high)
+    # half of a share that gives back what it took is the one that took the most
+    if work(share) > max(allowed, 0.0) + _PARABOLIC * abs(work(0.5 * share)):
+        return 0.0
     return share
 
 
-#: A thousandth part of the measured force is found as well as the whole.
-_QUARTERS = 6
+#: The tenth part of 4^-11 of the measured wrench is still found.
+_QUARTERS = 12
+#: By how much of the energy exchanged the work may differ from a parabola's.
+_PARABOLIC = 0.01
 
 
 def _on_parabola(

@@ -329,13 +329,13 @@ RIGS = {
 }
 
 
-def silent(channel):
+def silent(channel, start=340):
     """Nothing new comes for 50 ms in the middle of the touch."""
     last = []
 
     def with_a_gap(k, place):
         new = channel(k, place)
-        if not 340 <= k < 390:
+        if not start <= k < start + 50:
             last[:] = [new]
         return last[0]
 
@@ -354,3 +354,18 @@ def test_no_way_makes_more_energy_than_none(plate, way, rig, lag):
     assert loop.stage.work <= none.stage.work
     if "passivity" in way:
         assert loop.stage.work <= 1e-4 * loop.touches[0].energy
+
+
+@pytest.mark.parametrize("lag", [0, 5])
+@pytest.mark.parametrize("way", ["passivity", "model", "model+passivity"])
+@pytest.mark.parametrize("case", ["stiffer", "weaker", "sticky", "silent"])
+def test_the_paper_contact_gets_no_energy(paper, case, way, lag):
+    """Uncompensated it gets more than a thousand times what it has, within 0.1 s."""
+    stiffness = {"stiffer": 2.0, "weaker": 0.5}.get(case, 1.0) * paper.contact_stiffness
+    rig = ContactRig(paper, WallLaw(stiffness, 1.5), stick=20.0 if case == "sticky" else 0.0)
+    loop = Loop(
+        LoopStage(paper, 1e-3, 40), compensation(way), WallLaw(paper.contact_stiffness, 1.5)
+    )
+    channel = late(rig.wrench, lag)
+    assert close(loop, silent(channel, 2) if case == "silent" else channel, 0.1) == ""
+    assert loop.stage.work <= 4e-3 * 0.5 * 0.186 * 0.0707**2  # the first touch's energy
