@@ -226,7 +226,7 @@ def ways(lines, points):
         "others) / energy made, mJ / peak force over the model's / impulse over the model's. "
         "`hybrid` has the damper of the critical delay; `model` begins with half the stiffness, "
         "its cell is the fourth touch, that of the others the first. Plates at 0.02 m/s, the "
-        "others at 0.1 m/s.",
+        "others at 0.1 m/s. `no end`: the touch had not ended after 0.1 s.",
         "",
         "| contact | delay ms | " + " | ".join(WAYS) + " |",
         "|---|---|" + "---|" * len(WAYS),
