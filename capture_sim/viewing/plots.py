@@ -86,7 +86,7 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
     figure = new_figure(6.0 * len(runs), 14.0, arranged=False)
     top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
     rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
-    sides = [(6.0 * i + 1.05, 6.0 * i + 5.9) for i in range(len(runs))]
+    sides = [(6.0 * i + 1.05, 6.0 * i + 5.82) for i in range(len(runs))]
     columns = [rows_of_axes(figure, side, top, rows) for side in sides]
     for i, (run, title) in enumerate(zip(runs, titles, strict=True)):
         bench, cone, force, distance = columns[i]
