@@ -9,13 +9,13 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test test-numpy1 lint docs benchmark faults picture format clean first-hour
+.PHONY: help setup run test test-numpy1 lint docs benchmark faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests"
 	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
-	@echo "make first-hour  what a newcomer does, in a fresh clone: README and docs, with and without ROS"
+	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
 	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint        only check style, types and layers"
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
@@ -49,16 +49,13 @@ test-numpy1:
 	cd build/numpy1 && $(BIN)/python -m pytest tests --ignore tests/nodes -n auto
 	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes
 
-# README's first command, every block of README and docs, and the physics without ROS, as committed
-first-hour:
-	rm -rf build/first_hour
-	git clone -q . build/first_hour
-	$(MAKE) -C build/first_hour run
-	cd build/first_hour && $(BIN)/python -m pytest tests/docs
-	$(PYTHON) -m venv build/first_hour/plain
-	build/first_hour/plain/bin/pip install -q build/first_hour
-	sed -n '/^```python/,/^```/{/^```/!p}' README.md >build/first_hour/plain/readme.py
-	cd build/first_hour/plain && bin/python readme.py
+# Without ROS, in an environment of its own: what README's Python lines need
+test-plain:
+	rm -rf build/plain
+	$(PYTHON) -m venv build/plain
+	build/plain/bin/pip install -q .
+	sed -n '/^```python/,/^```/{/^```/!p}' README.md >build/plain/readme.py
+	cd build/plain && bin/python readme.py
 
 lint: setup
 	$(BIN)/ruff check .
