@@ -4,7 +4,7 @@
    hysteresis factor a(e) alone.  Whatever a is, the law `exact` with the restitution that a really
    returns is that law, in everything that capture_sim does.
 2. Any other force is computed here, step by step, and given to vehicles and buffer as a wrench on
-   the tip.  Its limits: the vehicles float free (no rail, string, supports, latch, stops), touches
+   the tip.  Its limits: no supports, of a rail only its end (docs/hardware_in_the_loop.md), touches
    are not located, and the wrench is held over a step, which acts as a delay of half a step and
    makes energy: halve the step and see what changes.
 """
@@ -12,8 +12,8 @@
 import math
 
 import capture_sim
-from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.hardware.walls import Walls
 from capture_sim.model.contact import returned_restitution
 
 
@@ -34,15 +34,13 @@ def lining(delta, rate):
 
 def first_peak(scene, law, step):
     """Return the largest force (N) of the first touch by a law, with steps of so many s."""
-    stage, walls = LoopStage(scene, step, substeps=1), ContactRig(scene, 0.0)
+    stage, walls = LoopStage(scene, step, substeps=1), Walls(scene)
     peak = 0.0
     while stage.t < scene.run.t_end:
         tip, fx, fy = stage.tip, 0.0, 0.0
-        for side in (1.0, -1.0):
-            delta, nx, ny = walls.penetration(tip.x, tip.y, side)
-            if delta > 0.0:
-                force = law(delta, -(tip.vx * nx + tip.vy * ny))
-                fx, fy = fx + force * nx, fy + force * ny
+        for wall in walls.touching(tip):
+            force = law(wall.penetration, wall.rate)
+            fx, fy = fx + force * wall.nx, fy + force * wall.ny
         if peak > 0.0 and fx == fy == 0.0:
             break
         peak = max(peak, math.hypot(fx, fy))

@@ -14,9 +14,6 @@ length (eq. 9 as printed, on D's rate as a vector, would also resist the probe's
 Coulomb's friction slides in a direction that is kept until the slip comes to zero; there the
 tip sticks if it can, by a fifth and sixth constraint: no slip of the two materials at the point of
 contact.
-
-With ``relatched`` the contact has no memory of its first approach: the damping of a touch is set
-anew where the depth comes to rest, by the fastest rate since it was set before.
 """
 
 from __future__ import annotations
@@ -546,8 +543,6 @@ class MaximalBench:
         Start, in minimal coordinates; the target rests there if the scene has supports.
     rtol, atol
         As in SciPy.
-    relatched
-        Set the contact's damping anew wherever the depth comes to rest.
     """
 
     def __init__(
@@ -558,7 +553,6 @@ class MaximalBench:
         v: np.ndarray,
         rtol: float = 1e-13,
         atol: float = 1e-15,
-        relatched: bool = False,
     ) -> None:
         self.c = constants(scene)
         self.rtol, self.atol = rtol, atol
@@ -568,8 +562,6 @@ class MaximalBench:
         self.sliding = np.ones(2)  # Coulomb's law: sign of the slip, 0 where the tip sticks
         self.resting = np.array([False, scene.supports is not None and not np.any(v[5:])])
         self.open: list[Touch | None] = [None, None]
-        self.relatched = relatched
-        self.fastest = np.zeros(2)  # rate of penetration since the damping was set, m/s
         self.wanted: list[float] = []
         self.ends = np.zeros((26, 2))  # states at both ends of the present step
         self.run = MaximalRun()
@@ -674,18 +666,6 @@ class MaximalBench:
             return float(brentq(value, low, high, xtol=1e-17, rtol=1e-15))
         return None
 
-    def _rest(self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int) -> float | None:
-        """Time in a step when the depth of a touch is largest or smallest."""
-        _, rates, _, _ = along_a_step(self.ends, self.c, wall, 0.0)
-        # just behind such a time the rate is rounding's
-        if abs(rates[0]) < 1e-9 * self.fastest[wall] or rates[0] * rates[1] >= 0.0:
-            return None
-        return float(brentq(lambda t: self._gap(dense(t), wall, 1.0)[1], t_a, t_b, xtol=1e-17))
-
-    def _set_damping(self, wall: int, speed: float) -> None:
-        self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
-        self.fastest[wall] = 0.0
-
     def _watch_peak(self, dense: DenseWhenAsked, t_a: float, t_b: float) -> None:
         times = t_a + PLACES * (t_b - t_a)
         for wall, touch in enumerate(self.open):
@@ -712,8 +692,7 @@ class MaximalBench:
         speed = max(-self._gap(self.z, wall, 1.0)[1], 0.0)
         self.touching[wall] = True
         self.sliding[wall] = 1.0 if slip(self.z, self.c, wall) >= 0.0 else -1.0
-        self._set_damping(wall, speed)
-        self.fastest[wall] = speed
+        self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
         touch = Touch(1 - 2 * wall, self.t, speed)
         self.open[wall] = touch
         self.run.touches.append(touch)
@@ -747,10 +726,6 @@ class MaximalBench:
                 at = self._friction_change(dense, t_a, t_b, wall)
                 if at is not None and (at < first or happening is None):
                     first, happening = at, 3 + wall
-            if self.relatched and self.touching[wall]:
-                at = self._rest(dense, t_a, t_b, wall)
-                if at is not None and (at < first or happening is None):
-                    first, happening = at, 5 + wall
         if self.resting[1] and self.touching.any() and self._load(dense(first)) > 1.0:
             first = brentq(lambda t: self._load(dense(t)) - 1.0, t_a, first, xtol=1e-16)
             happening = 2
@@ -764,16 +739,11 @@ class MaximalBench:
         self.z = dense(first) if happening is not None else solver.y.copy()
         self.t = first
         self._watch_drift()
-        for wall in np.flatnonzero(self.touching):
-            rate = abs(self._gap(self.z, wall, 1.0)[1])
-            self.fastest[wall] = max(self.fastest[wall], rate)
         if happening is None:
             return False
         if happening == 2:
             self.resting[1] = False
             self.run.moving.append(self.t)
-        elif happening >= 5:
-            self._set_damping(happening - 5, self.fastest[happening - 5])
         elif happening >= 3:
             self._change_friction(happening - 3)
         elif self.touching[happening]:

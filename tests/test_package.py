@@ -13,6 +13,7 @@ import pytest
 
 import capture_sim
 from capture_sim import resources
+from capture_sim.nodes import start
 
 ROOT = Path(__file__).resolve().parent.parent
 MANIFEST = ET.parse(ROOT / "package.xml").getroot()
@@ -131,8 +132,9 @@ def test_executables_exist():
     for name in executables:
         assert defines_main(ROOT / "capture_sim" / "nodes" / f"{name}.py"), name
     scripts = {
-        f"capture-sim-{n.replace('_', '-')}": f"capture_sim.nodes.{n}:main" for n in executables
+        f"capture-sim-{n.replace('_', '-')}": f"capture_sim.nodes.start:{n}" for n in executables
     }
+    assert all(callable(getattr(start, name)) for name in executables)
     assert PROJECT["scripts"] == {"capture-sim": "capture_sim.cli:main", **scripts}
     assert defines_main(ROOT / "capture_sim" / "cli.py")
 

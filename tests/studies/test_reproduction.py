@@ -123,7 +123,7 @@ def test_shares_of_samples():
 def test_the_page_has_every_figure_with_its_command(evidence):
     found = list(paper.claims(evidence))
     text = page(found, evidence, {name: figure.title for name, figure in FIGURES.items()})
-    commands = re.findall(r"!\[.*\]\(reproduction/(\w+)\.png\)\n\n    (.*)\n", text)
+    commands = re.findall(r"!\[.*\]\(reproduction/(\w+)\.png\)\n\n`(.*)`\n", text)
     assert commands == [
         (name, f".venv/bin/capture-sim reproduce --only {name} --out runs") for name in FIGURES
     ]
