@@ -150,10 +150,19 @@ def answers(
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(future), future.result()
-    except (BrokenExecutor, CancelledError) as error:
+    except Exception as error:
+        # Dask's own, as KilledWorker, are known only where Dask is installed
+        if not isinstance(error, (BrokenExecutor, CancelledError)) and (
+            type(error).__module__.partition(".")[0] != "distributed"
+        ):
+            raise
         raise ExecutorError(
-            f"the workers were lost ({error}); start again to go on from there"
+            f"the workers were lost ({_first_line(error)}); start again to go on from there"
         ) from None
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def ordered(

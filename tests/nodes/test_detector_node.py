@@ -257,11 +257,12 @@ class Bench(BenchNode):
         run = RunDescription.of(scene, "on the bench", publishers)
         ours = (CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS)
         wait_until(lambda: all(self.matched(topic) >= readers for topic in ours), 90.0)
-        self.send(RUN_INFO, self.messages.run_info(run))
+        self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(run)))
         assert self.drain(20.0)
         counts = {RUN_INFO.name: 1, **self.measure(measurements)}
         assert self.drain(20.0)
-        self.send(STREAM_COUNTS, self.messages.stream_counts(SIMULATOR, run.run_id, counts))
+        ended = self.messages.stream_counts(SIMULATOR, run.run_id, counts)
+        self.send(STREAM_COUNTS, self.messages.serialise(ended))
         assert self.drain(20.0)
 
     def measure(self, measurements):
@@ -289,7 +290,7 @@ class Bench(BenchNode):
                         "pose.orientation.w": math.cos(values[2] / 2.0),
                     },
                 )
-            self.send(topic, message)
+            self.send(topic, self.messages.serialise(message))
             counts[topic.name] = counts.get(topic.name, 0) + 1
         return counts
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -325,3 +326,14 @@ def test_answers_come_back_in_order():
     with open_executor(2) as executor:
         assert ordered(executor, math.sqrt, [4.0, 9.0, 16.0], told.append) == [2.0, 3.0, 4.0]
     assert told == [1, 1, 1]
+
+
+def test_a_worker_that_the_cluster_gave_up_is_one_line():
+    dask = pytest.importorskip("distributed")
+
+    def fail(_):
+        raise dask.scheduler.KilledWorker("run-7", SimpleNamespace(address="tcp://127.0.0.1:1"), 3)
+
+    with pytest.raises(ExecutorError, match=r"^the workers were lost \(.*\); start again") as lost:
+        ordered(InProcess(), fail, [1])
+    assert "\n" not in str(lost.value)
