@@ -83,6 +83,8 @@ LONGEST_NAME = 200
 MATCHING = 5.0
 #: Messages that were on their way when the announcer went are waited for this long, s (wall).
 GRACE = 0.5
+#: Messages that still come after a run was ended are waited for this long, s (wall).
+LONGEST = 60.0
 #: Ctrl-C mostly ends all nodes at once: a participant waits this long for the word on how the run
 #: has ended, s (wall).
 FAREWELL = 3.0
@@ -114,7 +116,7 @@ class Participant(BenchNode):
         self._patience = self.declare(
             "drain_timeout",
             5.0,
-            "s (wall), wait for missing messages after a run has been ended",
+            "s (wall) without a message, after which a run that was ended is given up",
             low=0.1,
             high=600.0,
         )
@@ -124,6 +126,7 @@ class Participant(BenchNode):
         self._counts: Any = None  # what the announcer says it has sent in the run
         self._ended: Any = None  # StreamCounts of the last run that an announcer has ended
         self._deadline = math.inf  # wall, when a run that has ended is given up
+        self._latest = math.inf  # ... even though messages still come
         self._runs = 0  # that have ended
         self._alone = True  # no announcer is there
         self._leaving = False  # after Ctrl-C
@@ -206,9 +209,13 @@ class Participant(BenchNode):
 
     def end_if_complete(self) -> None:
         """End the run if its announcer has ended it and nothing is missing."""
-        if self.run is not None and self._counts is not None and self.complete():
+        if self.run is None or self._counts is None:
+            return
+        if self.complete():
             counts = self._counts
             self._finish("" if counts.complete else f"{_EARLY}{counts.reason}")
+        else:  # messages still come
+            self._deadline = min(time.monotonic() + self._patience, self._latest)
 
     def announce(self, name: str, scene: Scene) -> None:
         """Begin a trial for all participants."""
@@ -306,7 +313,7 @@ class Participant(BenchNode):
 
     def _end_with(self, counts: Any) -> None:
         self._counts = counts
-        self._deadline = time.monotonic() + self._patience
+        self._latest = time.monotonic() + max(LONGEST, self._patience)
         self.end_if_complete()
 
     def _announcers_changed(self, event: Any) -> None:
