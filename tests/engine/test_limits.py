@@ -30,8 +30,7 @@ def test_probe_that_slides_freely_to_its_stop_is_not_taken_for_one_in_its_hinge(
     kinds = [event.kind.label for event in bench.events]
     assert "stop_hit" in kinds
     assert -0.2 < samples["axial_stroke"].min() < -0.1995
-    # 9e-9 and 1.5e-6 of the energy; with the floor 9.5 % at 1e-7 m/s
-    assert np.abs(samples["energy_residual"]).max() < 1e-5 * samples["kinetic"].max()
+    assert np.abs(samples["energy_residual"]).max() < 1e-6 * samples["kinetic"].max()
 
 
 def test_run_that_is_too_stiff_names_what_makes_it_so():
@@ -163,7 +162,8 @@ def test_ledger_closes_at_the_slowest_approach(speed, t_end):
     bench = Bench(load_scene("paper_designed", over))
     samples = bench.advance(bench.times(0, t_end + 1))
     assert len(bench.touches) > 0
-    assert np.abs(samples["energy_residual"]).max() < 1e-6 * samples["kinetic"].max()
+    # 9e-9 and 1.5e-6 of the energy; with the floor 9.5 % at 1e-7 m/s
+    assert np.abs(samples["energy_residual"]).max() < 1e-5 * samples["kinetic"].max()
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e-16, 2e-16])
