@@ -107,9 +107,17 @@ class LoopStage:
         self._laws = records(np.zeros(1, LAW))
         self._trace = np.zeros((substeps, TRACE))
         self._count = 0
-        # loads the kernel, or compiles it: not within the loop
+        in_worker(self._load)
+
+    def _load(self) -> None:
+        """Load the kernels, or compile them: not within the loop, where each costs a wrench."""
+        kept = self.saved()
         no_step = (self._system, self._laws, self._y, self._stages, np.zeros((0, TRACE)))
-        in_worker(lambda: step_with_wrench(*no_step, 0.0, *NOTHING))
+        step_with_wrench(*no_step, 0.0, *NOTHING)
+        tip_state(self._system, self._y)
+        stored_energy(self._system, self._y)
+        self.effective_mass(1.0, 0.0)
+        self.restore(kept)
 
     @property
     def t(self) -> float:
