@@ -372,6 +372,7 @@ class Messages:
     """Makes messages; of each kind one is kept, of which the others differ in their numbers."""
 
     def __init__(self) -> None:
+        self._store = typestore()  # loaded before the first message is due, not by it
         self._templates: dict[tuple[Any, ...], Template] = {}
 
     def new(self, type_name: str, **fields: Any) -> Message:
@@ -436,12 +437,11 @@ class Messages:
         key = (type_name, *map(str, fixed.items()), *shapes)
         template = self._templates.get(key)
         if template is None:
-            template = Template(typestore(), self.new(type_name, **fixed), columns)
+            template = Template(self._store, self.new(type_name, **fixed), columns)
             if len(self._templates) < MOST_KINDS:
                 self._templates[key] = template
         return template.filled(columns)
 
-    @staticmethod
-    def serialise(message: Message) -> bytes:
+    def serialise(self, message: Message) -> bytes:
         """Return the bytes of a message."""
-        return bytes(typestore().serialize_cdr(message, message.__msgtype__))
+        return bytes(self._store.serialize_cdr(message, message.__msgtype__))

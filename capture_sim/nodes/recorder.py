@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
-from capture_sim.messages.definitions import learn_type, typestore
+from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
 from capture_sim.nodes.node import ParameterError, from_bytes, run
 from capture_sim.nodes.participant import READ, RECORDER, Participant
@@ -77,7 +77,6 @@ class RecorderNode(Participant):
         self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._early: list[tuple[Topic, bytes]] = []
-        typestore()  # takes longer than a run's first messages would have to wait
         self.open((STREAM_COUNTS,))
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))

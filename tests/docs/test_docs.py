@@ -7,7 +7,7 @@ A block of code is a fence, and runs in a folder that has `.venv` and the record
 - `python`: together with the blocks before it on the page; `# ->` is what it prints.
 - `yaml` with a title is a file of that name; without, it is laid over tilt_0.
 - What cannot run here bears a class, and is counted: `{.ros2}` needs ROS's command-line tools,
-  `{.terminals}` several terminals, `{.minutes}` takes some, `{.make}` is done by `make first-hour`.
+  `{.terminals}` several terminals, `{.minutes}` takes some, `{.make}` is what runs these tests.
 """
 
 import importlib.util

@@ -217,7 +217,7 @@ def test_limit_of_the_supports_where_it_is_known():
 def test_limit_of_the_supports_against_an_optimiser():
     rng = np.random.default_rng(3)
     balls = np.array([[0.12, 0.01, 1.0], [-0.06, 0.104, 2.5], [-0.05, -0.11, 0.7]])
-    for _ in range(12):
+    for _ in range(30):
         angle = rng.uniform(-3, 3)
         c, s = math.cos(angle), math.sin(angle)
         w = rng.normal(size=3) * np.array([3, 3, 0.3])
