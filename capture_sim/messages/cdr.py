@@ -18,7 +18,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from capture_sim.errors import MessageError, RecordingError
+from capture_sim.errors import MessageError
 from capture_sim.messages.topics import Stamp, Topic
 
 #: Fields of n messages, (n, ...) each, by their path in the message (``"header.stamp.sec"``).
@@ -103,7 +103,7 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
 
     Raises
     ------
-    RecordingError
+    MessageError
         A message does not fit the type, or the type has a sequence of
         messages.
     """
@@ -115,13 +115,51 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
             try:
                 layout = _Walk(store, type_name, messages[waiting[0]]).layout()
             except KeyError as error:
-                raise RecordingError(f"{type_name}: {error} is no known type") from None
+                raise MessageError(f"{type_name}: {error} is no known type") from None
             raw = np.frombuffer(b"".join([messages[i] for i in waiting]), dtype=np.uint8)
             raw = raw.reshape(len(waiting), -1)
             alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
             _store_records(found, layout, raw[alike], waiting[alike], len(messages))
             waiting = waiting[~alike]
     return {name: _tidied(column) for name, column in found.items()}
+
+
+class Numbers:
+    """Reads the same numbers out of one message after another, as they come over a topic.
+
+    Where they stand is found again only for a message whose texts or sequences have other
+    lengths than those of the one before.
+
+    Parameters
+    ----------
+    store
+        Knows the type.
+    type_name
+        ``package/msg/Name``.
+    paths
+        Of the numbers, such as ``"header.stamp.sec"``.
+    """
+
+    def __init__(self, store: Typestore, type_name: str, *paths: str) -> None:
+        self._store, self._type_name, self._paths = store, type_name, list(paths)
+        self._records = np.dtype([])
+        self._fixed, self._lengths = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
+
+    def __call__(self, data: bytes) -> np.void:
+        """Return the numbers of a serialised message: by path, or ``.item()`` as a tuple.
+
+        Raises
+        ------
+        MessageError
+            The bytes are no such message.
+        """
+        raw = np.frombuffer(data, dtype=np.uint8)
+        fits = len(raw) == self._records.itemsize and (raw[self._fixed] == self._lengths).all()
+        if not fits:
+            layout = _Walk(self._store, self._type_name, data).layout()
+            self._records = layout.records[self._paths]
+            self._fixed, self._lengths = layout.fixed, raw[layout.fixed]
+        return raw.view(self._records)[0]  # type: ignore[no-any-return]  # of a record: np.void
 
 
 class Template:
@@ -185,7 +223,7 @@ class _Walk:
 
     def __init__(self, store: Typestore, type_name: str, data: bytes) -> None:
         if data[:2] != _LITTLE_ENDIAN:
-            raise RecordingError(f"{type_name}: encapsulation {data[:2].hex()} is not supported")
+            raise MessageError(f"{type_name}: encapsulation {data[:2].hex()} is not supported")
         self._store = store
         self._type_name = type_name
         self._data = data
@@ -200,7 +238,7 @@ class _Walk:
         self._message("", type_name)
         # a transport may pad a message to a multiple of 4 bytes
         if not 0 <= len(data) - _HEADER - self._position < 4:
-            raise RecordingError(
+            raise MessageError(
                 f"{type_name}: message of {len(data)} bytes, "
                 f"its definition makes {self._position + _HEADER}"
             )
@@ -222,7 +260,7 @@ class _Walk:
         known = self._store.fielddefs[type_name][1]
         self._steps += len(known) + 1
         if self._steps > _MOST_FIELDS:
-            raise RecordingError(f"{self._type_name}: more than {_MOST_FIELDS} fields")
+            raise MessageError(f"{self._type_name}: more than {_MOST_FIELDS} fields")
         for name, description in known:
             path = f"{prefix}{name}"
             kind = description[0]
@@ -240,7 +278,7 @@ class _Walk:
                     for i in range(count):
                         self._message(f"{path}.{i}.", str(item))
                 else:
-                    raise RecordingError(
+                    raise MessageError(
                         f"{self._type_name}.{path}: a sequence of messages makes no column"
                     )
 
@@ -253,9 +291,7 @@ class _Walk:
     def _array(self, path: str, name: str, count: int) -> None:
         if name == "string":
             if count > len(self._data):
-                raise RecordingError(
-                    f"{self._type_name}: message of {len(self._data)} bytes is cut"
-                )
+                raise MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
             self._text_lists[path] = [self._text() for _ in range(count)]
         else:
             self._number(path, name, (count,))
@@ -282,7 +318,7 @@ class _Walk:
             length = len(self._data)
         self._position += 4
         if self._position + _HEADER + length > len(self._data) + 3:
-            raise RecordingError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
+            raise MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
         return int(length)
 
     def _text(self) -> tuple[int, int]:

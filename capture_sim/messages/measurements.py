@@ -6,6 +6,8 @@ import math
 from typing import Any
 
 from capture_sim.detection.align import Planar, Source, Values
+from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
@@ -27,6 +29,49 @@ def detector_sources(scene: Scene) -> dict[Topic, Source]:
     else:
         poses = {CHASER_ODOMETRY: Source.CHASER, TARGET_ODOMETRY: Source.TARGET}
     return {**poses, BUFFER_STATE: Source.BUFFER}
+
+
+_POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
+_TWIST = ("linear.x", "linear.y", "angular.z")
+#: The numbers that a measurement is made of, by the type of its message.
+_NUMBERS = {
+    "nav_msgs/msg/Odometry": (
+        *(f"pose.pose.{name}" for name in _POSE),
+        *(f"twist.twist.{name}" for name in _TWIST),
+    ),
+    "geometry_msgs/msg/PoseStamped": tuple(f"pose.{name}" for name in _POSE),
+    "capture_sim/msg/BufferState": ("axial_stroke", "torsion", "axial_rate", "torsion_rate"),
+}
+
+
+class MeasurementReader:
+    """Reads what a topic's messages measure, one after another, from their bytes alone.
+
+    Parameters
+    ----------
+    topic
+        Of the detector, see :func:`detector_sources`.
+    """
+
+    def __init__(self, topic: Topic) -> None:
+        self._of_buffer = topic is BUFFER_STATE
+        stamp = ("header.stamp.sec", "header.stamp.nanosec")
+        self._numbers = Numbers(typestore(), topic.type_name, *stamp, *_NUMBERS[topic.type_name])
+
+    def __call__(self, data: bytes) -> tuple[int, Values]:
+        """Return the stamp, ns, and the values, see :class:`capture_sim.detection.align.Source`.
+
+        Raises
+        ------
+        MessageError
+            The bytes are no such message.
+        """
+        sec, nanosec, *numbers = self._numbers(data).item()
+        stamp = sec * 1_000_000_000 + nanosec
+        if self._of_buffer:
+            return stamp, tuple(numbers)
+        pose = pose_values(*numbers[:4])
+        return stamp, (*pose, *twist_values(pose[2], *numbers[4:])) if numbers[4:] else pose
 
 
 def measured(source: Source, message: Any) -> Values:

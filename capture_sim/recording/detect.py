@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
 
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import stamp_seconds
-from capture_sim.messages.definitions import typestore
-from capture_sim.messages.measurements import detector_sources, measured
+from capture_sim.messages.measurements import MeasurementReader, detector_sources
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
 
@@ -61,7 +59,7 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     for topic in sources:
         if not run.raw(topic):
             raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
-    store = typestore()
+    readers = {topic: MeasurementReader(topic) for topic in sources}
     detector = NoisyDetector(scene)
     stored = [
         (int(time), place, topic, data)
@@ -72,8 +70,6 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     stored.sort(key=lambda item: item[:2])
     statuses: list[CaptureStatus] = []
     for _, _, topic, data in stored:
-        message: Any = store.deserialize_cdr(data, topic.type_name)
-        stamp = message.header.stamp
-        t = stamp_seconds(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
-        statuses += detector.measure(sources[topic], t, measured(sources[topic], message))
+        stamp, values = readers[topic](data)
+        statuses += detector.measure(sources[topic], stamp_seconds(stamp), values)
     return [*statuses, *detector.finish(cut=run.cut)]

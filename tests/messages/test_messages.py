@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
+import operator
 import re
 
 import numpy as np
@@ -15,10 +16,10 @@ from hypothesis.extra.numpy import arrays
 from rosbags.interfaces import Nodetype
 
 import capture_sim
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, MessageError
 from capture_sim.launch.watch import Launcher
 from capture_sim.messages import topics
-from capture_sim.messages.cdr import fill
+from capture_sim.messages.cdr import Numbers, fill
 from capture_sim.messages.convert import (
     EPOCH_NS,
     LaunchAction,
@@ -40,11 +41,14 @@ from capture_sim.messages.telemetry import (
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
+    BUFFER_STATE,
     CHASER_ODOMETRY,
+    CHASER_POSE,
     CLOCK,
     CONTACT_STATE,
     CONTACT_WRENCH,
     JOINT_STATES,
+    LOAD_CELL,
     SIMULATOR,
     STREAM_COUNTS,
     STRING_STATE,
@@ -394,6 +398,41 @@ def test_many_messages_are_those_that_are_serialised_one_by_one(kind, values, te
         alone.append(make.serialise(message))
     assert list(make.many(kind, columns, **fixed)) == alone
     assert list(make.many(kind, columns, **fixed)) == alone  # by what is kept of the first time
+
+
+def numbers_in(type_name, prefix=""):
+    """Yield path and count of the numbers of a message; None for a sequence's."""
+    for name, (kind, of) in typestore().fielddefs[type_name][1]:
+        if kind == Nodetype.NAME:
+            yield from numbers_in(of, f"{prefix}{name}.")
+        elif "string" not in str(of):
+            counts = {Nodetype.BASE: (), Nodetype.ARRAY: of[1], Nodetype.SEQUENCE: None}
+            yield f"{prefix}{name}", counts[kind]
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [BENCH_STATE, BUFFER_STATE, CHASER_ODOMETRY, CHASER_POSE, LOAD_CELL, JOINT_STATES],
+    ids=lambda topic: topic.name,
+)
+def test_numbers_of_a_message_are_read_from_its_bytes(topic):
+    store, rng = typestore(), np.random.default_rng(1)
+    kinds = dict(numbers_in(topic.type_name))
+    read = Numbers(store, topic.type_name, *kinds)
+    # texts and sequences of other lengths move every number behind them
+    for frame, length in (("world", 2), ("world", 2), ("", 2), ("é/base_link", 3), ("w", 0)):
+        message = Messages().new(topic.type_name, **{"header.frame_id": frame})
+        for path, count in kinds.items():
+            # whole numbers suit the integers too
+            values = rng.integers(1, 256, length if count is None else count)
+            fill(message, path, values if values.ndim else values.item())
+        data = bytes(store.serialize_cdr(message, topic.type_name))
+        numbers, again = read(data), store.deserialize_cdr(data, topic.type_name)
+        for path in kinds:
+            assert np.array_equal(numbers[path], operator.attrgetter(path)(again)), path
+    for bad in (b"", data[:-8], data + bytes(8), b"\0\0" + data[2:], data[:12] + b"\xff" * 4):
+        with pytest.raises(MessageError):
+            read(bad)
 
 
 def test_description_of_a_run_names_its_scene_and_software(result):
