@@ -208,14 +208,13 @@ def energy_layers(
     Returns
     -------
     t : ndarray (n,)
-        s, of some of the samples up to the verdict.
+        s, of some of the samples.
     put_in : ndarray (n,)
         mJ.
     layers : list of (str, str, ndarray (n,))
         Name, colour and energy, mJ, of each that is large enough to be seen.
     """
-    samples = run.samples[run.samples["t"] <= time_window(run)[1]]
-    samples = samples[:: max(len(samples) // _POINTS, 1)]
+    samples = run.samples[:: max(len(run.samples) // _POINTS, 1)]
     put_in = (samples["kinetic"][0] + samples["work_string"]) * 1e3
     layers = []
     for name, colour, fields in LAYERS:

@@ -21,6 +21,8 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
 
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, grid, new_figure, set_fonts
@@ -261,12 +263,15 @@ def snapshots(
         axes.set_xlabel("x in the world  [m]")
     for axes in axes_grid[:, 0]:
         axes.set_ylabel("y  [m]")
-    axes = axes_grid[0, 0]
-    axes.plot([], [], color=style.DARK, lw=3.0, label="walls of the cone")
-    way = axes.plot([], [], color=shown[0].colour, lw=2.2, label="way of the tip's centre")[0]
-    if len(shown) > 1:
-        way.set_color(style.GREY)
-    figure.legend(loc="outside lower center", ncols=2, fontsize=style.SMALL)
+    key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_way_line, shown))
+    figure.legend(
+        key,
+        ["walls of the cone", "way of the tip's centre"],
+        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
+        loc="outside lower center",
+        ncols=2,
+        fontsize=style.SMALL,
+    )
     set_fonts(figure.axes)
     return figure
 
@@ -294,7 +299,7 @@ def _draw_instant(axes: Axes, one: Shown, t: float, letter: str) -> None:
         meaning = start_word(run.scene)
     draw_shapes(axes, state_shapes(run.scene, state_at(run, t), one.colour))
     way = tip_in_world(run.scene, run.samples["q"][run.samples["t"] <= t][::5])
-    axes.plot(*way.T, color=one.colour, lw=2.2, zorder=1.5)
+    axes.add_line(_way_line(one, way))
     axes.set_aspect("equal")
     axes.text(
         0.012,
@@ -307,6 +312,12 @@ def _draw_instant(axes: Axes, one: Shown, t: float, letter: str) -> None:
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
         zorder=9,
     )
+
+
+def _way_line(one: Shown, way: np.ndarray | None = None) -> Line2D:
+    """Return the tip's way, (n, 2), m, as a line over the bodies; without one for a legend."""
+    x, y = ([], []) if way is None else way.T
+    return Line2D(x, y, color=one.colour, lw=1.8, zorder=2.5)
 
 
 def _frame(
@@ -358,9 +369,9 @@ def _draw_line(axes: Axes, one: Shown, values: np.ndarray, window: Window) -> No
 
 
 def _draw_trace(axes: Axes, i: int, trace: Trace, values: np.ndarray, window: Window) -> None:
-    """Draw a curve from elsewhere as some thirty points, so that the line under it is seen."""
-    inside = np.flatnonzero((trace.t >= window[0]) & (trace.t <= window[1]))
-    some = inside[:: max(len(inside) // 30, 1)]
+    """Draw a curve from elsewhere as thirty points, so that the line under it is seen."""
+    evenly = np.searchsorted(trace.t, np.linspace(*window, 30))
+    some = np.unique(evenly[evenly < len(trace.t)])
     axes.plot(trace.t[some], values[some], **_trace_look(i))
 
 
@@ -431,8 +442,8 @@ def _label_runs(
 
 
 def _finish_time_axis(axes: Axes, shown: Sequence[Shown], window: Window) -> None:
-    """Set limits, grid and the label of the time axis."""
-    axes.set_xlim(window)
+    """Set limits, grid and the label of the time axis; a touch at its start is off the frame."""
+    axes.set_xlim(window[0] - 0.01 * (window[1] - window[0]), window[1])
     grid(axes)
     axes.set_xlabel(f"{time_label(shown)}  [s]")
 

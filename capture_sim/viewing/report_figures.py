@@ -38,10 +38,10 @@ class Drawn(NamedTuple):
 def drawn(figure: go.Figure, name: str, caption: str, kind: str = "narrow") -> Drawn:
     """Return a figure for the page; a wide one has titles above, so its legend lies below."""
     above = {"y": 1.0, "yanchor": "bottom"}
-    below = {"y": -0.15, "yanchor": "top"}
+    below = {"y": 0.0, "yref": "container", "yanchor": "bottom"}
     figure.update_layout(
         template="none",
-        margin={"l": 62, "r": 12, "t": 30, "b": 46},
+        margin={"l": 62, "r": 12, "t": 30, "b": 46 if kind == "narrow" else 96},
         legend={"orientation": "h", **(above if kind == "narrow" else below)},
         hoverlabel={"namelength": -1},
     )
@@ -57,11 +57,7 @@ def over_time(name: str, shown: Sequence[Shown]) -> Drawn:
     for one in shown:
         run = resolved_or_not(one.run) if name == "intrusion" else one.run
         t, values = panel.curve(run)
-        if panel.sampled:
-            for part, dash in zip(split(values, one.touching), ("solid", "dash"), strict=True):
-                _line(figure, one, t, part, dash, window, legend=dash == "solid")
-        else:
-            _line(figure, one, t, values, "solid", window)
+        _add_curve(figure, one, t, values, window, sampled=panel.sampled)
     if name == "impact_force":
         for one in shown:
             for side, (_, marker, wall) in style.WALLS.items():
@@ -139,14 +135,15 @@ def load_stroke(shown: Sequence[Shown]) -> Drawn:
 def velocities(shown: Sequence[Shown]) -> Drawn:
     """Draw horizontal, vertical and angular velocities of both vehicles."""
     parts = ("x  [mm/s]", "y  [mm/s]", "turn  [mrad/s]")
-    figure = make_subplots(3, 2, shared_xaxes=True, subplot_titles=["chaser", "target"])
+    heads = ["chaser", "target"]
+    figure = make_subplots(3, 2, shared_xaxes=True, vertical_spacing=0.07, subplot_titles=heads)
     window = common_window(shown)
     for column, first in enumerate((0, 5), 1):
         for row, name in enumerate(parts, 1):
             for one in shown:
                 t, v = one.run.samples["t"], one.run.samples["v"][:, first + row - 1] * 1e3
                 legend = row == column == 1
-                _line(figure, one, t, v, "solid", window, legend=legend, row=row, col=column)
+                _add_curve(figure, one, t, v, window, legend=legend, row=row, col=column)
             figure.update_yaxes(title=name, row=row, col=1)
         figure.update_xaxes(title=f"{time_label(shown)}  [s]", row=3, col=column)
     figure.update_xaxes(range=window)
@@ -190,29 +187,30 @@ def _some(values: np.ndarray) -> np.ndarray:
     return np.asarray(values[:: max(len(values) // _MOST, 1)], dtype=np.float32)
 
 
-def _line(
+def _add_curve(
     figure: go.Figure,
     one: Shown,
     t: np.ndarray,
     values: np.ndarray,
-    dash: str,
     window: tuple[float, float],
     *,
+    sampled: bool = True,
     legend: bool = True,
     **place: int,
 ) -> None:
-    """Add a curve, as far as it lies in the window."""
+    """Add a curve, as far as it lies in the window: dashed, of samples, where the tip is free."""
     t = t - one.origin
     inside = (t >= window[0]) & (t <= window[1])
-    if not np.isfinite(values[inside]).any():
-        inside &= False
-    figure.add_scatter(
-        x=np.asarray(t[inside], dtype=np.float32),
-        y=np.asarray(values[inside], dtype=np.float32),
-        mode="lines",
-        line={"color": one.colour, "dash": dash, "width": 1.8},
-        name=one.label,
-        legendgroup=one.label,
-        showlegend=legend,
-        **place,
-    )
+    parts = split(values, one.touching) if sampled else (values,)
+    for part, dash in zip(parts, ("solid", "dash"), strict=False):
+        seen = inside & np.isfinite(part).any()
+        figure.add_scatter(
+            x=np.asarray(t[seen], dtype=np.float32),
+            y=np.asarray(part[seen], dtype=np.float32),
+            mode="lines",
+            line={"color": one.colour, "dash": dash, "width": 1.8},
+            name=one.label,
+            legendgroup=one.label,
+            showlegend=legend and dash == "solid",
+            **place,
+        )

@@ -106,8 +106,8 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     good = [d for d in designs if d.met]
     stroke = [d.target.axial_stroke * 1e3 for d in good]
     curves = (
-        ("largest touch until the verdict", "outcome", "peak_force", style.VERMILION, "o-"),
-        ("largest touch of the first contact", "damped", "peak_force", style.ORANGE, "s-"),
+        ("largest touch until the verdict", "outcome", "peak_force", style.DARK, "o-"),
+        ("largest touch of the first contact", "damped", "peak_force", style.GREY, "s-"),
         (
             "largest force of the buffer, first contact",
             "damped",
@@ -124,7 +124,7 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     for name, unit, colour in (
         ("k_A", "N/m", style.BLUE),
         ("k_T", "N m/rad", style.VERMILION),
-        ("c_A", "N s/m", style.GREEN),
+        ("c_A", "N s/m", style.BLACK),
     ):
         values = [getattr(d.scene.buffer, name) for d in good if d.scene is not None]
         buffer.plot(stroke, values, "o-", color=colour, label=f"{name}  [{unit}]")
@@ -317,7 +317,11 @@ def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
 
 
 def _label(parameter: Parameter) -> str:
-    return f"{parameter.name} ±{parameter.displayed_spread}"
+    name = parameter.name
+    if len(name) > 24:  # two lines, or it takes the bars' room
+        middle = name.rfind("_", 0, 20) + 1
+        name = f"{name[:middle]}\n{name[middle:]}"
+    return f"{name} ±{parameter.displayed_spread}"
 
 
 def draw_indices(found: Global) -> Figure:

@@ -84,6 +84,8 @@ def test_page_is_whole_and_refers_to_nothing_outside(page):
     assert page.stat().st_size < 8e6  # of which plotly is 4.8
     assert re.search(r"Made on \d{4}-\d\d-\d\d", text)
     assert "prefers-color-scheme: dark" in text
+    names = re.findall(r' id="([^"]+)"', text[: text.index("<script>")])
+    assert len(names) == len(set(names)) > 10  # a figure is drawn where its name is met first
     # every heading is in the contents
     assert text.count("<h2 id=") == text.count('<a href="#')
 
