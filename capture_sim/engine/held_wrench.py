@@ -16,20 +16,19 @@ from capture_sim.engine.events import event_value
 from capture_sim.kernels import entry_kernel, inline_kernel, kernel
 from capture_sim.model.equations import (
     N_TOTAL,
-    accelerate,
     rate_of_change,
     slip_speed,
     tip_in_cone,
     wall_gap,
 )
 from capture_sim.model.observe import kinetic_energy
-from capture_sim.model.trig import hyperbolic_tangent, sine_cosine
+from capture_sim.model.trig import hyperbolic_tangent
 from capture_sim.samples import EventKind
 
-#: The state of the free phases and, behind it, of what acts on the tip: work, that of the wrench
-#: held alone (J), and the integral of the force's size (N s).
-N_LOOP = N_TOTAL + 3
-WORK, HELD_WORK, IMPULSE_SIZE = N_TOTAL, N_TOTAL + 1, N_TOTAL + 2
+#: The state of the free phases and, behind it: the integral of the force's size (N s), and how
+#: far the tip has moved against the target under the wrench held (m, m, rad).
+N_LOOP = N_TOTAL + 4
+IMPULSE_SIZE, MOVED = N_TOTAL, N_TOTAL + 1
 
 #: Contact of the tip with either wall; see :class:`capture_sim.hardware.walls.WallLaw`.
 LAW = np.dtype(
@@ -94,11 +93,10 @@ def _drive(y, system, law, fx, fy, torque):
 def _rate(y, f, system, law, fx, fy, torque):
     acts = _drive(y, system, law, fx, fy, torque)
     rate_of_change(0.0, y, f, system)
-    f[WORK] = system.out.driven
-    f[HELD_WORK] = 0.0
-    if acts and (fx != 0.0 or fy != 0.0 or torque != 0.0):
-        _, _, wx, wy = tip_in_cone(y, system.par)
-        f[HELD_WORK] = fx * wx + fy * wy + torque * (y[11] - y[15])
+    _, _, wx, wy = tip_in_cone(y, system.par)
+    f[MOVED] = wx if acts else 0.0
+    f[MOVED + 1] = wy if acts else 0.0
+    f[MOVED + 2] = y[11] - y[15] if acts else 0.0
     wrench = system.mode.wrench
     f[IMPULSE_SIZE] = math.sqrt(wrench[0] * wrench[0] + wrench[1] * wrench[1])
 
@@ -196,22 +194,18 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
 def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
     """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
 
-    ``y`` (29,) is changed; ``stages`` (6, 29) is overwritten; ``trace`` (n, 8) receives tip and
-    force at the begin of each.  The wrench held is in the target's axes.
+    ``y`` (N_LOOP,) is changed; ``stages`` (6, N_LOOP) is overwritten; ``trace`` (n, 8) receives
+    tip and force at the begin of each.  The wrench held is in the target's axes.
     """
     system = systems[0]
     law = laws[0]
     for k in range(trace.shape[0]):
-        _rate(y, stages[0], system, law, fx, fy, torque)
-        _note(y, trace[k], system)
-        if system.par.has_latch or system.par.has_stops:
-            left = h
-            while left > 0.0:
-                left -= _meet(y, stages, system, law, left, fx, fy, torque)
-                if left > 0.0:
-                    _rate(y, stages[0], system, law, fx, fy, torque)
-        else:
-            _runge_kutta(y, stages, system, law, h, fx, fy, torque)
+        left = h
+        while left > 0.0:
+            _rate(y, stages[0], system, law, fx, fy, torque)
+            if left == h:
+                _note(y, trace[k], system)
+            left -= _meet(y, stages, system, law, left, fx, fy, torque)
 
 
 @entry_kernel
@@ -222,49 +216,20 @@ def tip_state(systems, y):
 
 
 @entry_kernel
-def stored_energy(systems, y):
-    """Return kinetic energy and that of the springs of buffer, stops and latch, J."""
-    p, mode = systems[0].par, systems[0].mode
+def stored_energy(systems, laws, y):
+    """Return kinetic energy and that of the springs of buffer, stops, latch and law, J."""
+    p, mode, law = systems[0].par, systems[0].mode, laws[0]
     stroke, torsion = y[4] - p.h_0, y[3] - y[2]
     energy = kinetic_energy(y, p) + 0.5 * p.k_A * stroke * stroke + 0.5 * p.k_T * torsion * torsion
     if mode.stop:
         past = stroke - (p.stop_compressed if mode.stop < 0 else p.stop_extended)
         energy += 0.5 * p.k_stop * past * past
+    px, py, vx, vy = tip_in_cone(y, p)
     if mode.latched:
-        px, py, _, _ = tip_in_cone(y, p)
         energy += 0.5 * p.k_L * ((px - mode.latch_x) ** 2 + (py - mode.latch_y) ** 2)
+    elif law.stiffness > 0.0:
+        for i in range(2):
+            gap, _, _, _ = wall_gap(px, py, vx, vy, 1.0 - 2.0 * i, p)
+            if gap < 0.0:
+                energy += law.stiffness * (-gap) ** (law.exponent + 1.0) / (law.exponent + 1.0)
     return energy
-
-
-@kernel
-def _hold(system, fx, fy):
-    system.mode.driven = 1
-    system.mode.wrench[0] = fx
-    system.mode.wrench[1] = fy
-    system.mode.wrench[2] = 0.0
-
-
-@entry_kernel
-def mobility(systems, y, stages, nx, ny):
-    """Return how the tip yields to a unit force along a normal (target's axes), 1/kg.
-
-    The acceleration of the tip against the target along the normal, for as much as the force
-    adds to it; its reciprocal is the effective mass of a contact there.
-    """
-    system = systems[0]
-    _hold(system, 0.0, 0.0)
-    accelerate(y, stages[0], system)
-    _hold(system, nx, ny)
-    accelerate(y, stages[1], system)
-    f = stages[2]
-    for i in range(8, 16):
-        f[i] = stages[1, i] - stages[0, i]
-    p = system.par
-    sT, cT = sine_cosine(y[7])
-    sS, cS = sine_cosine(y[2])
-    sP, cP = sine_cosine(y[3])
-    rx = y[0] + p.a * cS + y[4] * cP - y[5]
-    ry = y[1] + p.a * sS + y[4] * sP - y[6]
-    ux = f[8] - p.a * f[10] * sS + f[12] * cP - y[4] * f[11] * sP - f[13] + f[15] * ry
-    uy = f[9] + p.a * f[10] * cS + f[12] * sP + y[4] * f[11] * cP - f[14] - f[15] * rx
-    return ux * (cT * nx - sT * ny) + uy * (sT * nx + cT * ny)

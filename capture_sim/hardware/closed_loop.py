@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.compensation import (
     Compensation,
     ContactFit,
@@ -31,6 +32,9 @@ SETTLED = 1e-4
 
 #: Share of what is owed that a step takes out: more would make the buffer ring.
 PAID = 0.1
+
+#: By which share the yielding of the tip to the force may be missed; the work stays below.
+MISSED = 2e-4
 
 
 @dataclass
@@ -91,6 +95,11 @@ class Loop:
     mass
         kg, that the contact feels; None takes that of the tip at the first force, which is right
         for a touch much shorter than the buffer's own motion.
+
+    Raises
+    ------
+    CaptureSimError
+        The drag of ``law`` is more than the stage's steps can carry.
     """
 
     def __init__(
@@ -105,6 +114,14 @@ class Loop:
         self._limit, self._mass = energy_limit, mass
         self._walls = Walls(stage.scene)
         self._law = law if way.model or way.hybrid else NO_LAW
+        # more than Runge-Kutta's steps can carry would make energy by itself
+        h, mass_x, mass_y = stage.step / stage.substeps, *map(stage.effective_mass, (1, 0), (0, 1))
+        most = 2.0 / h / (1.0 / mass_x + 1.0 / mass_y)
+        if self._law.drag > most:
+            raise CaptureSimError(
+                f"drag = {law.drag:g} N s/m: allowed is <= {most:g}, twice the tip's mass over the "
+                f"Runge-Kutta step of {h:g} s"
+            )
         stage.take_law(self._law, gated=False)
         self.fit = ContactFit(law) if way.model else None
         self.place = stage.tip  # to be sent
@@ -119,9 +136,15 @@ class Loop:
         self._made = 0.0  # of touches before, J
         self._push = NOTHING  # the largest wrench measured, this touch
         self._touch: Touch | None = None
-        self._begun = np.zeros(3)  # what was exchanged before this touch
+        self._energy = stage.energy
+        self._begun = self._energy, stage.impulse  # before this touch
         self._loaded = 0  # answers with a force, this touch
         self.touches: list[Touch] = []
+
+    @property
+    def work(self) -> float:
+        """Energy that the loop has made so far, J; below 0 it was lost in the contact."""
+        return self.stage.energy - self._energy
 
     def advance(self, stamp: float, wrench: Wrench) -> TipState:
         """Go one step; return the place to send.
@@ -143,9 +166,11 @@ class Loop:
         if index > self._answered:
             self._take(index, wrench)
         self._ages.append(stage.t - stamp)
-        applied = self._controlled() if self._way.passivity else self._held
+        if self._touch is None:
+            self._begun = stage.energy, stage.impulse
         kept = stage.saved()
-        tip = stage.advance(applied)
+        self._go(kept)
+        tip = stage.arrived()
         self._observe(kept)
         self.place = self._next_place(tip)
         self._sent[round(tip.t / stage.step)] = self.place
@@ -180,35 +205,61 @@ class Loop:
         self._held = (wrench[0] - fx, wrench[1] - fy, wrench[2] - torque)
         self.stage.take_law(self._law, gated=bool(walls))
 
-    def _controlled(self) -> Wrench:
-        """Return the wrench that pays what is owed, as far as the next step can.
+    def _go(self, kept: StageState) -> None:
+        """Go a step with the share of the wrench that does no more work than is allowed.
 
-        It neither pulls nor doubles what is measured; after the touch it brakes the tip with no
-        more than was measured in it.
+        The vehicles, with what a law in their steps has stored, get no more out of a touch than
+        they have put in; with passivity a part of what is owed is paid as well.  The wrench is
+        not turned round and at most doubled; after the touch it brakes the tip with no more than
+        was measured in it.
         """
-        touch, stage = self._touch, self.stage
-        done = by_held = 0.0
-        if touch is not None:
-            done, by_held, _ = stage.exchanged() - self._begun
-        elif self._held == NOTHING:
-            return NOTHING
+        stage, wrench = self.stage, np.array(self._held)
+        owed, quiet = self._owed(), self._held == NOTHING
+        moved = stage.go(*wrench)
+        if self._way == NO_COMPENSATION or (quiet and owed == 0.0):
+            return
+        done = float(wrench @ moved)
+        allowed = min(done - PAID * owed, -self._touch.work if self._touch else 0.0)
+        if done <= allowed:
+            return
+        unit = np.array(self._push) if quiet else wrench
+
+        def along(share: float) -> float:
+            stage.restore(kept)
+            return float(unit @ stage.go(*(share * unit)))
+
+        # the tip yields in proportion to the force: how far without any, and how far with this one
+        if quiet:
+            low, high, wanted, share = -1.0, 0.0, 0.0, -1.0
+            coast, coasted = float(unit @ moved), stage.saved()
+            pushed = along(share)
+        else:
+            low, high, wanted, share = 0.0, 2.0, 1.0, 1.0
+            pushed = done
+            coast, coasted = along(0.0), stage.saved()
+        for _ in range(2):
+            bend = (pushed - coast) / share
+            more = bend * (1.0 + MISSED)
+            share = passive_share(coast, more, low, high, wanted, allowed)
+            pushed = along(share)
+            if share == 0.0 or abs(pushed - coast - share * bend) <= MISSED * abs(share * bend):
+                return
+        if share * pushed > max(allowed, 0.0):
+            stage.restore(coasted)
+
+    def _owed(self) -> float:
+        """Return what passivity still has to take out, J."""
+        touch = self._touch
         # a rig that was pushed in by more than the vehicles had gives that back first; a law in
         # the vehicles' own steps still holds what it has stored
-        known = touch and self._loaded >= RESOLVED and -self._port < touch.energy
-        in_law = self._law is not NO_LAW and self._walls.touching(stage.tip)
-        owed = done - self._port if known and not in_law else 0.0
-        if touch is None or owed < SETTLED * touch.energy:
-            owed = 0.0
-        as_held = stage.trial(self._held)
-        allowed = min(as_held - PAID * owed, -by_held)
-        quiet = self._held == NOTHING
-        if as_held <= allowed or (quiet and owed == 0.0):
-            return self._held
-        unit, low, high = (self._push, -1.0, 0.0) if quiet else (self._held, 0.0, 2.0)
-        share = passive_share(
-            lambda share: stage.trial(_scaled(unit, share)), low, high, not quiet, allowed
-        )
-        return _scaled(unit, share)
+        if not (self._way.passivity and touch and self._loaded >= RESOLVED):
+            return 0.0
+        if -self._port >= touch.energy:
+            return 0.0
+        if self._law is not NO_LAW and self._walls.touching(self.stage.tip):
+            return 0.0
+        owed = touch.work - self._port
+        return owed if owed >= SETTLED * touch.energy else 0.0
 
     def _observe(self, kept: StageState) -> None:
         """See what the step has done; undo it and stop where it has made too much."""
@@ -216,11 +267,12 @@ class Loop:
         force = np.hypot(trace[:, 6], trace[:, 7])
         loaded = np.flatnonzero(force)
         if loaded.size and self._touch is None:
-            self._begin(trace[loaded[0]], kept)
+            self._begin(trace[loaded[0]])
         touch = self._touch
         if touch is None:
             return
-        touch.work, _, touch.impulse = map(float, stage.exchanged() - self._begun)
+        touch.work = stage.energy - self._begun[0]
+        touch.impulse = stage.impulse - self._begun[1]
         made = self._made + max(touch.work, 0.0)
         if made > self._limit:
             stage.restore(kept)
@@ -236,7 +288,7 @@ class Loop:
             if self.fit is not None:
                 self.fit.next_touch()
 
-    def _begin(self, first: np.ndarray, kept: StageState) -> None:
+    def _begin(self, first: np.ndarray) -> None:
         """Begin a touch with the first row of the trace that has a force."""
         fx, fy = first[6:]
         nx, ny = fx / math.hypot(fx, fy), fy / math.hypot(fx, fy)
@@ -244,7 +296,6 @@ class Loop:
         speed = -(tip.vx * nx + tip.vy * ny)
         mass = self.stage.effective_mass(nx, ny) if self._mass is None else self._mass
         self._touch = Touch(tip.t, speed, 0.5 * mass * speed**2)
-        self._begun = self.stage.exchanged(kept)
 
     def _next_place(self, tip: TipState) -> TipState:
         """Return what the rig is to be sent after a step."""

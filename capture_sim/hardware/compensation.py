@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -42,14 +41,7 @@ class Compensation(NamedTuple):
     prediction: int = 0
 
 
-_WAYS: dict[str, dict[str, int]] = {
-    "none": {},
-    "passivity": {"passivity": True},
-    "hybrid": {"hybrid": True},
-    "prediction1": {"prediction": 1},
-    "prediction2": {"prediction": 2},
-    "model": {"model": True},
-}
+WAYS = ("none", "passivity", "hybrid", "prediction1", "prediction2", "model")
 
 
 def compensation(text: str) -> Compensation:
@@ -60,16 +52,15 @@ def compensation(text: str) -> Compensation:
     CaptureSimError
         A name is unknown, or hybrid and model, which both are the law of the walls, are joined.
     """
-    chosen: dict[str, int] = {}
-    for name in text.split("+"):
-        if name not in _WAYS:
-            raise CaptureSimError(
-                f"compensation = {text!r}: allowed is {', '.join(_WAYS)}, or several joined by +"
-            )
-        chosen |= _WAYS[name]
-    if chosen.get("hybrid") and chosen.get("model"):
+    names = set(text.split("+"))
+    if not names <= set(WAYS):
+        raise CaptureSimError(
+            f"compensation = {text!r}: allowed is {', '.join(WAYS)}, or several joined by +"
+        )
+    if {"hybrid", "model"} <= names:
         raise CaptureSimError(f"compensation = {text!r}: hybrid and model exclude each other")
-    return Compensation(**chosen)  # type: ignore[arg-type]
+    order = 2 if "prediction2" in names else int("prediction1" in names)
+    return Compensation("passivity" in names, "hybrid" in names, "model" in names, order)
 
 
 def critical_delay(
@@ -124,67 +115,35 @@ def predicted(
 
 
 def passive_share(
-    work: Callable[[float], float], low: float, high: float, wanted: float, allowed: float
+    slope: float, bend: float, low: float, high: float, wanted: float, allowed: float
 ) -> float:
     """Return the share of a wrench, nearest to the wanted one, that does no more than this work.
 
     Parameters
     ----------
-    work
-        J, done over a step by a share of the wrench.
+    slope, bend
+        J: a share s does the work s slope + s^2 bend over a step, for the tip yields in
+        proportion to the force.
     low, high
-        Limits of the share; 0 lies between them, and the one or the other may be far too large.
+        Limits of the share; 0 lies between them.
     wanted
         The share to take if it does not do too much.
     allowed
         J; where no share does as little, the one with the least work is returned.
-
-    Notes
-    -----
-    The tip yields in proportion to a small force, so the work is a parabola; where the solution
-    is a small part of the limits, it is sought again within a quarter of them.
     """
-    share = 0.0
-    for _ in range(_QUARTERS):
-        works = [work(s) for s in (low, 0.5 * (low + high), high)]
-        share = _on_parabola(works, low, high, wanted, allowed)
-        if abs(share) > 0.1 * (high - low):
-            break
-        low, high, wanted = 0.25 * low, 0.25 * high, min(wanted, 0.25 * high)
-    # half of a share that gives back what it took is the one that took the most
-    if work(share) > max(allowed, 0.0) + _PARABOLIC * abs(work(0.5 * share)):
-        return 0.0
-    return share
-
-
-#: The tenth part of 4^-11 of the measured wrench is still found.
-_QUARTERS = 12
-#: By how much of the energy exchanged the work may differ from a parabola's.
-_PARABOLIC = 0.01
-
-
-def _on_parabola(
-    works: list[float], low: float, high: float, wanted: float, allowed: float
-) -> float:
-    """Return the share from the works of low, middle and high."""
-    half = 0.5 * (high - low)
-    middle = low + half
-    bend = (works[0] - 2.0 * works[1] + works[2]) / (2.0 * half**2)
-    slope = (works[2] - works[0]) / (2.0 * half)
 
     def work(share: float) -> float:
-        return works[1] + (slope + bend * (share - middle)) * (share - middle)
+        return share * (slope + share * bend)
 
-    candidates = [low, high]
+    shares = [wanted, low, high, 0.0]
     if bend != 0.0:
-        vertex = middle - slope / (2.0 * bend)
-        spread = math.sqrt(max((allowed - work(vertex)) / bend, 0.0))
-        candidates += [vertex - spread, vertex, vertex + spread]
-    candidates = [share for share in [wanted, *candidates] if low <= share <= high]
-    least = max(allowed, min(map(work, candidates)))
-    slack = 1e-9 * max(map(abs, works))
-    good = [share for share in candidates if work(share) <= least + slack]
-    return min(good, key=lambda share: abs(share - wanted))
+        vertex = -0.5 * slope / bend
+        spread = math.sqrt(max(vertex**2 + allowed / bend, 0.0))
+        shares += [vertex - spread, vertex, vertex + spread]
+    shares = [share for share in shares if low <= share <= high]
+    least = max(allowed, min(map(work, shares))) + 1e-9 * abs(slope)
+    good = (share for share in shares if work(share) <= least)
+    return min(good, key=lambda share: abs(share - wanted), default=0.0)
 
 
 class ContactFit:

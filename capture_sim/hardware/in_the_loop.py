@@ -12,13 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.engine.held_wrench import (
-    HELD_WORK,
     IMPULSE_SIZE,
     LAW,
+    MOVED,
     N_LOOP,
     TRACE,
-    WORK,
-    mobility,
     step_with_wrench,
     stored_energy,
     tip_state,
@@ -101,23 +99,15 @@ class LoopStage:
         self.scene = scene
         self.step, self.substeps = step, substeps
         self._system = make_system(pack(scene, 0.0, 0.0))
+        self._mode = self._system["mode"]
         q, v = behind_the_rail(scene) if scene.rail is not None else scene.initial_coordinates()
         self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
         self._stages = np.zeros((6, N_LOOP))
         self._laws = records(np.zeros(1, LAW))
         self._trace = np.zeros((substeps, TRACE))
         self._count = 0
-        in_worker(self._load)
-
-    def _load(self) -> None:
-        """Load the kernels, or compile them: not within the loop, where each costs a wrench."""
-        kept = self.saved()
-        no_step = (self._system, self._laws, self._y, self._stages, np.zeros((0, TRACE)))
-        step_with_wrench(*no_step, 0.0, *NOTHING)
-        tip_state(self._system, self._y)
-        stored_energy(self._system, self._y)
-        self.effective_mass(1.0, 0.0)
-        self.restore(kept)
+        # the kernels are loaded, or compiled, now: within the loop each would cost a wrench
+        in_worker(lambda: (self.effective_mass(1.0, 0.0), self.tip, self.energy))
 
     @property
     def t(self) -> float:
@@ -142,19 +132,23 @@ class LoopStage:
 
     @property
     def energy(self) -> float:
-        """Kinetic energy and that of the springs, with what the dampers have taken, J."""
-        lost = self._y[[AXIAL, TORSION, LATCH, STOP]].sum()
-        return float(stored_energy(self._system, self._y) + lost)
+        """Kinetic energy and that of all springs, with what the buffer's dampers have taken, J.
+
+        Nothing but the wrench can raise it, and a damper or friction of the law lower it.
+        """
+        y = self._y
+        lost = y[AXIAL] + y[TORSION] + y[LATCH] + y[STOP]
+        return float(stored_energy(self._system, self._laws, y) + lost)
+
+    @property
+    def impulse(self) -> float:
+        """Integral of the size of the force on the tip so far, N s."""
+        return float(self._y[IMPULSE_SIZE])
 
     @property
     def latched(self) -> bool:
         """Whether the latch has closed."""
-        return bool(self._system["mode"]["latched"][0])
-
-    @property
-    def work(self) -> float:
-        """Work that the wrench has done so far, J: above 0 the loop has made energy."""
-        return float(self._y[WORK])
+        return bool(self._mode["latched"][0])
 
     @property
     def trace(self) -> np.ndarray:
@@ -169,30 +163,36 @@ class LoopStage:
         self._laws[0] = (*law, gated)
 
     def effective_mass(self, nx: float, ny: float) -> float:
-        """Return the mass that a contact with this normal (target's axes) feels, kg."""
-        return 1.0 / float(mobility(self._system, self._y, self._stages, nx, ny))
+        """Return the mass that a contact with this normal (target's axes) feels, kg.
 
-    def exchanged(self, state: StageState | None = None) -> np.ndarray:
-        """Return work, that of the wrench held alone (J), and impulse (N s), now or as saved."""
-        y = self._y if state is None else state.y
-        return y[[WORK, HELD_WORK, IMPULSE_SIZE]]
+        What a blow of 1e-3 N s within 1e-9 s meets.
+        """
+        kept, laws, trace = self.saved(), np.zeros_like(self._laws), np.zeros((1, TRACE))
+        speeds = []
+        for force in (0.0, 1e6):
+            self.restore(kept)
+            push = (force * nx, force * ny, 0.0)
+            step_with_wrench(self._system, laws, self._y, self._stages, trace, 1e-9, *push)
+            speeds.append(self.tip.vx * nx + self.tip.vy * ny)
+        self.restore(kept)
+        return 1e-3 / (speeds[1] - speeds[0])
 
     def saved(self) -> StageState:
         """Return the state, for :meth:`restore`."""
-        return StageState(self._y.copy(), self._count, self._system["mode"].copy())
+        return StageState(self._y.copy(), self._count, self._mode.copy())
 
     def restore(self, state: StageState) -> None:
         """Go back to a saved state."""
         self._y[:], self._count = state.y, state.steps
-        self._system["mode"] = state.mode
+        self._mode[:] = state.mode
 
-    def trial(self, wrench: Wrench) -> float:
-        """Return the work that this wrench would do in a step, J; nothing moves."""
-        kept = self.saved()
-        self._go(wrench)
-        work = self._y[HELD_WORK] - kept.y[HELD_WORK]
-        self.restore(kept)
-        return float(work)
+    def go(self, fx: float, fy: float, torque: float) -> np.ndarray:
+        """Go one step with the wrench held; return how the tip moved under it (m, m, rad)."""
+        before = self._y[MOVED:].copy()
+        step = (self._y, self._stages, self._trace, self.step / self.substeps)
+        step_with_wrench(self._system, self._laws, *step, fx, fy, torque)
+        self._count += 1
+        return np.asarray(self._y[MOVED:] - before)
 
     def advance(self, wrench: Wrench) -> TipState:
         """Go one step with the wrench held; return where the tip is then.
@@ -200,19 +200,24 @@ class LoopStage:
         Raises
         ------
         SafeStopError
+            See :meth:`arrived`.
+        """
+        self.go(*wrench)
+        return self.arrived()
+
+    def arrived(self) -> TipState:
+        """Return where the tip is after a step.
+
+        Raises
+        ------
+        SafeStopError
             The probe is pushed in up to its tip, or the state is not finite any more.
         """
-        self._go(wrench)
-        self._count += 1
-        if not np.all(np.isfinite(self._y)) or self._y[4] < self.scene.probe.tip_radius:
+        if not np.isfinite(self._y).all() or self._y[4] < self.scene.probe.tip_radius:
             raise SafeStopError(
                 f"stopped at t = {self.t:.6g} s: the probe is pushed in up to its tip"
             )
         return self.tip
-
-    def _go(self, wrench: Wrench) -> None:
-        h = self.step / self.substeps
-        step_with_wrench(self._system, self._laws, self._y, self._stages, self._trace, h, *wrench)
 
 
 class WrenchHold:

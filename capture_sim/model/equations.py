@@ -56,7 +56,6 @@ OUT = np.dtype(
         ("rolling", "f8"),
         ("latch", "f8"),
         ("stop", "f8"),
-        ("driven", "f8"),  # power of the wrench from outside, W
         ("normal", "f8", (2,)),  # forces of both walls, N
         ("rub", "f8", (2,)),
     ],
@@ -151,7 +150,6 @@ def tip_forces(y, system, px, py, wx, wy):
     if mode.driven:
         fx, fy, tip = mode.wrench[0], mode.wrench[1], mode.wrench[2]
         target = -(px * fy - py * fx) - tip
-        out.driven = fx * wx + fy * wy + tip * (y[11] - y[15])
     if mode.latched:
         gx = -par.k_L * (px - mode.latch_x) - par.c_L * wx
         gy = -par.k_L * (py - mode.latch_y) - par.c_L * wy

@@ -173,7 +173,7 @@ class LoopSimulatorNode(BenchNode):
             "refused": self._hold.refused,
             "ages": self._hold.ages,
             "round_trips": self._round_trips,
-            "work": self._stage.work,
+            "work": self._loop.work,
             "touches": touches,
         }
         if self._report:
@@ -181,7 +181,7 @@ class LoopSimulatorNode(BenchNode):
         ages = sorted(self._hold.ages) or [0.0]
         self.get_logger().info(
             f"{found['steps']} steps, wrench {ages[len(ages) // 2] * 1e3:.1f} ms old (median), "
-            f"{ages[-1] * 1e3:.1f} ms (most); work of the wrench {self._stage.work:.4g} J"
+            f"{ages[-1] * 1e3:.1f} ms (most); work of the wrench {self._loop.work:.4g} J"
         )
         if touches:
             first = self._loop.touches[0]

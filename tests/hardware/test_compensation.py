@@ -1,11 +1,13 @@
 """What takes the delay out of a loop: each way by itself, and all on the loop-back rig."""
 
+import functools
 import itertools
 import math
 
 import numpy as np
 import pytest
 
+from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError
@@ -24,7 +26,15 @@ from capture_sim.hardware.in_the_loop import LoopStage
 from capture_sim.hardware.walls import NOTHING, TipState, Touching, WallLaw, Walls
 
 PLATE = 2000.0  # N/m
-WAYS = ("passivity", "hybrid", "prediction1", "prediction2", "model", "model+passivity")
+WAYS = (
+    "passivity",
+    "hybrid",
+    "prediction1",
+    "prediction2",
+    "model",
+    "model+passivity",
+    "prediction2+passivity",
+)
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +46,6 @@ def plate():
 @pytest.fixture(scope="module")
 def paper():
     return load_scene("paper_designed")
-
-
-def plate_mass(scene):
-    off = scene.initial.target.y
-    yields = 1 / scene.chaser_total_mass + 1 / scene.target.mass + off**2 / scene.target.inertia
-    return 1 / yields
 
 
 def soft(plate, way, lag, *, rig=None, law=None, limit=math.inf, channel=None):
@@ -116,7 +120,8 @@ def test_at_the_critical_delay_a_loop_swings_on(plate):
         begin = stage.saved()
         begin.y[0] += 0.01  # 5 mm behind the plate's face
         stage.restore(begin)
-        loop = Loop(stage, compensation("hybrid"), WallLaw(0.0, drag=drag))
+        loop = Loop(stage)
+        stage.take_law(WallLaw(0.0, drag=drag), gated=False)
 
         def pulling(tip):
             (wall,) = walls.touching(tip)
@@ -138,24 +143,24 @@ def test_at_the_critical_delay_a_loop_swings_on(plate):
 # passivity
 
 
-def test_the_share_does_what_is_allowed_and_stays_near_the_measured():
-    def work(share):  # moving in at first: a push takes energy, then gives it
-        return -2.0 * share + 1.5 * share**2
-
-    assert passive_share(work, 0.0, 2.0, 1.0, 0.0) == 1.0
-    assert work(passive_share(work, 0.0, 2.0, 1.0, -0.6)) == pytest.approx(-0.6)
-    # less than can be had: the least
-    assert passive_share(work, 0.0, 2.0, 1.0, -5.0) == pytest.approx(2.0 / 3.0)
-    # a thousand times too strong a wrench
-    assert passive_share(lambda s: work(1000.0 * s), 0.0, 2.0, 1.0, 0.0) == pytest.approx(
-        2.0 / 1500.0, rel=1e-6
-    )
+@pytest.mark.parametrize("allowed", [1.0, 0.0, -0.1, -0.5, -5.0])
+@pytest.mark.parametrize("slope, bend", [(-2.0, 1.5), (-2.0, 0.0), (1.0, 0.3), (-2.0, 1500.0)])
+def test_the_share_does_what_is_allowed_and_stays_near_the_wanted(slope, bend, allowed):
+    """Against all shares tried one by one."""
+    for low, high, wanted in ((0.0, 2.0, 1.0), (-1.0, 0.0, 0.0)):
+        shares = np.linspace(low, high, 200_001)
+        works = shares * (slope + shares * bend)
+        good = shares[works <= max(allowed, works.min())]
+        nearest = good[np.argmin(np.abs(good - wanted))]
+        share = passive_share(slope, bend, low, high, wanted, allowed)
+        assert share == pytest.approx(nearest, abs=1.1e-5)
+        assert share * (slope + share * bend) <= max(allowed, works.min()) + 1e-8
 
 
 @pytest.mark.parametrize("lag", [0, 5, 20, 60, 235])
 def test_passivity_gives_back_what_a_plate_took(plate, lag):
     loop = soft(plate, "passivity", lag)
-    assert loop.stage.work == pytest.approx(0.0, abs=2e-3 * loop.touches[0].energy)
+    assert loop.work == pytest.approx(0.0, abs=2e-3 * loop.touches[0].energy)
     assert parting(loop) == pytest.approx(parting(exact(plate, WallLaw(PLATE))), rel=0.05)
 
 
@@ -318,54 +323,75 @@ def test_the_model_takes_a_delay_of_a_whole_touch(plate, lag):
         assert second.touches[0].impulse == pytest.approx(true.touches[0].impulse, rel=0.005)
 
 
+def test_a_damper_beyond_what_the_steps_carry_is_refused(paper):
+    mass = LoopStage(paper).effective_mass(1.0, 0.0)
+    with pytest.raises(CaptureSimError, match=r"drag = [\d.]+ N s/m: allowed is <= 1861"):
+        Loop(LoopStage(paper), compensation("hybrid"), WallLaw(0.0, drag=mass * 2e5))
+
+
 # safety
 
 
-RIGS = {
-    "stiffer": lambda scene: ContactRig(scene, WallLaw(2.0 * PLATE)),
-    "weaker": lambda scene: ContactRig(scene, WallLaw(0.5 * PLATE)),
-    "sticky": lambda scene: ContactRig(scene, WallLaw(PLATE), stick=0.6),
-    "silent": lambda scene: ContactRig(scene, WallLaw(PLATE)),
-}
+class Met:
+    """A contact, the rig that stands for it, and what is assumed of it."""
+
+    def __init__(self, scene, law, duration, stick, mute, mass=None):
+        self.scene, self.law, self.stick, self.mass = scene, law, stick, mass
+        self.mute = mute  # s, middle of a touch
+        felt = mass or LoopStage(scene).effective_mass(1.0, 0.0)
+        self.felt, self.linear = felt, felt * (math.pi / duration) ** 2
+
+    def loop(self, way, case, lag, t_end):
+        """Close it with a rig that is not what is assumed; the loop and the most it had made."""
+        chosen, law = compensation(way), self.law
+        if chosen.hybrid:
+            law = WallLaw(0.0, drag=critical_damping(self.felt, self.linear, (lag + 0.5) * 1e-3))
+        loop = Loop(LoopStage(self.scene, 1e-3, 40), chosen, law, mass=self.mass)
+        share = {"stiffer": 2.0, "weaker": 0.5}.get(case, 1.0)
+        true = self.law._replace(stiffness=share * self.law.stiffness)
+        rig = ContactRig(self.scene, true, self.stick if case == "sticky" else 0.0)
+        channel = late(rig.wrench, lag)
+        most, last = [0.0], []
+
+        def faulty(k, place):
+            most[0] = max(most[0], loop.work)
+            new = channel(k, place)
+            if not (case == "silent" and self.mute <= k < self.mute + 50):
+                last[:] = [new]
+            return last[0]
+
+        close(loop, faulty, t_end)
+        return loop, max(most[0], loop.work)
 
 
-def silent(channel, start=340):
-    """Nothing new comes for 50 ms in the middle of the touch."""
-    last = []
-
-    def with_a_gap(k, place):
-        new = channel(k, place)
-        if not start <= k < start + 50:
-            last[:] = [new]
-        return last[0]
-
-    return with_a_gap
+@functools.cache
+def contact(name):
+    """The soft plate, 235 ms in touch, and the paper's contact, 0.3 ms."""
+    if name == "plate":
+        scene = load_scene("_loop", ["initial.chaser.vx=0.02"])
+        return Met(scene, WallLaw(PLATE), 0.235, 0.6, 340, plate_mass(scene))
+    scene = load_scene("paper_designed")
+    return Met(scene, WallLaw(scene.contact_stiffness, 1.5), 3.3e-4, 20.0, 2)
 
 
-@pytest.mark.parametrize("lag", [0, 20])
-@pytest.mark.parametrize("rig", RIGS)
-@pytest.mark.parametrize("way", WAYS)
-def test_no_way_makes_more_energy_than_none(plate, way, rig, lag):
-    contact = RIGS[rig](plate)
-    channel = silent if rig == "silent" else None
-    law = None if way == "hybrid" else WallLaw(PLATE)
-    none = soft(plate, "none", lag, rig=contact, channel=channel)
-    loop = soft(plate, way, lag, rig=contact, channel=channel, law=law)
-    assert loop.stage.work <= none.stage.work
-    if "passivity" in way:
-        assert loop.stage.work <= 1e-4 * loop.touches[0].energy
+@functools.cache
+def uncompensated(name, case, lag):
+    return contact(name).loop("none", case, lag, 0.65 if name == "plate" else 0.1)[0].work
 
 
-@pytest.mark.parametrize("lag", [0, 5])
-@pytest.mark.parametrize("way", ["passivity", "model", "model+passivity"])
 @pytest.mark.parametrize("case", ["stiffer", "weaker", "sticky", "silent"])
-def test_the_paper_contact_gets_no_energy(paper, case, way, lag):
-    """Uncompensated it gets more than a thousand times what it has, within 0.1 s."""
-    stiffness = {"stiffer": 2.0, "weaker": 0.5}.get(case, 1.0) * paper.contact_stiffness
-    rig = ContactRig(paper, WallLaw(stiffness, 1.5), stick=20.0 if case == "sticky" else 0.0)
-    loop = Loop(
-        LoopStage(paper, 1e-3, 40), compensation(way), WallLaw(paper.contact_stiffness, 1.5)
-    )
-    channel = late(rig.wrench, lag)
-    assert close(loop, silent(channel, 2) if case == "silent" else channel, 0.1) == ""
-    assert loop.stage.work <= 4e-3 * 0.5 * 0.186 * 0.0707**2  # the first touch's energy
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", ["plate", "paper"])
+def test_no_way_makes_energy(name, way, case):
+    """At no moment, with answers 0.5 to 20.5 ms late; and so never more than without it."""
+    met = contact(name)
+    approach = 0.5 * met.felt * (0.02 if name == "plate" else 0.07) ** 2
+    # a law in the vehicles' own steps is as exact as those: 12 of them in a touch of 0.3 ms
+    bound = 2.5e-3 if "model" in way and name == "paper" else 1e-7
+    for lag in (0, 2, 5, 20):
+        if "hybrid" in way and name == "paper" and lag > 0:
+            continue  # needs a damper that is refused
+        loop, most = met.loop(way, case, lag, 0.65 if name == "plate" else 0.1)
+        assert loop.stage.impulse > 0.0
+        assert most <= bound * approach, lag
+        assert loop.work <= uncompensated(name, case, lag), lag

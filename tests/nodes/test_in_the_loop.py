@@ -9,6 +9,7 @@ from collections import deque
 
 import pytest
 
+from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop
 from capture_sim.hardware.contact_rig import ContactRig
@@ -21,12 +22,6 @@ PLATE = 2000.0  # N/m
 @pytest.fixture(scope="module")
 def plate():
     return load_scene("_loop")
-
-
-def plate_mass(scene):
-    off = scene.initial.target.y
-    yields = 1 / scene.chaser_total_mass + 1 / scene.target.mass + off**2 / scene.target.inertia
-    return 1 / yields
 
 
 @pytest.fixture
