@@ -1,14 +1,17 @@
-"""Adds the scene reference, made from the declared quantities, to the site."""
+"""Adds what is made from the code: the scene reference and the list of public names."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_type_hints
 
 from mkdocs.structure.files import File, Files
 
+import capture_sim
 from capture_sim.scene.parts import Scene
 
+PUBLIC = "<!-- public names -->"
 HEAD = """# Scenes
 
 Every field of a scene file, made from the declarations in `capture_sim/scene/parts.py`. A part that
@@ -62,3 +65,16 @@ def on_files(files: Files, config: Any) -> Files:
     text = HEAD + "\n".join(tables(Scene, "")) + "\n"
     files.append(File.generated(config, "scene_reference.md", content=text))
     return files
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Take Sphinx's roles off the names in docstrings."""
+    return re.sub(r":(?:attr|class|data|func|meth|mod):(?=<code>)", "", html)
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Name every public name to mkdocstrings where a page asks for them."""
+    if PUBLIC not in markdown:
+        return markdown
+    found = (getattr(capture_sim, name) for name in capture_sim.__all__)
+    return markdown.replace(PUBLIC, "\n".join(f"::: {x.__module__}.{x.__name__}" for x in found))
