@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from itertools import zip_longest
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, not_negative, open_run, prepare_folder
@@ -13,9 +14,6 @@ from capture_sim.errors import RecordingError
 from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
 from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
 from capture_sim.studies.touches import Touches
-
-if TYPE_CHECKING:
-    from capture_sim.viewing.studies import Drawn
 
 DESCRIPTION = (
     "Compare two recordings, as measured and simulated, aligned at their first "
@@ -78,8 +76,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.studies import draw_comparison
 
         path = options.out / f"{a.run.name}_compared.png"
-        drawn = [_drawn(*of, options.window) for of in zip((a, b), labels, strict=True)]
-        say(f"diagram in {save(draw_comparison(drawn, over), path)}")
+        say(f"diagram in {save(draw_comparison((a, b), labels, over), path)}")
     return OK
 
 
@@ -127,7 +124,7 @@ def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
     note = source + ("" if whole else f", {gap.begin:.4g} to {gap.end:.4g} s")
     if gap.largest == 0.0:
         return [f"{name} {unit}", IDENTICAL, "", "", note]
-    rms, largest = f"{gap.rms * factor:.4f}", f"{gap.largest * factor:+.4f}"
+    rms, largest = _difference(gap.rms * factor, ""), _difference(gap.largest * factor)
     return [f"{name} {unit}", rms, largest, f"{gap.at:.3f}", note]
 
 
@@ -137,15 +134,14 @@ def _say_characteristics(a: Comparable, b: Comparable) -> None:
     rows = []
     for name in [*mine, *(name for name in theirs if name not in mine)]:
         here, there = mine.get(name), theirs.get(name)
-        form = ".0f" if name == "touches" else ".4f"
-        cells = ["-" if x is None else f"{x.value:{form}}" for x in (here, there)]
+        digits = 0 if name == "touches" else 4
+        cells = ["-" if x is None else f"{x.value:.{digits}f}" for x in (here, there)]
         gap = share = "-"
         if here is not None and there is not None:
-            gap = f"{there.value - here.value:+{form}}"
-            if there.value == here.value:
-                gap = IDENTICAL
-            elif here.value:
-                share = f"{(there.value - here.value) / here.value:+.2%}"
+            off = there.value - here.value
+            gap = IDENTICAL if not off else _difference(off) if digits else f"{off:+.0f}"
+            if off and here.value:
+                share = f"{off / here.value:+z.2%}"
         source = _source(*("" if x is None else x.source for x in (here, there)))
         rows.append([name, *cells, gap, share, source])
     say_table(["", "A", "B", "B - A", "%", "from"], rows)
@@ -161,36 +157,29 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
             tables.append(of.touches.within(of.contact, window))
     if len(tables) < 2:
         return
-    mine, theirs = tables
     say(
         f"\ntouches within {window:g} s, paired in their order, by "
         f"{_source(a.touch_source, b.touch_source)}; +- the wall:"
     )
-    count = max(len(mine.start), len(theirs.start))
     rows = []
-    for i in range(min(count, SHOWN)):
-        here, there = (_Row.of(table, i) for table in tables)
+    for i, pair in enumerate(zip_longest(*map(_touch_rows, tables))):
+        (wall, start, peak, lasted, impulse), other = (each or _NO_TOUCH for each in pair)
         rows.append(
             [
                 f"{i + 1}",
-                f"{here.wall} {there.wall}",
-                _number(here.start, 3),
-                _number(there.start, 3),
-                _number(there.start - here.start, 3, "+"),
-                _number(here.peak, 2),
-                _number(there.peak, 2),
-                _percent(here.peak, there.peak),
-                _number(here.lasted, 3),
-                _number(there.lasted, 3),
-                _number(here.impulse, 3),
-                _number(there.impulse, 3),
-                _percent(here.impulse, there.impulse),
+                f"{wall} {other[0]}",
+                *(_number(x, 3) for x in (start, other[1])),
+                _number(other[1] - start, 3, "+"),
+                *(_number(x, 2) for x in (peak, other[2])),
+                _percent(peak, other[2]),
+                *(_number(x, 3) for x in (lasted, other[3], impulse, other[4])),
+                _percent(impulse, other[4]),
             ]
         )
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
-    say_table([*head, "impulse A, mN s", "B", "%"], rows)
-    if count > SHOWN:
-        say(f"    and {count - SHOWN} more in the diagram")
+    say_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
+    if len(rows) > SHOWN:
+        say(f"    and {len(rows) - SHOWN} more in the diagram")
     for label, table in zip("AB", tables, strict=True):
         if table.start.size:
             impulse = float(table.impulse.sum())
@@ -201,30 +190,23 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
             )
 
 
-class _Row(NamedTuple):
-    """A touch in the units of the table."""
+_NO_TOUCH = (" ", math.nan, math.nan, math.nan, math.nan)
 
-    start: float = math.nan
-    peak: float = math.nan
-    lasted: float = math.nan
-    impulse: float = math.nan
-    wall: str = " "
 
-    @classmethod
-    def of(cls, table: Touches, i: int) -> _Row:
-        if i >= len(table.start):
-            return cls()
-        return cls(
-            table.start[i] * 1e3,
-            table.peak[i],
-            table.lasted[i] * 1e3,
-            table.impulse[i] * 1e3,
-            {1: "+", -1: "-"}.get(int(table.wall[i]), " "),
-        )
+def _touch_rows(touches: Touches) -> Iterator[tuple[str, float, float, float, float]]:
+    """Yield wall, start (ms), peak (N), duration (ms) and impulse (mN s) of each touch."""
+    signs = [{1: "+", -1: "-"}.get(int(wall), " ") for wall in touches.wall]
+    ms, mNs = touches.start * 1e3, touches.impulse * 1e3
+    yield from zip(signs, ms, touches.peak, touches.lasted * 1e3, mNs, strict=True)
 
 
 def _number(value: float, digits: int, sign: str = "") -> str:
     return f"{value:{sign}.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _difference(value: float, sign: str = "+") -> str:
+    """Return a difference by four digits, or where they are all 0 by its order."""
+    return f"{value:{sign}.4f}" if abs(value) >= 5e-5 else f"{value:{sign}.0e}"
 
 
 def _percent(mine: float, theirs: float) -> str:
@@ -236,11 +218,3 @@ def _source(mine: str, theirs: str) -> str:
     if mine == theirs or not theirs:
         return mine
     return f"A {mine}; B {theirs}" if mine else theirs
-
-
-def _drawn(of: Comparable, label: str, window: float) -> Drawn:
-    from capture_sim.viewing.studies import Drawn
-
-    touches = None if of.touches is None else of.touches.within(of.contact, window)
-    shifted = of.measured(force=True).shifted(-of.contact)
-    return Drawn(label, shifted, of.sources, touches)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ from capture_sim.detection.exact import CaptureState
 from capture_sim.studies.approach import approach_of
 from capture_sim.studies.design import Design
 from capture_sim.studies.envelope import Cell, Envelope
-from capture_sim.studies.measurements import Measurements
+from capture_sim.studies.measurements import Series
 from capture_sim.studies.sensitivity import (
     QUANTITIES,
     SMOOTH,
@@ -30,6 +30,9 @@ from capture_sim.studies.touches import Touches
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import grid, new_figure, set_fonts
 from capture_sim.viewing.source import ViewableRun, verdict
+
+if TYPE_CHECKING:
+    from capture_sim.recording.comparing import Comparable
 
 # a parameter below and above by its spread
 _BELOW, _ABOVE = "#9DBFD3", "#3E5F73"
@@ -359,34 +362,10 @@ def draw_indices(found: Global) -> Figure:
     return figure
 
 
-_STYLES = ("-", "--")
-_MARKS = ("o", "D")
-_SERIES = (("stroke", "axial stroke\n[mm]", 1e3), ("torsion", "torsion\n[mrad]", 1e3))
 _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 
-class Drawn(NamedTuple):
-    """A run in the diagram.
-
-    Attributes
-    ----------
-    label
-        In words.
-    measured
-        First contact at t = 0.
-    sources
-        Topic and rate of each series.
-    touches
-        Those in the window, first contact at t = 0; None where they are not known.
-    """
-
-    label: str
-    measured: Measurements
-    sources: Mapping[str, str]
-    touches: Touches | None
-
-
-def draw_comparison(runs: Sequence[Drawn], window: float) -> Figure:
+def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: float) -> Figure:
     """Draw what was measured in two runs over each other, and where the vehicles went.
 
     A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
@@ -395,53 +374,57 @@ def draw_comparison(runs: Sequence[Drawn], window: float) -> Figure:
 
     Parameters
     ----------
-    runs
-        Two.
+    runs, labels
+        Two; first contact at t = 0.
     window
         s that are shown.
     """
     figure = new_figure(9.0, 11.5)
-    force, impulse, *axes, relative = figure.subplots(len(_SERIES) + 3, 1, sharex=True)
+    force, impulse, stroke, torsion, relative = figure.subplots(5, 1, sharex=True)
     first = -_BEFORE * window
-    looks = list(zip(runs, style.RUNS, _STYLES, _MARKS, strict=False))
-    for run, colour, line, mark in looks:
+    for run, name, colour, line, mark in zip(
+        runs, labels, style.RUNS, ("-", "--"), ("o", "D"), strict=False
+    ):
+        measured = run.measured(force=True).shifted(-run.contact)
+        look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.6}
         if run.touches is None:
-            _draw_sampled_force(force, run, (first, window), colour)
+            _draw_sampled_force(force, measured.force, run, name, (first, window), colour)
         else:
-            draw_touches(force, run.touches, run.label, colour, mark)
-            t, total = impulse_so_far(run.touches, window)
+            touches = run.touches.within(run.contact, window)
+            draw_touches(force, touches, name, colour, mark)
+            t, total = impulse_so_far(touches, window)
             if np.isfinite(total).all():
-                impulse.plot(t, total * 1e3, line, color=colour, linewidth=1.6)
+                impulse.plot(t, total * 1e3, **look)
+        for axes, series, quantity in (
+            (stroke, measured.stroke, style.STROKE),
+            (torsion, measured.torsion, style.TORSION),
+        ):
+            shown = (series.t >= first) & (series.t <= window)
+            axes.plot(series.t[shown], series.values[shown] * quantity.factor, **look)
+            axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
+        chaser, target = measured.chaser, measured.target
+        if chaser.t.size and target.t.size:
+            t = chaser.t[(chaser.t >= first) & (chaser.t <= window)]
+            gap, at_contact = (
+                _x(target.t, target.values, at) - _x(chaser.t, chaser.values, at)
+                for at in (t, np.zeros(1))
+            )
+            relative.plot(t, (gap - at_contact) * 1e3, **look)
     force.set_ylabel("peak of each touch\n[N]")
     force.set_ylim(bottom=0.0)
+    force.legend(loc="upper right", frameon=False)
     impulse.set_ylabel("impulse so far\n[mN s]")
     if not impulse.lines:
         impulse.text(0.5, 0.5, "not known of either", ha="center", transform=impulse.transAxes)
-    for ax, (name, label, factor) in zip(axes, _SERIES, strict=True):
-        for run, colour, line, _ in looks:
-            series = getattr(run.measured, name)
-            shown = (series.t >= first) & (series.t <= window)
-            t, values = series.t[shown], series.values[shown] * factor
-            ax.plot(t, values, line, color=colour, linewidth=1.6)
-        ax.set_ylabel(label)
-        ax.set_title(_sources_of(runs, name), loc="right", fontsize="small", color=style.DARK)
-    for run, colour, line, _ in looks:
-        chaser, target = run.measured.chaser, run.measured.target
-        if not chaser.t.size or not target.t.size:
-            continue
-        t = chaser.t[(chaser.t >= first) & (chaser.t <= window)]
-        gap = _x(target.t, target.values, t) - _x(chaser.t, chaser.values, t)
-        zero = np.zeros(1)
-        at_contact = _x(target.t, target.values, zero) - _x(chaser.t, chaser.values, zero)
-        relative.plot(t, (gap - at_contact) * 1e3, line, color=colour, linewidth=1.6)
-    relative.set_title(_sources_of(runs, "chaser"), loc="right", fontsize="small", color=style.DARK)
     relative.set_ylabel("gap of the vehicles\nsince contact  [mm]")
     relative.set_xlabel("time after the first contact  [s]")
     relative.set_xlim(first, window)
-    for ax in (force, impulse, *axes, relative):
-        ax.axvline(0.0, color=style.GREY, linewidth=0.8)
-        grid(ax)
-    force.legend(loc="upper right", frameon=False)
+    for axes, name in ((stroke, "stroke"), (torsion, "torsion"), (relative, "chaser")):
+        sources = dict.fromkeys(run.sources[name] for run in runs if name in run.sources)
+        axes.set_title(" and ".join(sources), loc="right", fontsize="small", color=style.DARK)
+    for axes in figure.axes:
+        axes.axvline(0.0, color=style.GREY, linewidth=0.8)
+        grid(axes)
     figure.align_ylabels()
     return figure
 
@@ -462,12 +445,13 @@ def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str)
     )
 
 
-def _draw_sampled_force(ax: Axes, run: Drawn, shown: tuple[float, float], colour: str) -> None:
-    series = run.measured.force
+def _draw_sampled_force(
+    ax: Axes, series: Series, run: Comparable, name: str, shown: tuple[float, float], colour: str
+) -> None:
     inside = (series.t >= shown[0]) & (series.t <= shown[1])
-    label = f"{run.label}: no touches known"
+    label = f"{name}: no touches known"
     if inside.any():
-        label = f"{run.label}: samples, {run.sources['force']}; touches between them do not show"
+        label = f"{name}: samples, {run.sources['force']}; touches between them do not show"
     ax.plot(series.t[inside], series.values[inside], ".", color=colour, label=label)
 
 
@@ -477,10 +461,6 @@ def impulse_so_far(touches: Touches, window: float) -> tuple[np.ndarray, np.ndar
     t = np.sort(np.concatenate([[0.0, window], start, start + lasted]))
     share = np.clip((t[:, None] - start) / lasted, 0.0, 1.0)
     return t, np.asarray(share @ touches.impulse)
-
-
-def _sources_of(runs: Sequence[Drawn], name: str) -> str:
-    return " and ".join(dict.fromkeys(run.sources[name] for run in runs if name in run.sources))
 
 
 def _x(t: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
