@@ -22,9 +22,9 @@ from benchmarks.machine import clock_rate, describe
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.commands.inputs import open_runs
-from capture_sim.commands.output import summary_of
-from capture_sim.viewing.plots import save_figure, save_overview
-from capture_sim.viewing.report import ReportedRun, error_statement, save_report
+from capture_sim.viewing.canvas import save
+from capture_sim.viewing.plots import draw_overview, draw_run
+from capture_sim.viewing.report import save_report
 from capture_sim.viewing.rerun_view import save_rrd
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,23 +57,13 @@ def measure_files(folder):
     assert all(len(run.samples) == 20_001 for run in runs)
     short = [simulate(load_scene(name)) for name in NAMES]
     opened = open_runs(NAMES, None)
-    reported = [
-        ReportedRun(
-            one.run,
-            one.source,
-            summary_of(one.run, one.wall_time),
-            one.software,
-            error_statement(one.run),
-        )
-        for one in opened
-    ]
     return [
         timed(
             "`.rrd` of three runs of 20 s at 1 kHz", lambda p: save_rrd(runs, p), folder / "a.rrd"
         ),
-        timed("picture of one run", lambda p: save_figure(short[1], p), folder / "a.png"),
-        timed("picture of the three", lambda p: save_overview(short, p), folder / "b.png"),
-        timed("report of the three", lambda p: save_report(reported, p), folder / "a.html"),
+        timed("picture of one run", lambda p: save(draw_run(short[1]), p), folder / "a.png"),
+        timed("picture of the three", lambda p: save(draw_overview(short), p), folder / "b.png"),
+        timed("report of the three", lambda p: save_report(opened, p), folder / "a.html"),
     ]
 
 

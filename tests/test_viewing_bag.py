@@ -19,6 +19,7 @@ from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots
+from capture_sim.viewing.canvas import save
 from capture_sim.viewing.source import decided_at, first_touch, verdict
 
 WALL = 1_790_000_000  # s, of a wall clock
@@ -121,7 +122,7 @@ def test_it_is_drawn_by_everything(recorded, tmp_path):
     bag = read_run(of_a_bench(recorded, tmp_path / "trial of 6 May.mcap", STANDARD))
     seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
     assert seen.scene.name == "trial_of_6_May"  # a scene's name, whatever the file is called
-    assert plots.save_figure(seen, tmp_path / "x.png").stat().st_size > 50_000
+    assert save(plots.draw_run(seen), tmp_path / "x.png").stat().st_size > 50_000
     pytest.importorskip("rerun", reason="needs rerun")
     from capture_sim.viewing.rerun_view import save_rrd
 

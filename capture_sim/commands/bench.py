@@ -7,10 +7,11 @@ import argparse
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder
-from capture_sim.commands.output import draw, report, summary_of, warn
+from capture_sim.commands.output import draw, report, warn
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.read import read_run
+from capture_sim.viewing.source import summary_of
 
 DESCRIPTION = (
     "Run experiments with the ROS 2 nodes, each in a process of its own; "

@@ -10,9 +10,8 @@ import argparse
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
@@ -21,10 +20,10 @@ from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
+from capture_sim.viewing.source import Opened, distinct_names
 
 if TYPE_CHECKING:
     from capture_sim.recording.read import Run
-    from capture_sim.viewing.source import ViewableRun
 
 #: Of processes that a study starts.
 WORKERS = Range(1, 1024)
@@ -41,19 +40,24 @@ _UNITS = {
 }
 
 
-def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]:  # noqa: B008
-    """Return a reader of a finite number within a range, for ``type=`` of an argument."""
-
-    def read(text: str) -> float:
+def _reader(
+    read: Callable[[str], float], allowed: Range, what: str = "a number", unit: str = ""
+) -> Callable[[str], float]:
+    def read_allowed(text: str) -> float:
         try:
-            value = float(text)
+            value = read(text)
         except ValueError:
             value = math.nan
         if value not in allowed:
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {allowed}{unit}")
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed is {what} {allowed}{unit}")
         return value
 
-    return read
+    return read_allowed
+
+
+def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]:  # noqa: B008
+    """Return a reader of a finite number within a range, for ``type=`` of an argument."""
+    return _reader(float, allowed, unit=unit)
 
 
 def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
@@ -61,11 +65,11 @@ def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
 
     def read(text: str) -> int:
         # the length: Python refuses to convert thousands of digits
-        if not text.isascii() or not text.isdecimal() or len(text) > 18 or int(text) not in allowed:
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a whole number {allowed}")
+        if not text.isascii() or not text.isdecimal() or len(text) > 18:
+            raise ValueError(text)
         return int(text)
 
-    return read
+    return cast(Callable[[str], int], _reader(read, allowed, "a whole number"))
 
 
 not_negative = number(NOT_NEGATIVE)
@@ -101,17 +105,7 @@ def quantity(text: str, unit: str) -> float:
 
 def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
     """Return a reader of a quantity (``5``, ``5 mm``), in SI, for ``type=`` of an argument."""
-
-    def read(text: str) -> float:
-        try:
-            value = quantity(text, unit)
-        except ValueError:
-            value = math.nan
-        if value not in allowed:
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed is a number {allowed}, in {unit}")
-        return value
-
-    return read
+    return _reader(lambda text: quantity(text, unit), allowed, unit=f", in {unit}")
 
 
 def add_experiments(parser: argparse.ArgumentParser) -> None:
@@ -283,37 +277,6 @@ def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
     return load_scene_text(text, overrides)
 
 
-@dataclass(frozen=True)
-class Opened:
-    """A run to be looked at.
-
-    Attributes
-    ----------
-    run
-        To be drawn.
-    label
-        Its name, no other's of those opened with it: the recording's, or the experiment's.
-    source
-        Where it comes from, in words.
-    software
-        ``"name version"`` each, of what made it.
-    wall_time
-        s, that it took; None where that is not known.
-    problems
-        What is wrong with its recording.
-    measured
-        Known from measurements alone: it cannot be run again.
-    """
-
-    run: ViewableRun
-    label: str
-    source: str
-    software: Sequence[str]
-    wall_time: float | None = None
-    problems: Sequence[str] = ()
-    measured: bool = False
-
-
 def open_runs(
     sources: Sequence[str], scene: str | None, release: float | None = None
 ) -> list[Opened]:
@@ -351,8 +314,6 @@ def open_runs(
 
 def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
     """Name runs, with the folder in front where recordings in several are called the same."""
-    from capture_sim.viewing.source import distinct_names
-
     folders: dict[str, set[Path]] = {}
     for one, source in zip(opened, sources, strict=True):
         if is_recording(source):

@@ -111,15 +111,6 @@ def write_json(path: Path, data: Any) -> Path:
     return write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
 
 
-def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
-    """Return a run in a few numbers, as results.json has them."""
-    from capture_sim.results import summarize
-    from capture_sim.viewing.source import verdict
-
-    word = verdict(run)
-    return summarize(run.scene, run.samples, run.touches, run.events, word, wall_time, run.extremes)
-
-
 @contextmanager
 def drawing(lacking: str = "no picture: {error}") -> Iterator[None]:
     """Go on without what is drawn, and say so, where what draws it is not installed."""
@@ -181,14 +172,15 @@ def draw(
 
 
 def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
-    from capture_sim.viewing.plots import save_figure, save_overview
+    from capture_sim.viewing.canvas import save
+    from capture_sim.viewing.plots import draw_overview, draw_run
 
     for run, label in zip(runs, labels, strict=True):
         # that name is taken
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        say(f"picture in {save_figure(run, folder / name, label)}")
+        say(f"picture in {save(draw_run(run, label), folder / name)}")
     if len(runs) > 1:
-        say(f"side by side in {save_overview(runs, folder / OVERVIEW, labels)}")
+        say(f"side by side in {save(draw_overview(runs, labels), folder / OVERVIEW)}")
     else:
         remove_earlier([folder / OVERVIEW])
 

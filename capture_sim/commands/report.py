@@ -7,13 +7,8 @@ from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
-from capture_sim.commands.output import say, summary_of
-from capture_sim.viewing.report import (
-    ReportedRun,
-    error_statement,
-    not_simulated,
-    save_report,
-)
+from capture_sim.commands.output import say
+from capture_sim.viewing.report import save_report
 
 DESCRIPTION = (
     "Make one self-contained HTML page of runs: results, figures, energy, errors, parameters. "
@@ -37,17 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     prepare_folder(options.out.parent)
-    reported = [
-        ReportedRun(
-            run=one.run,
-            label=one.label,
-            source=one.source,
-            summary=summary_of(one.run, one.wall_time),
-            software=one.software,
-            error=not_simulated() if one.measured else error_statement(one.run),
-            problems=one.problems,
-        )
-        for one in open_runs(options.runs, options.scene, options.release)
-    ]
-    say(f"report in {save_report(reported, options.out)}")
+    opened = open_runs(options.runs, options.scene, options.release)
+    say(f"report in {save_report(opened, options.out)}")
     return OK

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import Opened, add_out, add_runs, number, open_runs, prepare_folder
+from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
 from capture_sim.commands.output import draw, say
 from capture_sim.errors import RecordingError
-from capture_sim.viewing.canvas import save_both
+from capture_sim.viewing.canvas import save
 from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
-from capture_sim.viewing.source import cut, resolved, resolved_or_not
+from capture_sim.viewing.source import Opened, resolved, resolved_or_not
 
 DESCRIPTION = (
     "Draw recorded runs: a picture of each, all side by side, and a recording for rerun. "
@@ -62,8 +63,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _within(one: Opened, window: tuple[float, float]) -> Opened:
-    cut_or_resolved = cut if one.measured else resolved
-    return dataclasses.replace(one, run=cut_or_resolved(one.run, window))
+    if not one.measured:
+        return dataclasses.replace(one, run=resolved(one.run, window))
+    run: Any = one.run  # cannot be run again: some of its samples
+    t = run.samples["t"]
+    inside = run.samples[(t >= window[0]) & (t <= window[1])]
+    if not inside.size:
+        raise RecordingError(
+            f"{run.scene.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples "
+            f"from {t[0]:g} to {t[-1]:g} s"
+        )
+    return dataclasses.replace(one, run=dataclasses.replace(run, samples=inside))
 
 
 def _draw_figures(
@@ -72,9 +82,11 @@ def _draw_figures(
     if window is None:
         # else they are already
         runs = [resolved_or_not(run) for run in runs]
-    for name, figure in FIGURES.items():
-        aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
-        save_both(figure(runs, labels=labels, **aligned), folder / name)
+    drawn = dict(FIGURES)
     if window is None:
-        save_both(snapshots(runs, labels=labels), folder / "snapshots")
+        drawn["snapshots"] = snapshots
+    for name, figure in drawn.items():
+        aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
+        paths = (folder / f"{name}{ending}" for ending in (".svg", ".png"))
+        save(figure(runs, labels=labels, **aligned), *paths)
     say(f"figures of the paper in {folder}")

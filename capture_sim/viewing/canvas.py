@@ -95,18 +95,10 @@ def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> Non
     axes.autoscale_view()
 
 
-def save(figure: Figure, path: Path | str) -> Path:
-    """Save a figure, as PNG, SVG or whatever the path's ending says, see :func:`save_as`."""
-    return save_as(figure, [path])[0]
+def save(figure: Figure, *paths: Path | str) -> Path:
+    """Save a figure, as PNG, SVG or whatever a path's ending says; return the last path.
 
-
-def save_both(figure: Figure, stem: Path | str) -> list[Path]:
-    """Save a figure as ``stem.svg`` and ``stem.png``, see :func:`save_as`."""
-    return save_as(figure, [f"{stem}{ending}" for ending in (".svg", ".png")])
-
-
-def save_as(figure: Figure, paths: Sequence[Path | str]) -> list[Path]:
-    """Save a figure under several names, laid out once; return them.
+    Under several names it is laid out once.
 
     Raises
     ------
@@ -116,11 +108,9 @@ def save_as(figure: Figure, paths: Sequence[Path | str]) -> list[Path]:
     for axes in figure.axes:
         for artist in (*axes.lines, *axes.collections, *axes.patches):
             artist.set_in_layout(False)  # within the axes: no need to measure them
-    done = []
     for path in map(Path, paths):
         metadata = {"Date": None} if path.suffix == ".svg" else None
         with whole_file(path) as part, mpl.rc_context(_SAVING):
             figure.savefig(part, dpi=style.DPI, metadata=metadata)
         figure.set_layout_engine("none")  # arranged by the first
-        done.append(path)
-    return done
+    return path

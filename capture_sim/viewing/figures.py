@@ -1,7 +1,7 @@
 """The paper's figures with our data, for one run or several laid over each other.
 
 Every function takes runs (a :class:`capture_sim.Result` or a recorded run, one or a sequence)
-and returns a figure of matplotlib; :func:`capture_sim.viewing.canvas.save_both` saves it.
+and returns a figure of matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
 
 Common keywords: ``labels``, one for each run, instead of the scenes' names; ``window``, from
 when to when, s on the drawn axis; ``aligned``, time counts from each run's first touch;

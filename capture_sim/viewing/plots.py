@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from capture_sim.samples import EventKind
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import grid, new_figure, rows_of_axes, save, set_fonts
+from capture_sim.viewing.canvas import grid, new_figure, rows_of_axes, set_fonts
 from capture_sim.viewing.drawing import (
     LETTERS,
     draw_bench,
@@ -39,18 +38,6 @@ from capture_sim.viewing.source import (
 _FONT = 13.5
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
-
-
-def save_figure(run: ViewableRun, path: Path | str, label: str | None = None) -> Path:
-    """Save the picture of :func:`draw_run` and return its path, see :func:`canvas.save`."""
-    return save(draw_run(run, label), path)
-
-
-def save_overview(
-    runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
-) -> Path:
-    """Save the picture of :func:`draw_overview` and return its path, see :func:`canvas.save`."""
-    return save(draw_overview(runs, labels), path)
 
 
 def draw_run(run: ViewableRun, label: str | None = None) -> Figure:

@@ -6,7 +6,7 @@ import base64
 import datetime
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,14 @@ from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing import figures, report_figures
 from capture_sim.viewing.curves import as_shown, has_ledger
-from capture_sim.viewing.source import ViewableRun, decided_at, distinct_names, headline, start_word
+from capture_sim.viewing.source import (
+    Opened,
+    ViewableRun,
+    decided_at,
+    headline,
+    start_word,
+    summary_of,
+)
 
 _SECTIONS = (
     "Results",
@@ -38,22 +45,13 @@ _SECTIONS = (
 )
 
 
-@dataclass(frozen=True)
-class ErrorStatement:
-    """How far a run's numbers can be trusted, for people, and what of it was found."""
-
-    text: str
-    #: Largest difference of the run's states to a run made now, m and rad; None if not run.
-    reproduced: float | None = None
-
-
-def error_statement(run: ViewableRun) -> ErrorStatement:
-    """Run the scene of a simulated run again, as it was and finer, and compare."""
+def error_statement(run: ViewableRun) -> str:
+    """Return how far to trust a simulated run: it is made again, as it was and finer."""
     times = np.asarray(run.samples["t"])
     try:
         again = simulate(run.scene, t_eval=times, check=True)
     except (SimulationError, SceneError) as error:
-        return ErrorStatement(f"The run cannot be made again to check it: {error}")
+        return f"The run cannot be made again to check it: {error}"
     n = min(len(again.samples), len(times))
     reproduced = float(np.abs(again.q[:n] - run.samples["q"][:n]).max(initial=0.0))
     same = "bit for bit" if reproduced == 0.0 else f"to {reproduced:.1e} m and rad"
@@ -76,32 +74,16 @@ def error_statement(run: ViewableRun) -> ErrorStatement:
             "several possible courses. "
         )
     residual = float(np.abs(run.samples["energy_residual"]).max())
-    text += f"The energy ledger closes to {residual:.1e} J."
-    return ErrorStatement(text, reproduced)
+    return f"{text}The energy ledger closes to {residual:.1e} J."
 
 
-def not_simulated() -> ErrorStatement:
-    """Return what can be said of measurements."""
-    return ErrorStatement(
-        "measured. Its errors are those of the sensors, which the recording does not hold; between "
-        "two messages lies what was not seen, and the length of a touch is known to one message."
-    )
+_MEASURED = (
+    "measured. Its errors are those of the sensors, which the recording does not hold; between two "
+    "messages lies what was not seen, and the length of a touch is known to one message."
+)
 
 
-@dataclass(frozen=True)
-class ReportedRun:
-    """A run and what the page states of it."""
-
-    run: ViewableRun
-    source: str  # where it comes from, in words
-    summary: dict[str, Any]  # as :func:`capture_sim.results.summarize` gives
-    software: Sequence[str]  # "name version" each, of what made the run
-    error: ErrorStatement
-    problems: Sequence[str] = ()  # of its recording, one line each
-    label: str = ""  # no other's of the report; empty for its scene's name
-
-
-def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
+def save_report(opened: Sequence[Opened], path: Path | str) -> Path:
     """Save the report of runs as one HTML file; return its path.
 
     Raises
@@ -109,16 +91,16 @@ def save_report(reported: Sequence[ReportedRun], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    path, text = Path(path), report(reported)
+    path, text = Path(path), report(opened)
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
 
 
-def report(reported: Sequence[ReportedRun]) -> str:
+def report(opened: Sequence[Opened]) -> str:
     """Return the report of runs as one page of HTML."""
-    names = distinct_names([one.label or one.run.scene.name for one in reported])
-    runs = [one.run for one in reported]
+    names, runs = [one.label for one in opened], [one.run for one in opened]
+    summaries = [summary_of(one.run, one.wall_time) for one in opened]
     shown = as_shown(runs, names, aligned=len(runs) > 1)
     known = [(one.label, one.run) for one in shown if has_ledger(one.run)]
     panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
@@ -139,13 +121,10 @@ def report(reported: Sequence[ReportedRun]) -> str:
         version=capture_sim.__version__,
         sections=_SECTIONS,
         names=names,
-        runs=[_of_run(one, name) for one, name in zip(reported, names, strict=True)],
+        runs=list(map(_of_run, opened)),
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
         columns=[(name, unit) for _, name, unit in heads()],
-        results=[
-            [name, *cells[1:]]
-            for name, cells in zip(names, rows([one.summary for one in reported]), strict=True)
-        ],
+        results=[[name, *cells[1:]] for name, cells in zip(names, rows(summaries), strict=True)],
         legend=" ".join(LEGEND),
         figures=drawn,
         pictures=[
@@ -159,13 +138,13 @@ def report(reported: Sequence[ReportedRun]) -> str:
         shared=shared,
         versions=[
             (name, ", ".join(one.software) or "not known")
-            for name, one in zip(names, reported, strict=True)
+            for name, one in zip(names, opened, strict=True)
         ],
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
     )
 
 
-def _of_run(one: ReportedRun, name: str) -> dict[str, Any]:
+def _of_run(one: Opened) -> dict[str, Any]:
     """Return what the page says of a run."""
     run = one.run
     lines = []
@@ -177,17 +156,17 @@ def _of_run(one: ReportedRun, name: str) -> dict[str, Any]:
             if touch is not None and not detail:
                 detail = f"{'+' if event.wall > 0 else '-'}y wall"
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
-    said = f"{headline(run, name)}."
+    said = f"{headline(run, one.label)}."
     decided = decided_at(run)
     if decided is not None:
         reason = next((s.reason for s in run.statuses if s.final), "")
         said += f" Decided at {decided:.3f} s: {reason}."
     return {
-        "name": name,
+        "name": one.label,
         "title": run.scene.title,
         "source": one.source,
         "problems": one.problems,
-        "error": one.error.text,
+        "error": _MEASURED if one.measured else error_statement(run),
         "said": said,
         "events": lines,
         "event_head": (f"since the {start_word(run.scene)} [s]", "event", ""),

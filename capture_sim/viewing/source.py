@@ -6,13 +6,13 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import CaptureSimError, SimulationError
-from capture_sim.results import impact_speed
+from capture_sim.results import impact_speed, summarize
 from capture_sim.samples import Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene, as_name
 from capture_sim.simulation import Result, simulate
@@ -59,6 +59,43 @@ def verdict(run: ViewableRun) -> str:
     if not run.statuses:
         return "no verdict"
     return str(run.statuses[-1].state.name).lower()
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run to be looked at.
+
+    Attributes
+    ----------
+    run
+        To be drawn.
+    label
+        Its name, no other's of those opened with it: the recording's, or the experiment's.
+    source
+        Where it comes from, in words.
+    software
+        ``"name version"`` each, of what made it.
+    wall_time
+        s, that it took; None where that is not known.
+    problems
+        What is wrong with its recording.
+    measured
+        Known from measurements alone: it cannot be run again.
+    """
+
+    run: ViewableRun
+    label: str
+    source: str
+    software: Sequence[str]
+    wall_time: float | None = None
+    problems: Sequence[str] = ()
+    measured: bool = False
+
+
+def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
+    """Return a run in a few numbers, as results.json has them."""
+    word = verdict(run)
+    return summarize(run.scene, run.samples, run.touches, run.events, word, wall_time, run.extremes)
 
 
 def first_touch(run: ViewableRun) -> Event | None:
@@ -269,37 +306,6 @@ def resolved_or_not(run: ViewableRun) -> ViewableRun:
         return resolved(run)
     except CaptureSimError:
         return run
-
-
-@dataclass(frozen=True)
-class CutRun:
-    """A part of a run: some of its samples, the rest as it was."""
-
-    scene: Scene
-    samples: np.ndarray
-    touches: np.ndarray
-    events: Sequence[Event]
-    statuses: Sequence[CaptureStatus]
-    trace: np.ndarray | None = None
-    extremes: None = None
-
-
-def cut(run: ViewableRun, window: tuple[float, float]) -> CutRun:
-    """Return a run that cannot be run again with its samples in a window, s, alone.
-
-    Raises
-    ------
-    CaptureSimError
-        It has none there.
-    """
-    t = run.samples["t"]
-    inside = run.samples[(t >= window[0]) & (t <= window[1])]
-    if not inside.size:
-        raise CaptureSimError(
-            f"{run.scene.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples "
-            f"from {t[0]:g} to {t[-1]:g} s"
-        )
-    return CutRun(run.scene, inside, run.touches, run.events, run.statuses)
 
 
 def _same(touches: np.ndarray, others: np.ndarray) -> bool:

@@ -13,15 +13,16 @@ from matplotlib.text import Text
 
 import capture_sim
 from capture_sim.errors import RecordingError
+from capture_sim.recording.measured_run import MeasuredRun
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots, style
+from capture_sim.viewing.canvas import save
 from capture_sim.viewing.curves import LAYERS
 from capture_sim.viewing.drawing import draw_bench, key_moments
 from capture_sim.viewing.shapes import tip_bound, tip_in_cone, tip_in_world, wall
 from capture_sim.viewing.source import (
-    CutRun,
     contacts,
     decided_at,
     headline,
@@ -57,7 +58,7 @@ def interrupted(runs):
     run = runs[0]
     longest = run.touches[np.argmax(run.touches["end"] - run.touches["start"])]
     until = 0.5 * (longest["start"] + longest["end"])
-    return CutRun(
+    return MeasuredRun(
         run.scene,
         run.samples[run.samples["t"] <= until],
         run.touches[run.touches["end"] <= until],
@@ -156,7 +157,7 @@ def test_verdict_is_marked_when_it_fell(runs):
 
 def test_figure_shows_walls_zone_and_forces(runs, tmp_path):
     for run in runs:
-        path = plots.save_figure(run, tmp_path / "new" / f"{run.scene.name}.png")
+        path = save(plots.draw_run(run), tmp_path / "new" / f"{run.scene.name}.png")
         image = imread(path)[..., :3]
         assert image.shape[1] >= 1500
         sides = set(run.touches["wall"].tolist())
@@ -174,8 +175,8 @@ def area(image, colour):
 def test_figure_is_the_same_from_the_run_and_from_its_recording(runs, tmp_path):
     run = runs[1]
     recorded = read_run(write_run(run, tmp_path / "run.mcap"))
-    first = plots.save_figure(run, tmp_path / "a.png").read_bytes()
-    assert plots.save_figure(recorded, tmp_path / "b.png").read_bytes() == first
+    first = save(plots.draw_run(run), tmp_path / "a.png").read_bytes()
+    assert save(plots.draw_run(recorded), tmp_path / "b.png").read_bytes() == first
 
 
 def test_plotted_forces_are_the_recorded_ones(rebound):
@@ -296,7 +297,7 @@ def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):
     run = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["detector.capture_radius=1"]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        plots.save_figure(run, tmp_path / "x.png")
+        save(plots.draw_run(run), tmp_path / "x.png")
     start, end = time_window(run)
     assert start < decided_at(run) < run.touches["start"].min() < end
     axes = plots.draw_run(run).axes[-1]
@@ -304,7 +305,7 @@ def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):
 
 
 def test_overview_has_a_column_for_each_run(runs, tmp_path):
-    image = imread(plots.save_overview(runs, tmp_path / "overview.png"))[..., :3]
+    image = imread(save(plots.draw_overview(runs), tmp_path / "overview.png"))[..., :3]
     width = image.shape[1] // len(runs)
     for i in range(len(runs)):
         column = image[:, i * width : (i + 1) * width]
@@ -315,13 +316,13 @@ def test_overview_has_a_column_for_each_run(runs, tmp_path):
 def test_run_without_a_touch_is_drawn_too(tmp_path):
     run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=1.0)
     assert "no touch" in headline(run)
-    assert plots.save_figure(run, tmp_path / "x.png").stat().st_size > 10_000
+    assert save(plots.draw_run(run), tmp_path / "x.png").stat().st_size > 10_000
 
 
 def test_unwritable_folder_is_refused_in_one_line(runs, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot write"):
-        plots.save_figure(runs[0], tmp_path / "file" / "x.png")
+        save(plots.draw_run(runs[0]), tmp_path / "file" / "x.png")
     pytest.importorskip("rerun", reason="needs rerun")
     from capture_sim.viewing.rerun_view import save_rrd
 
