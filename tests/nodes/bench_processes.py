@@ -6,7 +6,7 @@ import sys
 import textwrap
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from capture_sim.control.simulation import State
@@ -53,7 +53,7 @@ class Started:
 
 
 @contextmanager
-def processes(folder):
+def processes():
     """Give a function that starts a node: its name, Python code that changes it, parameters."""
     started = []
 
@@ -95,21 +95,24 @@ class Client:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients = {}
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
     def _spin(self):
-        from rclpy.executors import ExternalShutdownException
-
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
+        while not self._closing.is_set():
+            self._executor.spin_once(timeout_sec=0.05)
 
     def close(self):
         import rclpy
 
-        self._executor.shutdown(2.0)
+        self._closing.set()
+        self._thread.join()
+        self._executor.shutdown()
+        # a node lives on until it is collected, and a simulator of the next test would wait for
+        # its subscriptions
+        self.node.destroy_node()
         rclpy.shutdown(context=self._context)
-        self._thread.join(2.0)
 
     def __enter__(self):
         return self

@@ -1,22 +1,15 @@
 """The capture detector's node: its parameters, and poses that no simulator sent."""
 
 import math
-import os
 import signal
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import rclpy
-from bench_processes import SETTLING, wait_until
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from bench_processes import Client, wait_until
+from rcl_interfaces.srv import DescribeParameters
 from recorded import values_of
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -57,71 +50,6 @@ def kernels():
     compile_kernels()
 
 
-@pytest.fixture
-def start(tmp_path):
-    """Start nodes, each with its parameters; end them afterwards."""
-    started = []
-
-    def start(name, **parameters):
-        arguments = ["--ros-args", "-p", "exit_when_done:=true"]
-        for key, value in parameters.items():
-            arguments += ["-p", f"{key}:={value}"]
-        log = tmp_path / f"{len(started)}_{name}.log"
-        with log.open("w") as out:
-            process = subprocess.Popen(
-                [sys.executable, "-m", f"capture_sim.nodes.{name}", *arguments],
-                env=dict(os.environ),
-                stdout=out,
-                stderr=subprocess.STDOUT,
-            )
-        process.log = log
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-
-
-def wait_for(process, words, timeout=60.0):
-    deadline = time.monotonic() + timeout
-    while words not in process.log.read_text():
-        assert time.monotonic() < deadline, process.log.read_text()
-        time.sleep(0.02)
-
-
-@contextmanager
-def experimenter():
-    """Yield a function that calls a service of the detector."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("experimenter", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-
-    def call(kind, name, request):
-        client = node.create_client(kind, f"capture_detector/{name}")
-        assert client.wait_for_service(20.0)
-        time.sleep(SETTLING)
-        answer = client.call_async(request)
-        executor.spin_until_future_complete(answer, 20.0)
-        node.destroy_client(client)
-        return answer.result()
-
-    try:
-        yield call
-    finally:
-        rclpy.shutdown(context=context)
-
-
-def setting(name, value):
-    kind = ParameterType.PARAMETER_DOUBLE
-    value = ParameterValue(type=kind, double_value=value)
-    return SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-
-
 # parameters
 
 
@@ -132,35 +60,32 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
         start("launcher"),
         start("recorder", out=tmp_path),
     ]
-    wait_for(nodes[0], "ready")
-    with experimenter() as call:
-        told = call(
-            DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
+    detector = nodes[0]
+    detector.wait_for("ready")
+    with Client() as client:
+        described = client.ask(
+            DescribeParameters, "/capture_detector/describe_parameters", names=names
         )
-        by_name = {d.name: d for d in told.descriptors}
+        by_name = {d.name: d for d in described.descriptors}
         for field in fields(Detector):
             descriptor = by_name[field.name]
             assert descriptor.description.startswith(f"{field.metadata['unit']}, ")
             assert field.metadata["doc"] in descriptor.description
             allowed = f"{field.metadata['allowed']} {field.metadata['unit']}"
             assert descriptor.additional_constraints.endswith(f"decimal point, {allowed}")
-        (refused,) = call(SetParameters, "set_parameters", setting("capture_radius", 0.0)).results
-        assert not refused.successful
-        assert refused.reason == "parameter capture_radius = 0.0 m: allowed is > 0 and <= 1"
-        (taken,) = call(SetParameters, "set_parameters", setting("leave", 0.03)).results
-        assert taken.successful
+        refused = client.set("capture_detector", capture_radius=0.0)
+        assert refused == (False, "parameter capture_radius = 0.0 m: allowed is > 0 and <= 1")
+        assert client.set("capture_detector", leave=0.03)[0]
         nodes.append(
             start("simulator", rtf=1.0, consumers="[launcher, capture_detector, recorder]")
         )
-        wait_for(nodes[-1], "released")
-        (refused,) = call(SetParameters, "set_parameters", setting("min_dwell", -1.0)).results
-        assert not refused.successful
-        assert refused.reason == "parameter min_dwell = -1.0 s: allowed is >= 0"
+        nodes[-1].wait_for("released")
+        refused = client.set("capture_detector", min_dwell=-1.0)
+        assert refused == (False, "parameter min_dwell = -1.0 s: allowed is >= 0")
         # right, but of no effect on the run that is on
-        (taken,) = call(SetParameters, "set_parameters", setting("capture_radius", 1e-6)).results
-        assert taken.successful
-    assert [node.wait(60.0) for node in nodes] == [0, 0, 0, 0]
-    said = nodes[0].log.read_text()
+        assert client.set("capture_detector", capture_radius=1e-6)[0]
+    assert [node.status() for node in nodes] == [0, 0, 0, 0]
+    said = detector.text
     assert "parameter dwell is now called min_dwell" in said
     assert "parameter leave is now called min_retreat" in said
     assert "judged by min_dwell = 0.3 s, min_retreat = 0.03 m; else by the scene" in said
@@ -310,8 +235,8 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
         bench.destroy_node()
     finally:
         rclpy.shutdown()
-    assert nodes[0].wait(30.0) == 0, nodes[0].log.read_text()
-    nodes[1].wait(30.0)
+    assert nodes[0].status(30.0) == 0, nodes[0].text
+    nodes[1].status(30.0)
     run = read_run(tmp_path / f"{name}.mcap")
     offline, _ = judge(scene, iter(measured))
     again = detect_again(run)[-1]
@@ -333,7 +258,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     name = "paper_undamped"
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))
     node = start("capture_detector", scene=name, overrides="['sensors.motion_capture={}']")
-    wait_for(node, "judged by paper_undamped")
+    node.wait_for("judged by paper_undamped")
     rclpy.init()
     try:
         bench = Bench()
@@ -353,9 +278,9 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     verdicts = [status for status in statuses if status.final]
     assert verdicts[-1].state == CaptureState.REBOUND
     assert verdicts[-1].reason.startswith("retreated 20 mm from ")
-    node.send_signal(signal.SIGINT)
-    assert node.wait(20.0) == 0
-    assert "Traceback" not in node.log.read_text()
+    node.process.send_signal(signal.SIGINT)
+    assert node.status(20.0) == 0
+    assert "Traceback" not in node.text
 
 
 def test_played_as_any_bag_the_run_of_a_suite_is_judged_from_its_start(tmp_path, start):
@@ -385,8 +310,8 @@ def test_played_as_any_bag_the_run_of_a_suite_is_judged_from_its_start(tmp_path,
                     data = store.serialize_cdr(message, c.msgtype)
                 writer.write(copies[c.id], when, data)
     detector = start("capture_detector")
-    wait_for(detector, "ready")
+    detector.wait_for("ready")
     player = start("player", bag=folder, rate=4.0)
-    assert player.wait(60) == 0, player.log.read_text()
-    assert detector.wait(30) == 0, detector.log.read_text()
-    assert "tilt_0: captured" in detector.log.read_text()
+    assert player.status() == 0, player.text
+    assert detector.status() == 0, detector.text
+    assert "tilt_0: captured" in detector.text

@@ -115,7 +115,7 @@ def bench(tmp_path_factory):
     compile_kernels()
     out = tmp_path_factory.mktemp("foreign") / "out"
     bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
-    with processes(out.parent) as start, Client() as client:
+    with processes() as start, Client() as client:
         never = {"exit_when_done": "false"}
         nodes = {
             "simulator": start("simulator", initial_state="stopped", rtf=0.0, **never),

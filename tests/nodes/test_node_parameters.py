@@ -26,7 +26,7 @@ def test_file_and_nodes_agree(tmp_path):
 
     content = yaml.safe_load(FILE.read_text())
     assert set(content) == {f"/**/{name}" for name in NODES}
-    with processes(tmp_path) as start, Client() as client:
+    with processes() as start, Client() as client:
         own = {"recorder": {"out": tmp_path}}
         started = {name: start(name, exit_when_done="false", **own.get(name, {})) for name in NODES}
         for name in NODES:

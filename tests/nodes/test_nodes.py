@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from bench_processes import Client, Simulation, Started, processes, wait_until
+from bench_processes import Client, Simulation, Started, wait_until
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from recorded import values_of
 
@@ -56,13 +56,6 @@ def suites(scenes, tmp_path_factory):
         assert run_suite(scenes, out) == 0
         runs.append({name: read_run(out / f"{name}.mcap") for name in NAMES})
     return runs
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Start a node: its name, Python code that changes it before, and parameters."""
-    with processes(tmp_path) as start:
-        yield start
 
 
 @pytest.fixture

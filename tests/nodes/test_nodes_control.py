@@ -21,7 +21,7 @@ OVERRIDES = ["run.t_end=0.4"]
 def nodes(tmp_path_factory):
     """Simulator, stopped, and launcher; they serve all tests here."""
     compile_kernels()
-    with processes(tmp_path_factory.mktemp("control")) as start:
+    with processes() as start:
         yield {
             "simulator": start(
                 "simulator",

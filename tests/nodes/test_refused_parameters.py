@@ -114,7 +114,7 @@ def bench(tmp_path_factory):
     """All nodes within a run that lasts as long as it is asked, and where it is recorded."""
     compile_kernels()
     out = tmp_path_factory.mktemp("refused") / "out"
-    with processes(out.parent) as start, Client() as client:
+    with processes() as start, Client() as client:
         nodes = {
             "recorder": start("recorder", out=out),
             "capture_detector": start("capture_detector"),

@@ -20,7 +20,7 @@ STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status,
 def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path):
     assert len(RIG.read_text().splitlines()) <= 65
     assert "capture_sim." not in RIG.read_text()
-    with processes(tmp_path) as start, Client() as client:
+    with processes() as start, Client() as client:
         rig = subprocess.Popen([sys.executable, str(RIG)])
         try:
             nodes = {
