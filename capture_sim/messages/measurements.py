@@ -6,17 +6,30 @@ import math
 from typing import Any
 
 from capture_sim.detection.align import Planar, Source, Values
+from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
     CHASER_POSE,
+    JOINT_STATES,
     TARGET_ODOMETRY,
     TARGET_POSE,
     Topic,
 )
 from capture_sim.scene.parts import Scene
+
+#: What a bench without simulator may measure; of each source the first topic that comes is used.
+OF_A_BENCH = {
+    CHASER_ODOMETRY: Source.CHASER,
+    CHASER_POSE: Source.CHASER,
+    TARGET_ODOMETRY: Source.TARGET,
+    TARGET_POSE: Source.TARGET,
+    BUFFER_STATE: Source.BUFFER,
+    JOINT_STATES: Source.BUFFER,
+}
 
 
 def detector_sources(scene: Scene) -> dict[Topic, Source]:
@@ -31,6 +44,7 @@ def detector_sources(scene: Scene) -> dict[Topic, Source]:
     return {**poses, BUFFER_STATE: Source.BUFFER}
 
 
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 _POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
 _TWIST = ("linear.x", "linear.y", "angular.z")
 #: The numbers that a measurement is made of, by the type of its message.
@@ -50,13 +64,13 @@ class MeasurementReader:
     Parameters
     ----------
     topic
-        Of the detector, see :func:`detector_sources`.
+        One of :data:`OF_A_BENCH`.
     """
 
     def __init__(self, topic: Topic) -> None:
-        self._of_buffer = topic is BUFFER_STATE
-        stamp = ("header.stamp.sec", "header.stamp.nanosec")
-        self._numbers = Numbers(typestore(), topic.type_name, *stamp, *_NUMBERS[topic.type_name])
+        self._topic, self._store = topic, typestore()
+        numbers = _NUMBERS.get(topic.type_name, ())
+        self._numbers = Numbers(self._store, topic.type_name, *STAMP, *numbers)
 
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values, see :class:`capture_sim.detection.align.Source`.
@@ -64,33 +78,28 @@ class MeasurementReader:
         Raises
         ------
         MessageError
-            The bytes are no such message.
+            The bytes are no such message, or it has no such joints.
         """
         sec, nanosec, *numbers = self._numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec
-        if self._of_buffer:
+        if self._topic is JOINT_STATES:
+            return stamp, _joints(self._store.deserialize_cdr(data, self._topic.type_name))
+        if self._topic is BUFFER_STATE:
             return stamp, tuple(numbers)
         pose = pose_values(*numbers[:4])
         return stamp, (*pose, *twist_values(pose[2], *numbers[4:])) if numbers[4:] else pose
 
 
-def measured(source: Source, message: Any) -> Values:
-    """Return what a message measures, see :class:`capture_sim.detection.align.Source`.
-
-    Parameters
-    ----------
-    source
-        Of the message.
-    message
-        nav_msgs/Odometry, geometry_msgs/PoseStamped or capture_sim/BufferState, of any
-        library.
-    """
-    if source is Source.BUFFER:
-        return (message.axial_stroke, message.torsion, message.axial_rate, message.torsion_rate)
-    if not hasattr(message, "twist"):
-        return _planar(message.pose)
-    pose, twist = _planar(message.pose.pose), message.twist.twist
-    return (*pose, *twist_values(pose[2], twist.linear.x, twist.linear.y, twist.angular.z))
+def _joints(message: Any) -> Values:
+    """Return what sensor_msgs/JointState says of the buffer; rates only where it has them."""
+    try:
+        slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
+        values: Values = (message.position[slide], message.position[hinge])
+        if len(message.velocity):
+            values += (message.velocity[slide], message.velocity[hinge])
+    except (ValueError, IndexError):
+        raise MessageError(f"allowed are joints {SLIDE_JOINT} and {HINGE_JOINT}") from None
+    return values
 
 
 def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
@@ -102,7 +111,3 @@ def twist_values(theta: float, vx: float, vy: float, omega: float) -> Planar:
     """Return velocity (m/s) and rate (rad/s) in the world of those in the own frame."""
     c, s = math.cos(theta), math.sin(theta)
     return c * vx - s * vy, s * vx + c * vy, omega
-
-
-def _planar(pose: Any) -> Planar:
-    return pose_values(pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)

@@ -7,39 +7,24 @@ from dataclasses import Field, fields, replace
 from functools import partial
 from typing import Any
 
-from capture_sim.detection.align import Source, Values
+from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
-from capture_sim.errors import MessageError, SceneError
-from capture_sim.messages.convert import CRITERIA, EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, stamp_seconds
-from capture_sim.messages.measurements import detector_sources, measured
+from capture_sim.errors import SceneError
+from capture_sim.messages.convert import CRITERIA, EPOCH_NS, stamp_seconds
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import (
-    BUFFER_STATE,
     CAPTURE_DETECTOR,
-    CHASER_ODOMETRY,
-    CHASER_POSE,
-    JOINT_STATES,
-    TARGET_ODOMETRY,
-    TARGET_POSE,
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import BenchNode, ParameterError, from_bytes, run
+from capture_sim.nodes.node import BenchNode, ParameterError, run
 from capture_sim.nodes.participant import READ, Participant
 from capture_sim.scene.parts import Detector, Scene
 
 #: A source that has fallen behind the others by this much is warned of, s of their stamps.
 STALE = 2.0
-#: What a bench without simulator may measure; of each source the first topic that comes is used.
-OF_A_BENCH = {
-    CHASER_ODOMETRY: Source.CHASER,
-    CHASER_POSE: Source.CHASER,
-    TARGET_ODOMETRY: Source.TARGET,
-    TARGET_POSE: Source.TARGET,
-    BUFFER_STATE: Source.BUFFER,
-    JOINT_STATES: Source.BUFFER,
-}
 
 
 class CaptureDetectorNode(Participant):
@@ -59,7 +44,8 @@ class CaptureDetectorNode(Participant):
         super().__init__(CAPTURE_DETECTOR)
         self._criteria = Criteria(self)
         self.open(topics_of(CAPTURE_DETECTOR))
-        for topic in READ[CAPTURE_DETECTOR]:
+        self._readers = {topic: MeasurementReader(topic) for topic in READ[CAPTURE_DETECTOR]}
+        for topic in self._readers:
             self.follow(topic, partial(self._take, topic), raw=True)
         self._scene = self.declare_scene(
             "judge by this scene from the start, for a bench where nobody announces runs; "
@@ -106,9 +92,7 @@ class CaptureDetectorNode(Participant):
         source = self._sources.get(topic)
         if source is None:
             return
-        message: Any = from_bytes(topic, data)
-        values = _joints(message) if topic is JOINT_STATES else measured(source, message)
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        stamp, values = self._readers[topic](data)
         if self._zero is None:
             self._zero = stamp
         if not self.simulated:
@@ -134,18 +118,6 @@ class CaptureDetectorNode(Participant):
     def _own_time(self, t: float) -> float:
         """Return the time that is stamped: a bench's own clock goes back into the message."""
         return t if self._zero in (None, EPOCH_NS) else t + (self._zero - EPOCH_NS) / 1e9
-
-
-def _joints(message: Any) -> Values:
-    """Return what sensor_msgs/JointState says of the buffer; rates only where it has them."""
-    try:
-        slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
-        values: Values = (message.position[slide], message.position[hinge])
-        if len(message.velocity):
-            values += (message.velocity[slide], message.velocity[hinge])
-    except (ValueError, IndexError):
-        raise MessageError(f"allowed are joints {SLIDE_JOINT} and {HINGE_JOINT}") from None
-    return values
 
 
 #: Earlier names of the criteria, by which they are still taken.

@@ -12,7 +12,10 @@ from std_srvs.srv import Trigger
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
+from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
+from capture_sim.messages.definitions import typestore
+from capture_sim.messages.measurements import STAMP
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
     CHASER_ODOMETRY,
@@ -29,6 +32,13 @@ from capture_sim.scene.parts import Scene
 
 #: Output for a real release, such as a magnet's relay: std_msgs/Bool, true holds.
 HOLD = "launcher/hold"
+#: The numbers that are read of each message besides its stamp.
+NUMBERS = {
+    STRING_STATE: ("chaser_speed", "phase"),
+    CONTACT_STATE: ("in_touch", "touches"),
+    CHASER_ODOMETRY: ("pose.pose.position.x", "pose.pose.position.y"),
+    CHASER_POSE: ("pose.position.x", "pose.position.y"),
+}
 #: What is read of a simulator at each instant; of a bench it is the chaser's pose.
 SIMULATED = (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY)
 #: A bench's speed is that over this time, s: noise of its poses divides by it.
@@ -48,7 +58,7 @@ class LauncherNode(Participant):
     # of the run that is on, or the last one
     _launcher: Launcher | None = None
     _telemetry: LauncherTelemetry
-    _parts: dict[int, dict[str, Any]]  # messages of one stamp (ns) that wait for the others
+    _parts: dict[int, dict[Topic, Any]]  # numbers of one stamp (ns) that wait for the others
     _touched: bool
 
     def __init__(self) -> None:
@@ -90,8 +100,12 @@ class LauncherNode(Participant):
             self._bool = message_class("std_msgs/msg/Bool")
             self._hold_output = self.create_publisher(self._bool, HOLD, qos)
             self._hold(True)
+        self._numbers = {
+            topic: Numbers(typestore(), topic.type_name, *STAMP, *NUMBERS[topic])
+            for topic in READ[LAUNCHER]
+        }
         for topic in READ[LAUNCHER]:
-            self.follow(topic, partial(self._take, topic))
+            self.follow(topic, partial(self._take, topic), raw=True)
         self.create_service(Trigger, "~/launch", self._asked_to_launch)
         self.create_service(Trigger, "~/abort", self._asked_to_abort)
         self.add_post_set_parameters_callback(self._parameters_set)
@@ -142,16 +156,16 @@ class LauncherNode(Participant):
         self._tell(t, launcher.status, latch=True)
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
-    def _take(self, topic: Topic, message: Any) -> None:
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+    def _take(self, topic: Topic, data: bytes) -> None:
+        sec, nanosec, *numbers = self._numbers[topic](data).item()
+        stamp = sec * 1_000_000_000 + nanosec
         if not self.simulated:
             if topic in (CHASER_ODOMETRY, CHASER_POSE):
-                self._watch_bench(stamp, message)
-            return
-        if topic is not CHASER_POSE:
-            self._collect(topic.name, stamp, message)
+                self._watch_bench(stamp, *numbers)
+        elif topic is not CHASER_POSE:
+            self._collect(topic, stamp, numbers)
 
-    def _watch_bench(self, stamp: int, message: Any) -> None:
+    def _watch_bench(self, stamp: int, x: float, y: float) -> None:
         """Watch a bench's chaser by its poses alone, each over the time since one before."""
         launcher = self._launcher
         if launcher is None or launcher.status.state is LauncherPhase.ARMED:
@@ -159,8 +173,7 @@ class LauncherNode(Participant):
         if self._zero is None:
             self._zero = stamp
         t = (stamp - self._zero) / 1e9
-        at = message.pose.pose if hasattr(message, "twist") else message.pose
-        travel = launcher.travelled(at.position.x, at.position.y)
+        travel = launcher.travelled(x, y)
         if self._place is None:
             self._place = t, travel
         since = t - self._place[0]
@@ -177,26 +190,25 @@ class LauncherNode(Participant):
         else:
             self._tell(own, status, latch=status.state is not before)
 
-    def _collect(self, name: str, stamp: int, message: Any) -> None:
+    def _collect(self, topic: Topic, stamp: int, numbers: list[Any]) -> None:
         parts = self._parts.setdefault(stamp, {})
-        parts[name] = message
+        parts[topic] = numbers
         if len(parts) < len(SIMULATED) or self._launcher is None:
             if len(self._parts) > MOST_WAITING:
                 del self._parts[min(self._parts)]
             return
         # each topic comes in the order of its stamps: an older set has lost a message
         self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
-        string, contact = parts[STRING_STATE.name], parts[CONTACT_STATE.name]
-        place = parts[CHASER_ODOMETRY.name].pose.pose.position
-        self._touched = self._touched or contact.in_touch or contact.touches > 0
+        (speed, phase), (in_touch, touches), (x, y) = (parts[topic] for topic in SIMULATED)
+        self._touched = self._touched or in_touch or touches > 0
         t = stamp_seconds(stamp)
         before = self._launcher.status.state
         status = self._launcher.observe(
-            string.chaser_speed,
-            string.phase == StringPhase.SLACK,
+            speed,
+            phase == StringPhase.SLACK,
             self._touched,
             t=t,
-            travel=self._launcher.travelled(place.x, place.y),
+            travel=self._launcher.travelled(x, y),
         )
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(self._launcher, t)

@@ -20,19 +20,15 @@ from rclpy.clock_type import ClockType
 from capture_sim.detection.align import Observation, Source, observed
 from capture_sim.detection.exact import CaptureState
 from capture_sim.launch.scenes import load_scene
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, stamp_seconds
-from capture_sim.messages.measurements import measured
+from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
-    BUFFER_STATE,
     CAPTURE_STATUS,
-    CHASER_ODOMETRY,
     CONTACT_STATE,
     CONTACT_WRENCH,
-    JOINT_STATES,
     STRING_STATE,
-    TARGET_ODOMETRY,
     Topic,
 )
 from capture_sim.nodes.node import ParameterError, from_bytes, run
@@ -43,16 +39,9 @@ from capture_sim.scene.parts import Scene
 
 VIEWER = "viewer"
 
-#: Read of a real bench; of each only as many messages as are shown.
-OF_A_BENCH = (
-    CHASER_ODOMETRY,
-    TARGET_ODOMETRY,
-    BUFFER_STATE,
-    JOINT_STATES,
-    CONTACT_STATE,
-    CONTACT_WRENCH,
-    STRING_STATE,
-)
+#: Read of a real bench besides poses and buffer.
+BESIDE = (CONTACT_STATE, CONTACT_WRENCH, STRING_STATE)
+_UNKNOWN = (math.nan, math.nan, math.nan)
 _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
 
 
@@ -83,7 +72,9 @@ class ViewerNode(Participant):
         )
         self._geometry: Scene | None = load_scene(geometry) if geometry else None
         self._period = 1.0 / rate
-        self._newest: dict[Topic, list[Any]] = {}  # the last two messages shown of each topic
+        # the last two of each source and topic: stamps, ns, and what came
+        self._newest: dict[Any, list[tuple[int, Any]]] = {}
+        self._used: dict[Any, Topic] = {}  # which of its topics shows a source
         self._beat: dict[Topic, int] = {}
         self._zero: float | None = None  # s, stamp of a bench's first message
         self._unannounced = False
@@ -100,7 +91,8 @@ class ViewerNode(Participant):
         if self._geometry is None:
             self.listen(BENCH_STATE, self._take_state, raw=True)
         else:
-            for topic in OF_A_BENCH:
+            self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
+            for topic in (*OF_A_BENCH, *BESIDE):
                 self.listen(topic, partial(self._take, topic), raw=True)
         self.listen(BENCH_EVENT, self._happened)
         self.listen(CAPTURE_STATUS, self._judged, raw=True)
@@ -134,6 +126,7 @@ class ViewerNode(Participant):
 
     def _start(self, name: str) -> None:
         self._newest.clear()
+        self._used.clear()
         self._beat.clear()
         self._judgement, self._last_verdict = None, 0.0
         self._view.begin(name, self._scene, measured=self._geometry is not None)
@@ -159,11 +152,18 @@ class ViewerNode(Participant):
     def _take(self, topic: Topic, data: bytes) -> None:
         if not self._is_shown(topic, data):
             return
-        if topic is CHASER_ODOMETRY:
+        what: Any = OF_A_BENCH.get(topic, topic)
+        if self._used.setdefault(what, topic) is not topic:
+            return  # odometry and motion capture: the first one that has come is shown
+        if what is Source.CHASER:
             # by now all of the instant before has come
             self._show_pending()
-        message = from_bytes(topic, data)
-        self._newest[topic] = [*self._newest.get(topic, [])[-1:], message]
+        if topic in OF_A_BENCH:
+            stamp, content = self._readers[topic](data)
+        else:
+            content = from_bytes(topic, data)
+            stamp = stamp_ns_of(content)
+        self._newest[what] = [*self._newest.get(what, [])[-1:], (stamp, content)]
 
     def _begin_unannounced(self) -> bool:
         """Show a bench that announces no run, if its geometry is known."""
@@ -177,32 +177,25 @@ class ViewerNode(Participant):
 
     def _show_pending(self) -> None:
         """Show the last instant of the chaser's pose."""
-        if CHASER_ODOMETRY not in self._newest:
+        if not set(Source) <= self._newest.keys():
             return
-        stamp = stamp_ns_of(self._newest[CHASER_ODOMETRY][-1])
+        stamp, _ = self._newest[Source.CHASER][-1]
         parts = {
-            topic: min(messages, key=lambda message: abs(stamp_ns_of(message) - stamp))
-            for topic, messages in self._newest.items()
+            what: min(contents, key=lambda content: abs(content[0] - stamp))[1]
+            for what, contents in self._newest.items()
         }
-        instant = self._measurements(parts)
-        if instant is not None:
-            self._view.take(samples_of(self._scene, instant))
+        seen = observed(stamp_seconds(stamp), *(parts[source] for source in Source))
+        self._view.take(samples_of(self._scene, self._measurements(seen, parts)))
 
-    def _measurements(self, parts: dict[Topic, Any]) -> AlignedMeasurements | None:
-        if not {CHASER_ODOMETRY, TARGET_ODOMETRY} <= parts.keys():
-            return None
-        buffer = parts.get(BUFFER_STATE) or _buffer_of(parts.get(JOINT_STATES))
-        if buffer is None:
-            return None
-        seen = observation_of(parts[CHASER_ODOMETRY], parts[TARGET_ODOMETRY], buffer)
+    def _measurements(self, seen: Observation, parts: dict[Any, Any]) -> AlignedMeasurements:
         contact, wrench = parts.get(CONTACT_STATE), parts.get(CONTACT_WRENCH)
         string = parts.get(STRING_STATE)
         return AlignedMeasurements(
             t=np.array([self._since_start(seen.t)]),
             chaser=np.array([seen.chaser]),
-            chaser_rate=np.array([seen.chaser_rate]),
+            chaser_rate=np.array([seen.chaser_rate or _UNKNOWN]),
             target=np.array([seen.target]),
-            target_rate=np.array([seen.target_rate]),
+            target_rate=np.array([seen.target_rate or _UNKNOWN]),
             buffer=np.array([[seen.stroke, seen.torsion]]),
             buffer_rate=np.array([[seen.stroke_rate, seen.torsion_rate]]),
             tip_force=wrench and np.array([[wrench.wrench.force.x, wrench.wrench.force.y]]),
@@ -249,31 +242,6 @@ def stamp_ns_of(message: Any) -> int:
     """Return the stamp of a message with a header, ns."""
     stamp = message.header.stamp
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def observation_of(chaser: Any, target: Any, buffer: Any) -> Observation:
-    """Return one instant's poses and buffer state from messages that carry its stamp."""
-    return observed(
-        stamp_seconds(stamp_ns_of(chaser)),
-        measured(Source.CHASER, chaser),
-        measured(Source.TARGET, target),
-        measured(Source.BUFFER, buffer),
-    )
-
-
-class _Buffer:
-    """The buffer's state as the joints report it."""
-
-    def __init__(self, joints: Any) -> None:
-        slide, hinge = joints.name.index(SLIDE_JOINT), joints.name.index(HINGE_JOINT)
-        self.axial_stroke, self.torsion = joints.position[slide], joints.position[hinge]
-        self.axial_rate, self.torsion_rate = joints.velocity[slide], joints.velocity[hinge]
-
-
-def _buffer_of(joints: Any) -> _Buffer | None:
-    if joints is None or not {SLIDE_JOINT, HINGE_JOINT} <= set(joints.name):
-        return None
-    return _Buffer(joints)
 
 
 def main(args: Sequence[str] | None = None) -> int:
