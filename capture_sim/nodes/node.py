@@ -39,7 +39,14 @@ from rclpy.exceptions import (
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -384,12 +391,16 @@ class BenchNode(Node):
 
     def standing_still(self, topic: Topic) -> list[str]:
         """Return the nodes that may be those that take nothing of a topic."""
-        return [name for name in self.readers(topic) if name != self.get_fully_qualified_name()]
+        return sorted({*self.readers(topic)} - {self.get_fully_qualified_name()})
 
     def readers(self, topic: Topic) -> list[str]:
-        """Return the full names of the nodes that subscribe to a topic."""
-        found = self.get_subscriptions_info_by_topic(self.resolve_topic_name(topic.name))
-        return sorted({full_name(reader) for reader in found})
+        """Return the full names of the nodes that an open topic serves, for each subscription."""
+        offered = self._senders[topic].qos_profile
+        return [
+            full_name(reader)
+            for reader in self.get_subscriptions_info_by_topic(self.resolve_topic_name(topic.name))
+            if qos_check_compatible(offered, reader.qos_profile)[0] is not QoSCompatibility.ERROR
+        ]
 
     def matched(self, topic: Topic) -> int:
         """Return how many subscribers an open topic has found."""

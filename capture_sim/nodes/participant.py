@@ -5,7 +5,9 @@ run, or when the announcer has gone.  The simulator announces its runs, a player
 recorded; on a real bench ``~/begin_trial`` of any participant does it for all.
 
 The announcer sends a RunInfo before anything else of the run and waits for its acknowledgement, and
-callbacks run in the order of arrival: so no message of a run comes before its RunInfo.
+callbacks run in the order of arrival: so no message of a run comes before its RunInfo.  What comes
+before the executor runs has no order (rclpy's events executor goes through a set), so the streams
+are subscribed to in its first callback.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import uuid
 from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock
@@ -123,6 +126,8 @@ class Participant(BenchNode):
         self.run: Any = None  # RunInfo of the run that is on
         self._came: Counter[str] = Counter()  # messages of the run, by topic
         self._followed: list[Topic] = []
+        self._waiting: list[Callable[[], None]] = []  # subscriptions, for the executor's start
+        self._ready = threading.Event()
         self._counts: Any = None  # what the announcer says it has sent in the run
         self._ended: Any = None  # StreamCounts of the last run that an announcer has ended
         self._deadline = math.inf  # wall, when a run that has ended is given up
@@ -136,7 +141,7 @@ class Participant(BenchNode):
         watch = SubscriptionEventCallbacks(matched=self._announcers_changed)
         # the first subscription: an executor without order of arrival goes by this one
         self.listen(RUN_INFO, self._announced, event_callbacks=watch)
-        self.listen(STREAM_COUNTS, self._counted)
+        self._waiting.append(partial(self.listen, STREAM_COUNTS, self._counted))
         self.create_service(BeginTrial, "~/begin_trial", self._asked_to_begin)
         self.create_service(Trigger, "~/end_trial", self._asked_to_end)
         # a steady clock: this must also run when simulated time does not
@@ -205,7 +210,9 @@ class Participant(BenchNode):
                 self.end_if_complete()
 
         self._followed.append(topic)
-        self.listen(topic, take, raw=raw)
+        self._waiting.append(partial(self.listen, topic, take, raw=raw))
+        if self._ready.is_set():
+            self._subscribe()
 
     def end_if_complete(self) -> None:
         """End the run if its announcer has ended it and nothing is missing."""
@@ -241,6 +248,7 @@ class Participant(BenchNode):
         # what is there now is left out of all later sweeps: over it one takes longer than a tick
         gc.collect()
         gc.freeze()
+        self._ready.wait()
         self.get_logger().info("ready, waiting for a run")
         self._over.wait()
         return self._status
@@ -328,7 +336,13 @@ class Participant(BenchNode):
         if self._exit_when_done and self._alone and self._runs > 0 and self.run is None:
             self._over.set()
 
+    def _subscribe(self) -> None:
+        while self._waiting:
+            self._waiting.pop(0)()
+        self._ready.set()
+
     def _look_at_clock(self) -> None:
+        self._subscribe()
         if self.run is None or self.failure or time.monotonic() < self._deadline:
             return
         if self._counts is None:

@@ -220,13 +220,25 @@ class Bench(BenchNode):
         return counts
 
 
-@pytest.mark.parametrize("name", ["tilt_m10", "paper_undamped"])
-def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name):
+# as on a busy machine: a node is seen before its callbacks run
+LATE = """
+    import time
+    from capture_sim.nodes import node as base
+    begin = base._Spinner.__init__
+    def late(self, node):
+        time.sleep(2.0)
+        begin(self, node)
+    base._Spinner.__init__ = late
+"""
+
+
+@pytest.mark.parametrize("name, change", [("tilt_m10", LATE), ("paper_undamped", "")])
+def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name, change):
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
     nodes = [
-        start("capture_detector", drain_timeout=20.0),
-        start("recorder", out=tmp_path, drain_timeout=20.0),
+        start("capture_detector", change, drain_timeout=20.0),
+        start("recorder", change, out=tmp_path, drain_timeout=20.0),
     ]
     rclpy.init()
     try:

@@ -268,6 +268,27 @@ def test_dropped_messages_are_named(start_all):
     assert nodes["simulator"].status() == 0
 
 
+def test_who_looks_on_is_not_taken_for_who_is_awaited(start, tmp_path):
+    """Somebody else reads the topics while the recorder, known by its counts, does not yet."""
+    late = """
+        import time
+        listen = node.RecorderNode.listen
+        def late(self, topic, *args, **options):
+            if topic.name == "bench/state":
+                time.sleep(2.0)
+            listen(self, topic, *args, **options)
+        node.RecorderNode.listen = late
+    """
+    with Client() as client:
+        Simulation(client)
+        simulator = start(
+            "simulator", rtf="0.0", consumers="[recorder]", overrides="[run.t_end=1.0]"
+        )
+        recorder = start("recorder", late, out=tmp_path)
+        assert [simulator.status(), recorder.status()] == [0, 0], recorder.text
+    assert read_run(tmp_path / "tilt_0.mcap").complete
+
+
 # nodes that die
 
 
