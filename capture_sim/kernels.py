@@ -9,34 +9,34 @@ With ``NUMBA_DISABLE_JIT=1`` all kernels run as plain Python, slowly, for a debu
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, update_wrapper
+from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
-from numba.core.compiler import Compiler
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
 _PACKAGE = Path(__file__).resolve().parent
 _SOURCES = sorted(
     path for folder in ("model", "engine", "solver") for path in (_PACKAGE / folder).glob("*.py")
-) + [_PACKAGE / name for name in ("kernels.py", "samples.py", "detection/exact.py")]
+) + [_PACKAGE / name for name in ("kernels.py", "compiler.py", "samples.py", "detection/exact.py")]
 
 
 @cache
 def source_hash() -> str:
     """Return a hash of all kernel sources, of where they are and of the compiler's version."""
     # Numba finds compiled code again by the path of its source, so another checkout has its own
-    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
+    digest = hashlib.sha256(f"{version('numba')} {_PACKAGE}".encode())
     for path in _SOURCES:
         digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
@@ -73,85 +73,75 @@ def is_compiled() -> bool:
     return any(cache_folder().rglob("loop.advance*.nbc"))
 
 
-# what Python gets that calls a kernel for other kernels: a TypeError (for it, see ``plain``)
-_REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value
+class Kernel:
+    """A function that Numba compiles; who never calls one does not load Numba.
 
+    Parameters
+    ----------
+    function
+        What is compiled.
+    entry
+        Whether Python calls it; the result is then kept on disk.
+    inline
+        Whether it is compiled into each of its callers.
 
-class _WithoutMachineCode:
-    """Numba's code generator for kernels that only other kernels call."""
-
-    def __init__(self, codegen: Any) -> None:
-        self._codegen = codegen
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._codegen, name)
-
-    def set_env(self, env_name: str, env: Any) -> None:
-        """Set nothing: there is no code whose environment it could be."""
-
-
-class _InnerCompiler(Compiler):
-    """Numba's compiler, up to LLVM's code: the entry that calls a kernel does the rest.
-
-    By itself Numba optimises every function with all that it calls, and makes machine code of it,
-    before the caller does the same again: with kernels eight calls deep that is most of the time.
+    Attributes
+    ----------
+    py_func
+        The function itself.
     """
 
-    def define_pipelines(self) -> Any:
-        """Return Numba's own pipelines, writing into a library that stays unoptimised."""
-        state = self.state
-        library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
-        library._codegen = _WithoutMachineCode(library._codegen)
-        library._optimize_final_module = lambda: None
-        library._finalize_final_module = lambda: setattr(library, "_finalized", True)
-        library.get_pointer_to_function = lambda name: _REFUSE
-        state.library = library
-        return super().define_pipelines()
+    def __init__(
+        self, function: Callable[..., Any], *, entry: bool = False, inline: bool = False
+    ) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+        self._entry, self._inline = entry, inline
 
+    @cached_property
+    def compiled(self) -> Any:
+        """Numba's dispatcher of the function."""
+        from capture_sim import compiler  # half a second: Numba
 
-_FAST = {"contract", "nsz"}  # fused multiply and add; the sign of zero does not matter
-_INNER = {
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": _InnerCompiler,
-}
+        if self._entry:
+            return compiler.entry(self.py_func, cache_folder())
+        return compiler.inner(self.py_func, inline=self._inline)
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the compiled function."""
+        return self.compiled(*args)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What Numba takes it for in other kernels (its protocol for foreign objects)."""
+        from numba import types
+
+        return types.Dispatcher(self.compiled)
 
 
 def kernel(function: F) -> F:
     """Compile a function that is called from other kernels."""
-    compiled: F = numba.njit(error_model="numpy", _nrt=False, fastmath=_FAST, **_INNER)(function)
-    return compiled
+    return cast("F", Kernel(function))
 
 
 def inline_kernel(function: F) -> F:
     """Compile a small function into each of its callers: a call would cost as much as it."""
-    compiled: F = numba.njit(
-        error_model="numpy", _nrt=False, fastmath=_FAST, forceinline=True, **_INNER
-    )(function)
-    return compiled
+    return cast("F", Kernel(function, inline=True))
 
 
 def entry_kernel(function: F) -> F:
     """Compile a function that Python calls, and keep the result on disk."""
-    previous = numba.config.CACHE_DIR
-    try:
-        numba.config.CACHE_DIR = str(cache_folder())
-        compiled: F = numba.njit(
-            error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True
-        )(function)
-    finally:
-        numba.config.CACHE_DIR = previous
-    return compiled
+    return cast("F", Kernel(function, entry=True))
 
 
 def plain(function: F) -> F:
     """Return the Python function of a kernel, calling those of other kernels, for use outside."""
-    if not hasattr(function, "py_func"):
+    if not isinstance(function, Kernel):
         return function
     python = function.py_func
     names = dict(python.__globals__)
     for name in python.__code__.co_names:
-        if hasattr(names.get(name), "py_func"):
+        if isinstance(names.get(name), Kernel):
             names[name] = plain(names[name])
     copy: F = FunctionType(python.__code__, names, python.__name__)  # type: ignore[assignment]
     return copy
@@ -159,4 +149,4 @@ def plain(function: F) -> F:
 
 def records(array: np.ndarray) -> np.ndarray:
     """Return an array of records as the kernels take it: attributes are compiled, or NumPy's."""
-    return array.view(np.recarray) if numba.config.DISABLE_JIT else array
+    return array.view(np.recarray) if _PLAIN else array

@@ -65,3 +65,9 @@ def test_file_reaches_nodes_in_any_namespace(tmp_path):
         )
         assert done.returncode == 2
         assert "consumer_timeout = 5000.0: allowed is" in done.stderr
+
+
+def test_launcher_and_recorder_start_without_numba():
+    program = "import sys, capture_sim.nodes.launcher, capture_sim.nodes.recorder\n"
+    program += "raise SystemExit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
