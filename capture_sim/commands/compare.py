@@ -18,7 +18,8 @@ from capture_sim.studies.touches import Touches
 DESCRIPTION = (
     "Compare two recordings, as measured and simulated, aligned at their first "
     "contacts: strokes and times, the touches one by one, poses over time, with a diagram. Each "
-    "number comes from the finest series that both files hold, which is named."
+    "number comes from the finest series that both files hold, which is named. Strokes, torsion "
+    "and nearest are of the whole recording, with what the latched tip does."
 )
 IDENTICAL = "identical"
 #: Touches that are listed.

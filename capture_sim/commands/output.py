@@ -67,6 +67,7 @@ class Progress:
         self._unit = unit
         self._bar: Bar | None = None
         self._tasks: dict[str, Any] = {}
+        self._began: dict[str, float] = {}
         self._said = time.monotonic()
 
     def __enter__(self) -> Progress:
@@ -89,14 +90,17 @@ class Progress:
             self._bar.stop()
 
     def at(self, name: str, done: int, count: int) -> None:
-        """Show that ``done`` of ``count`` in the round ``name`` are done."""
+        """Show that ``done`` of ``count`` in the round ``name`` are done, and how long it takes."""
+        now = time.monotonic()
+        took = now - self._began.setdefault(name, now)
         if self._bar is not None:
             if name not in self._tasks:
                 self._tasks[name] = self._bar.add_task(name, total=count)
             self._bar.update(self._tasks[name], completed=done, total=count)
-        elif time.monotonic() - self._said > _PAUSE:
-            self._said = time.monotonic()
-            print(f"{name}: {done} of {count} {self._unit}", file=sys.stderr, flush=True)
+        elif now - self._said > _PAUSE:
+            self._said = now
+            left = f", about {took * (count - done) / done:.0f} s left" if done else ""
+            print(f"{name}: {done} of {count} {self._unit}{left}", file=sys.stderr, flush=True)
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -165,7 +165,7 @@ def draw_path(axes: Axes, run: ViewableRun, colour: str = style.BLUE) -> None:
     (left, right), (low, high) = frame_bounds(run.scene)
     way = tip_in_cone(run.samples) * _MM
     touching = in_contact(run)
-    touching[1:] |= touching[:-1]  # a stretch belongs to the sample before it
+    touching[1:] |= touching[:-1]  # what lies between two samples belongs to the earlier
     # what lies far outside of the frame needs no line
     near = (way > (left - 50.0, low - 50.0)).all(axis=1)
     near &= (way < (right + 50.0, high + 50.0)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Figures of the report, for plotly: they can be zoomed and tell values under the pointer."""
+"""Figures of the report, for plotly: they can be zoomed and show values under the pointer."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class PlotLog:
             static(f"states/{name}/{lane}", shown)
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
-        """Log the curves of a stretch of samples, (n,); what is not measured (NaN) is left out."""
+        """Log the curves of samples, (n,); what is not measured (NaN) is left out."""
         for plot in PLOTS[0 if force else 1 :]:
             values = plot.values(samples)
             known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))

@@ -206,7 +206,7 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
     run
         Of which.
     label
-        Its name; None for its scene's.  One that does not tell the scene gets it behind it.
+        Its name; None for its scene's.  One without the scene's name gets it behind it.
     width
         Letters in a line: what does not fit goes on in another, or is cut.
     """

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 # a parameter below and above by its spread
 _BELOW, _ABOVE = "#9DBFD3", "#3E5F73"
+_TIGHT: Any = {"linespacing": 0.85}
 
 
 def draw_design(design: Design) -> Figure:
@@ -310,7 +311,7 @@ def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
         for end, values in ((low[p], found.low), (high[p], found.high)):
             if values[p, -1] != found.base[-1]:
                 axes.plot(end, place, "o", mfc="none", color="k", ms=10, mew=1.8, zorder=3)
-    axes.set_yticks(range(len(order)), [_label(found.parameters[p]) for p in order])
+    axes.set_yticks(range(len(order)), [_label(found.parameters[p]) for p in order], **_TIGHT)
     axes.axvline(0.0, color=style.BLACK, lw=0.8)
     reach = max(float(np.abs([low, high]).max()), 1e-12) * 1.15
     axes.set_xlim(-reach, reach)
@@ -346,7 +347,7 @@ def draw_indices(found: Global) -> Figure:
         places = np.arange(len(order))
         panel.barh(places, total[order], color=_BELOW, height=0.75, xerr=spread[order])
         panel.plot(first[order], places, "D", color=style.BLACK, ms=6)
-        panel.set_yticks(places, [_label(found.parameters[p]) for p in order])
+        panel.set_yticks(places, [_label(found.parameters[p]) for p in order], **_TIGHT)
         panel.set_xlim(left=min(0.0, float(np.nanmin(first)) * 1.1))
         panel.set_xlabel(f"effect  [{unit}]" if morris else "share of the variance")
         panel.set_title(title, fontsize=14)
