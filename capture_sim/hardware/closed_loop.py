@@ -231,21 +231,21 @@ class Loop:
         # the tip yields in proportion to the force: how far without any, and how far with this one
         if quiet:
             low, high, wanted, share = -1.0, 0.0, 0.0, -1.0
-            coast, coasted = float(unit @ moved), stage.saved()
+            coast, best = float(unit @ moved), stage.saved()
             pushed = along(share)
         else:
             low, high, wanted, share = 0.0, 2.0, 1.0, 1.0
             pushed = done
-            coast, coasted = along(0.0), stage.saved()
+            coast, best = along(0.0), stage.saved()
         for _ in range(2):
             bend = (pushed - coast) / share
-            more = bend * (1.0 + MISSED)
-            share = passive_share(coast, more, low, high, wanted, allowed)
+            share = passive_share(coast, bend * (1.0 + MISSED), low, high, wanted, allowed)
             pushed = along(share)
+            if share * pushed <= max(allowed, 0.0):
+                best = stage.saved()
             if share == 0.0 or abs(pushed - coast - share * bend) <= MISSED * abs(share * bend):
-                return
-        if share * pushed > max(allowed, 0.0):
-            stage.restore(coasted)
+                break
+        stage.restore(best)
 
     def _owed(self) -> float:
         """Return what passivity still has to take out, J."""

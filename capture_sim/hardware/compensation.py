@@ -63,6 +63,33 @@ def compensation(text: str) -> Compensation:
     return Compensation("passivity" in names, "hybrid" in names, "model" in names, order)
 
 
+def gain_rate(exponent: float) -> float:
+    """Return g of exp(g delay / duration), by which a small delay raises the restitution.
+
+    To first order in the delay the force is that of the present penetration less
+    ``delay * dF/dt``, which feeds in ``delay * integral of F' v^2 dt`` (the negative damping of a
+    delayed spring): 2 g delay / duration of the approach's energy.  For a spring it is pi^2 / 2.
+
+    Parameters
+    ----------
+    exponent
+        p of F = K x^p.
+
+    Notes
+    -----
+    By quadrature over z = x / x_max, v = v_0 sqrt(1 - z^(p + 1)), with
+    x_max^(p + 1) = (p + 1) m v_0^2 / (2 K); z = 1 - s^2 takes the root's end away.
+    """
+    s, weights = np.polynomial.legendre.leggauss(200)
+    s = 0.5 * (s + 1.0)
+    z = 1.0 - s**2
+    root = np.sqrt(1.0 - z ** (exponent + 1.0))
+    # in units of x_max and v_0: duration, and the integral of F' v^2 dt over m v_0^2
+    duration = float(np.sum(2.0 * weights * s / root))
+    stiffness = 0.5 * (exponent + 1.0) * exponent * z ** (exponent - 1.0)
+    return duration * float(np.sum(2.0 * weights * s * stiffness * root))
+
+
 def critical_delay(
     mass: float, stiffness: float, damping: float = 0.0, virtual: float = 0.0
 ) -> float:

@@ -7,16 +7,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
-from capture_sim.hardware.walls import TipState, WallLaw
+from capture_sim.hardware.walls import ContactRig, TipState, WallLaw
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode, run
 
 
 class ContactRigNode(BenchNode):
-    """Walls with a law, see :class:`capture_sim.hardware.contact_rig.ContactRig`."""
+    """Walls with a law, see :class:`capture_sim.hardware.walls.ContactRig`."""
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)

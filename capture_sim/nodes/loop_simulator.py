@@ -165,7 +165,9 @@ class LoopSimulatorNode(BenchNode):
 
     def _tell(self, stopped: str, late: int) -> None:
         """Say what was measured, and write it where that is asked for."""
-        touches = [asdict(touch) for touch in self._loop.touches]
+        touches = [
+            {**asdict(touch), "restitution": touch.restitution} for touch in self._loop.touches
+        ]
         found: dict[str, Any] = {
             "stopped": stopped,
             "steps": round(self._stage.t / self._stage.step),

@@ -9,9 +9,8 @@ from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import compensation, critical_damping
-from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import LoopStage, WrenchHold
-from capture_sim.hardware.walls import WallLaw
+from capture_sim.hardware.walls import ContactRig, WallLaw
 
 BOUND = 0.02  # J; the vehicles approach with 0.056 J
 PLATE = 2000.0  # N/m

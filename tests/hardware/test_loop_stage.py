@@ -11,10 +11,10 @@ from capture_sim import SceneError, load_scene, simulate
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.closed_loop import Loop, close, late
-from capture_sim.hardware.contact_rig import ContactRig, gain_rate
+from capture_sim.hardware.compensation import gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
-from capture_sim.hardware.walls import NOTHING, TipState, WallLaw
+from capture_sim.hardware.walls import NOTHING, ContactRig, TipState, WallLaw
 from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 from capture_sim.samples import EventKind

@@ -12,9 +12,8 @@ import pytest
 from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop
-from capture_sim.hardware.contact_rig import ContactRig
 from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import WallLaw
+from capture_sim.hardware.walls import ContactRig, WallLaw
 
 PLATE = 2000.0  # N/m
 
