@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
+from tests.noisy_replay import Disturbance, disturbed, judge
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "detection.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"

@@ -26,15 +26,15 @@ import numpy as np
 import yaml
 
 import capture_sim
-from benchmarks.damage import cuts, expected, flips, saved_rightly
 from benchmarks.machine import clock_rate, describe, load
-from benchmarks.noisy_bench import NAMES, noisy_run
 from capture_sim.messages.convert import RunDescription
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
 from capture_sim.recording.write import RunWriter
 from capture_sim.studies.identify import RELEASE, identify, is_explained
+from tests.noisy_bench import NAMES, noisy_run
+from tests.recording.damage import cuts, expected, flips, saved_rightly
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")

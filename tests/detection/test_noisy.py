@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from noisy_replay import Disturbance, disturbed, judge
 from observations import observation
 
-from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
 from capture_sim.detection.align import Aligner, Observation, Source
 from capture_sim.detection.exact import CaptureState

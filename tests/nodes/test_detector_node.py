@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import rclpy
 from bench_processes import Client, wait_until
+from noisy_replay import Disturbance, disturbed, judge
 from rcl_interfaces.srv import DescribeParameters
 from recorded import values_of
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from benchmarks.noisy_replay import Disturbance, disturbed, judge
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
 from capture_sim.cli import main

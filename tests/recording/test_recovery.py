@@ -7,6 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from damage import cuts, expected, flips, saved_rightly
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
@@ -14,7 +15,6 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
 import capture_sim
-from benchmarks.damage import cuts, expected, flips, saved_rightly
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.recording.live import LiveRecorder, Split

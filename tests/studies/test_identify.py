@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from noisy_bench import NAMES, POSE_NOISE, noisy_run
 
 import capture_sim
-from benchmarks.noisy_bench import NAMES, POSE_NOISE, noisy_run
 from capture_sim.bench import Bench
 from capture_sim.errors import SceneError
 from capture_sim.samples import TOUCH

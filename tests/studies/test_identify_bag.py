@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from noisy_bench import NAMES, noisy_run, with_parameters
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
-from benchmarks.noisy_bench import NAMES, noisy_run, with_parameters
 from capture_sim.bench import Bench
 from capture_sim.cli import main
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT

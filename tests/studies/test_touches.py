@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from noisy_bench import noisy_run
 
 import capture_sim
-from benchmarks.noisy_bench import noisy_run
 from capture_sim.bench import Bench
 from capture_sim.studies.touches import above, in_force, in_messages, quiet_before_contact
 
