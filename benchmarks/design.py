@@ -1,45 +1,34 @@
 """The design flow over random scenes, each answer checked by runs that the flow did not make.
 
-    .venv/bin/python benchmarks/design.py [--scenes 20] [--seed 7]
+    .venv/bin/python -m benchmarks.design    # four minutes; --scenes 2 for a look
 
-writes docs/design.md with its figures.  A buffer is checked by whole runs at a tenth of the
-tolerance: captured, the force kept, the strokes of the first contact within 2 % of the target.  A
-refusal is checked by a search that knows nothing of the flow: grids of springs, the best places of
-them refined, and a grid of dampers.
+Writes the parts of docs/design.md and its figures.  A buffer is checked by whole runs at a tenth of
+the tolerance: captured, the force kept, the strokes of the first contact within 2 % of the target.
+A refusal is checked by a search that knows nothing of the flow: grids of springs, the best places
+of them refined, and a grid of dampers.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.pages import DOCS, Page, arguments, table
 from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.errors import RecordingError
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
-from capture_sim.studies.design import (
-    ACCEPTED,
-    Design,
-    DesignTarget,
-    design_buffer,
-    with_buffer,
-)
+from capture_sim.studies.design import ACCEPTED, Design, DesignTarget, design_buffer, with_buffer
 from capture_sim.studies.first_contact import run_first_contact
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_design, draw_trade_off
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-PAGE = DOCS / "design.md"
-FACTORS = "0.3:3:9"  # of the stroke, for the trade-off
 WITHIN = 0.02  # of the target
 
 
@@ -65,44 +54,25 @@ def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
         torsion = 2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
         limit = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
         if near is not None:
-            yield (
-                near,
-                DesignTarget(
-                    axial,
-                    torsion,
-                    damped=number % 3 == 2,
-                    peak_force=limit if number % 5 == 4 else None,
-                ),
-            )
+            bound = limit if number % 5 == 4 else None
+            yield near, DesignTarget(axial, torsion, damped=number % 3 == 2, peak_force=bound)
             number += 1
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What whole runs say of a buffer."""
+def met(scene: Scene, target: DesignTarget) -> tuple[bool, str, float]:
+    """Run a buffer whole; return whether it meets the target but for the strokes, and what it did.
 
-    captured: bool
-    peak_force: float
-    stroke_off: float
-
-    def meets(self, target: DesignTarget) -> bool:
-        """Whether the target is met, but for the strokes."""
-        limit = target.peak_force
-        return self.captured and (limit is None or self.peak_force <= limit)
-
-
-def judge(scene: Scene, target: DesignTarget, strokes: bool = True) -> Verdict:
-    """Run a buffer as a user would: whole, by ``simulate``."""
+    The last is the largest force until the verdict, N.
+    """
     try:
         result = simulate(scene)
     except SimulationError:
-        return Verdict(False, math.nan, math.nan)
+        return False, "stopped", math.nan
     final = next((s for s in result.statuses if s.final), result.statuses[-1])
     before = result.touches[result.touches["start"] <= final.t]
-    off = strokes_off(scene, target) if strokes else math.nan
-    return Verdict(
-        result.verdict.label == "captured", float(before["peak_force"].max(initial=0.0)), off
-    )
+    force, verdict = float(before["peak_force"].max(initial=0.0)), result.verdict.label
+    kept = target.peak_force is None or force <= target.peak_force
+    return verdict == "captured" and kept, verdict, force
 
 
 def strokes_off(scene: Scene, target: DesignTarget) -> float:
@@ -170,115 +140,89 @@ def confirm(design: Design, scene: Scene) -> tuple[bool, str]:
             runs += more
             if off <= WITHIN:
                 springs.append((k_A, k_T, c_A))
-    good = [
-        s for s in springs if judge(with_buffer(scene, *s), target, strokes=False).meets(target)
-    ]
+    good = [s for s in springs if met(with_buffer(scene, *s), target)[0]]
     said = f"{runs} pairs of springs, {len(springs)} whole buffers: {len(good)} meet the target"
     return not good, said
 
 
-def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, str]:
-    """Design, check, and return whether the answer holds and its row of the table."""
-    began = time.perf_counter()
+def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, list[str]]:
+    """Design and check; return whether the answer holds, and its row of the table."""
+    began = time.process_time()
     design = design_buffer(scene, target)
-    seconds = time.perf_counter() - began
-    asked = f"{target.axial_stroke * 1e3:.2f}{' damped' if target.damped else ''}"
-    limit = f"{target.peak_force:.0f}" if target.peak_force else ""
-    head = f"| {number} | {'supports' if scene.supports else 'free'} | {asked} | "
-    head += f"{target.torsion * 1e3:.2f} | {limit} | {len(design.history)} | {seconds:.1f} | "
+    cells = [
+        str(number),
+        "supports" if scene.supports else "free",
+        f"{target.axial_stroke * 1e3:.2f}{' damped' if target.damped else ''}",
+        f"{target.torsion * 1e3:.2f}",
+        f"{target.peak_force:.0f}" if target.peak_force else "",
+        str(len(design.history)),
+        f"{time.process_time() - began:.1f}",
+    ]
     if not design.met:
         holds, found = confirm(design, scene)
-        return holds, f"{head}refused: {design.refusal} | {found} | {'yes' if holds else 'NO'} |"
+        return holds, [*cells, f"refused: {design.refusal}", found, "yes" if holds else "**NO**"]
     assert design.scene is not None
     assert design.capturing is not None
-    b = design.scene.buffer
+    b, (low, high) = design.scene.buffer, design.capturing
     finer = replace(design.scene, run=replace(design.scene.run, rtol=0.1 * scene.run.rtol))
-    verdict = judge(finer, target)
-    holds = verdict.meets(target) and verdict.stroke_off <= WITHIN
-    low, high = design.capturing
-    return holds, (
-        f"{head}{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g} ({low:.3g} to {high:.3g}) | "
-        f"{'captured' if verdict.captured else 'NOT captured'}, {verdict.peak_force:.0f} N, "
-        f"strokes off by {verdict.stroke_off:.2%} | {'yes' if holds else 'NO'} |"
-    )
+    good, verdict, force = met(finer, target)
+    off = strokes_off(finer, target) if good else math.nan
+    holds = good and off <= WITHIN
+    buffer = f"{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g} ({low:.3g} to {high:.3g})"
+    check = f"{verdict}, {force:.0f} N, strokes off by {off:.2%}"
+    return holds, [*cells, buffer, check, "yes" if holds else "**NO**"]
 
 
-def paper_row() -> list[str]:
+def paper(draws: bool) -> str:
     """The paper's springs from the strokes they give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
-    design = design_buffer(scene, DesignTarget(own.axial_stroke, own.torsion))
+    target = DesignTarget(own.axial_stroke, own.torsion)
+    design = design_buffer(scene, target)
     assert design.scene is not None
     assert design.capturing is not None
     assert design.energy is not None
-    save(draw_design(design), DOCS / "design" / "design.png")
-    strokes = [
-        design_buffer(scene, replace(design.target, axial_stroke=factor * own.axial_stroke))
-        for factor in np.geomspace(0.3, 3.0, 9).tolist()
-    ]
-    save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
-    b, low, high, energy = design.scene.buffer, *design.capturing, design.energy
+    if draws:
+        save(draw_design(design), DOCS / "design" / "design.png")
+        strokes = [
+            design_buffer(scene, replace(target, axial_stroke=factor * own.axial_stroke))
+            for factor in np.geomspace(0.3, 3.0, 9).tolist()
+        ]
+        save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
+    b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
     springs = sum(trial.step == 5 for trial in design.history)
-    return [
+    return (
         "Fed with the strokes that (500, 200) gives in the paper's case, "
         f"{own.axial_stroke * 1e3:.4f} mm and {own.torsion * 1e3:.4f} mrad, the flow returns "
         f"k_A = {b.k_A:.3f} N/m and k_T = {b.k_T:.3f} N m/rad after {springs} runs "
         f"({len(design.history)} in all), and c_A = {b.c_A:.1f} N s/m, the middle of {low:.1f} to "
-        f"{high:.1f}, all of which capture. The paper's 13 is among them, near the lower end. Of "
-        f"{energy.approach * 1e3:.1f} mJ the damper absorbs {energy.damper * 1e3:.2f} (the area "
-        f"of load over stroke), the touches {energy.contact * 1e3:.2f} (force over penetration).",
-        "",
-        "![How the paper's buffer is found](design/design.png)",
-        "",
-        "![Force against stroke](design/trade_off.png)",
-        "",
-        "```sh",
-        f".venv/bin/capture-sim design paper_designed --trade-off {FACTORS}",
-        "```",
-    ]
+        f"{high:.1f}, all of which capture. Of {energy.approach * 1e3:.1f} mJ the damper absorbs "
+        f"{energy.damper * 1e3:.2f} (the area of load over stroke), the touches "
+        f"{energy.contact * 1e3:.2f} (force over penetration)."
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=7)
-    options = parser.parse_args()
-    compile_kernels()
-    rows, held = [], 0
-    tasks = random_tasks(options.scenes, options.seed)
-    for number, (scene, target) in enumerate(tasks):
-        holds, text = row(number, scene, target)
-        held += holds
-        rows.append(text)
-        print(text, flush=True)
-    text = "\n".join(
-        [
-            "# The design flow, checked",
-            "",
-            "Made by `.venv/bin/python benchmarks/design.py "
-            f"--scenes {options.scenes} --seed {options.seed}`.",
-            "",
-            *paper_row(),
-            "",
-            f"## {options.scenes} random scenes: {held} answers hold",
-            "",
-            "Target strokes are of the first contact without the damper, or where it says damped, "
-            "with it. A buffer holds if whole runs at a tenth of the tolerance capture, keep the "
-            f"force, and have strokes within {WITHIN:.0%} of the target. A refusal holds if a "
-            "search by grids finds no buffer either. Seconds as on a busy machine of two cores.",
-            "",
-            "| | scene | stroke mm | torsion mrad | limit N | runs | s | "
-            "k_A N/m, k_T N m/rad, c_A N s/m (capturing) | check | holds |",
-            "|---|---|---|---|---|---|---|---|---|---|",
-            *rows,
-            "",
-        ]
+    asked = arguments(
+        __doc__,
+        ("paper", "random"),
+        scenes=(20, "random scenes"),
+        seed=(7, "of the random scenes"),
     )
-    try:
-        PAGE.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{PAGE}: cannot be written: {error.strerror}") from None
-    print(f"{held} of {options.scenes} hold; page in {PAGE}")
+    compile_kernels()
+    page = Page("design", asked.dry)
+    if "paper" in asked.parts:
+        page.write("paper", paper(not asked.dry))
+    if "random" in asked.parts:
+        held, rows = 0, []
+        for number, (scene, target) in enumerate(random_tasks(asked.scenes, asked.seed)):
+            holds, cells = row(number, scene, target)
+            held += holds
+            rows.append(cells)
+            print(" | ".join(cells), flush=True)
+        head = ["", "scene", "stroke mm", "torsion mrad", "limit N", "runs", "processor s"]
+        head += ["k_A N/m, k_T N m/rad, c_A N s/m (capturing)", "check", "holds"]
+        page.write("random", f"{held} of {asked.scenes} answers hold.", "", table(head, rows))
 
 
 if __name__ == "__main__":

@@ -1,48 +1,38 @@
 """Error rates of the capture detector on noisy replays; writes them into docs/detection.md.
 
-    .venv/bin/python -m benchmarks.detection
-
-Takes about eight minutes.  `--replays 10` for a look.
+.venv/bin/python -m benchmarks.detection    # about eight minutes; --replays 10 for a look
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 import zlib
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import beta
 
+from benchmarks.pages import Page, arguments, table
 from capture_sim import load_scene, simulate
 from tests.noisy_replay import Disturbance, disturbed, judge
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "detection.md"
-BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-
+_AS_THEY_ARE = (
+    "tilt_0",
+    "tilt_p10",
+    "tilt_m10",
+    "paper_designed",
+    "paper_case_2",
+    "paper_undamped",
+    "paper_case_1",
+    "paper_clamped",
+    "paper_case_3",
+)
+_FAR = ("initial.target.x=0.55",)
 #: What is replayed: scene, changes, and what it is called.
 CASES = (
-    ("tilt_0", (), "tilt_0"),
-    ("tilt_p10", (), "tilt_p10"),
-    ("tilt_m10", (), "tilt_m10"),
-    ("paper_designed", (), "paper_designed"),
-    ("paper_case_2", (), "paper_case_2"),
-    ("paper_undamped", (), "paper_undamped"),
-    ("paper_case_1", (), "paper_case_1"),
-    ("paper_clamped", (), "paper_clamped"),
-    ("paper_case_3", (), "paper_case_3"),
-    (
-        "paper_designed",
-        ("initial.target.x=0.55", "initial.target.y=0.09"),
-        "passes 8 mm beside the lip",
-    ),
-    (
-        "paper_designed",
-        ("initial.target.x=0.55", "initial.target.y=-0.085"),
-        "passes 3 mm beside the lip",
-    ),
+    *((name, (), name) for name in _AS_THEY_ARE),
+    ("paper_designed", (*_FAR, "initial.target.y=0.09"), "passes 8 mm beside the lip"),
+    ("paper_designed", (*_FAR, "initial.target.y=-0.085"), "passes 3 mm beside the lip"),
     ("paper_designed", ("initial.target.x=0.7", "run.t_end=1.5"), "ends 42 mm before the cone"),
     ("tilt_p10", ("latch=null", "string.impact_speed=0.04"), "tilt_p10 at 0.04 m/s, no latch"),
 )
@@ -63,93 +53,69 @@ SWEEP = {
 }
 
 
-class Outcome(NamedTuple):
-    """What the replays of a run gave."""
-
-    verdict: str
-    wrong: int
-    replays: int
-    delays: list[float]  # s, later than without noise
-
-
 def replay(result, name, how, replays, rate=100.0):
-    """Judge a run many times over, each time with other noise."""
-    verdict = result.verdict
+    """Judge a run many times, each with other noise: how many wrong, and how much later, s."""
     decided = next((s.t for s in result.statuses if s.final), result.t[-1])
     wrong, delays = 0, []
     for k in range(replays):
         rng = np.random.default_rng([zlib.crc32(name.encode()), k])
         last, t = judge(result.scene, disturbed(result, how, rng, rate))
-        wrong += last.state is not verdict
+        wrong += last.state is not result.verdict
         delays.append(t - decided)
-    return Outcome(verdict.label, wrong, replays, delays)
-
-
-def at_most(wrong, replays):
-    """Return the upper end of the 95 % interval of an error rate (Clopper and Pearson 1934)."""
-    low, high = wrong / replays, 1.0
-    for _ in range(60):
-        p = 0.5 * (low + high)
-        below = sum(
-            math.comb(replays, i) * p**i * (1 - p) ** (replays - i) for i in range(wrong + 1)
-        )
-        low, high = (p, high) if below > 0.05 else (low, p)
-    return high
+    return wrong, delays
 
 
 def main():
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--replays", type=int, default=340, help="of each run, standard noise")
-    parser.add_argument("--sweep", type=int, default=20, help="of each run, other disturbances")
-    parser.add_argument("--dry", action="store_true", help="show, do not write")
-    asked = parser.parse_args()
+    asked = arguments(
+        __doc__,
+        replays=(340, "of each run, standard disturbance"),
+        sweep=(20, "of each run, other disturbances"),
+    )
+    page = Page("detection", asked.dry)
     runs = [(name, simulate(load_scene(scene, changes))) for scene, changes, name in CASES]
-    lines = [
+    rows, by_verdict = [], {}
+    for name, result in runs:
+        wrong, delays = replay(result, name, STANDARD, asked.replays)
+        rows.append(
+            [
+                name,
+                result.verdict.label,
+                f"{result.samples['tip_distance'].min() * 1e3:.2f}",
+                f"{wrong} of {asked.replays}",
+                f"{np.median(delays):.2f}",
+                f"{max(delays):.2f}",
+            ]
+        )
+        total = by_verdict.setdefault(result.verdict.label, [0, 0])
+        total[0] += wrong
+        total[1] += asked.replays
+    head = ["run", "verdict", "nearest mm", "wrong", "later by s: median", "worst"]
+    page.write(
+        "standard",
         f"{asked.replays} replays of each run, every one with other noise:",
         "",
-        "| run | verdict | nearest mm | wrong | later by s: median | worst |",
-        "|---|---|---|---|---|---|",
-    ]
-    by_class: dict[str, list[int]] = {}
-    for name, result in runs:
-        got = replay(result, name, STANDARD, asked.replays)
-        nearest = result.samples["tip_distance"].min() * 1e3
-        lines.append(
-            f"| {name} | {got.verdict} | {nearest:.2f} | {got.wrong} of {got.replays} "
-            f"| {np.median(got.delays):.2f} | {max(got.delays):.2f} |"
-        )
-        print(lines[-1], flush=True)
-        total = by_class.setdefault(got.verdict, [0, 0])
-        total[0] += got.wrong
-        total[1] += got.replays
-    lines += ["", "By verdict (95 % bound of Clopper and Pearson on the error rate):", ""]
-    lines += [
-        f"- {verdict}: {wrong} wrong of {replays}, at most {at_most(wrong, replays) * 100:.2g} %"
-        for verdict, (wrong, replays) in by_class.items()
-    ]
-    lines += [
+        table(head, rows),
         "",
-        f"Other disturbances, {asked.sweep} replays of each of the {len(runs)} runs:",
+        "By verdict (95 % bound of Clopper and Pearson, 1934, on the error rate):",
         "",
-        "| disturbance | wrong | which |",
-        "|---|---|---|",
-    ]
+        *(
+            f"- {verdict}: {wrong} wrong of {count}, at most "
+            f"{100.0 * beta.ppf(0.95, wrong + 1, count - wrong):.2g} %"
+            for verdict, (wrong, count) in by_verdict.items()
+        ),
+    )
+    rows = []
     for what, how in SWEEP.items():
         rate = float(what.split()[2]) if "Hz" in what else 100.0
-        wrong, where = 0, []
-        for name, result in runs:
-            got = replay(result, name, how, asked.sweep, rate)
-            wrong += got.wrong
-            if got.wrong:
-                where.append(f"{name} ({got.wrong})")
-        lines.append(f"| {what} | {wrong} of {asked.sweep * len(runs)} | {', '.join(where)} |")
-        print(lines[-1], flush=True)
-    if not asked.dry:
-        page = PAGE.read_text(encoding="utf-8")
-        before, rest = page.split(BEGIN)
-        _, after = rest.split(END)
-        PAGE.write_text(before + "\n".join([BEGIN, "", *lines, "", END]) + after, encoding="utf-8")
+        wrong = {name: replay(run, name, how, asked.sweep, rate)[0] for name, run in runs}
+        where = ", ".join(f"{name} ({count})" for name, count in wrong.items() if count)
+        rows.append([what, f"{sum(wrong.values())} of {asked.sweep * len(runs)}", where])
+    page.write(
+        "sweep",
+        f"Other disturbances, {asked.sweep} replays of each of the {len(runs)} runs:",
+        "",
+        table(["disturbance", "wrong", "which"], rows),
+    )
 
 
 if __name__ == "__main__":

@@ -1,18 +1,72 @@
-"""What a benchmark ran on: no names of hosts, users or folders."""
+"""What a benchmark ran on, and whether others were at work there meanwhile."""
 
 from __future__ import annotations
 
 import datetime
 import importlib.metadata
+import math
 import os
 import platform
 import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from capture_sim import __version__
 from capture_sim.kernels import entry_kernel, source_hash
+
+#: Cores that others may keep busy on average before a measurement is no more to be trusted.
+QUIET = 0.1
+#: Written at the top of what was measured then.
+BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
+
+
+class OthersAtWork:
+    """How many cores other processes, and other guests of the host, kept busy since it was made."""
+
+    def __init__(self) -> None:
+        self._since, self._before = time.monotonic(), self._others()
+
+    def cores(self) -> float:
+        """Return the average number of cores; NaN where the system does not say."""
+        return (self._others() - self._before) / (time.monotonic() - self._since)
+
+    @staticmethod
+    def _others() -> float:
+        """Return the processor time of all others since the system's start, s."""
+        if not Path("/proc/stat").is_file():
+            return math.nan
+        everybody = psutil.cpu_times()
+        # a guest's time is part of its user's
+        names = ("user", "nice", "system", "irq", "softirq", "steal")
+        return sum(getattr(everybody, name) for name in names) - sum(os.times()[:4])
+
+
+def is_busy(others: float) -> bool:
+    """Whether others (cores) disturbed, or may have: then nothing counts as met."""
+    return not others <= QUIET
+
+
+def processor() -> str:
+    """Return the processor's model."""
+    info = Path("/proc/cpuinfo")
+    for line in info.read_text(encoding="utf-8").splitlines() if info.is_file() else ():
+        key, _, value = line.partition(":")
+        if key.strip() == "model name":
+            return value.strip()
+    return platform.processor() or platform.machine()
+
+
+def stamp(others: float) -> str:
+    """Return what a reader must know of a measurement: no names of hosts, users or folders."""
+    today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
+    line = (
+        f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
+        f"capture_sim {__version__}, kernels {source_hash()}; others kept {others:.2f} cores busy.*"
+    )
+    return f"**{BUSY}**\n\n{line}" if is_busy(others) else line
+
 
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 _STEPS = 20_000_000
@@ -43,50 +97,12 @@ def clock_rate(repeats: int = 5) -> float:
     return float(4.0 * _STEPS / best)
 
 
-def processor() -> str:
-    """Return the processor's model."""
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() == "model name":
-                return value.strip()
-    return platform.processor() or platform.machine()
-
-
 def load() -> float:
     """Return how many processes have been running of late; NaN where that is not known."""
     try:
         return os.getloadavg()[0]
     except OSError:
         return float("nan")
-
-
-#: Cores that others may keep busy on average before a measurement is no more to be trusted.
-QUIET = 0.1
-#: Written at the top of a page then.
-BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
-
-
-class OthersAtWork:
-    """How many cores other processes, and other guests of the host, kept busy since it was made."""
-
-    def __init__(self) -> None:
-        self._since, self._before = time.monotonic(), self._others()
-
-    def cores(self) -> float:
-        """Return the average number of cores; NaN where the system does not say."""
-        return (self._others() - self._before) / (time.monotonic() - self._since)
-
-    @staticmethod
-    def _others() -> float:
-        """Return the processor time of all others since the system's start, s."""
-        stat = Path("/proc/stat")
-        if not stat.is_file():
-            return float("nan")
-        ticks = [int(x) for x in stat.read_text(encoding="ascii").splitlines()[0].split()[1:9]]
-        everybody = (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")  # idle, iowait
-        return everybody - sum(os.times()[:4])
 
 
 def describe(clock: float) -> dict[str, str]:

@@ -1,75 +1,327 @@
-"""The node suite as measured: pace, loss, latency, same bits, resets, killed nodes.
+"""The node suite as measured: start, pace, loss, same bits, memory, killed nodes.
 
-    .venv/bin/python benchmarks/node_suite.py            # all parts, about 20 minutes
-    .venv/bin/python benchmarks/node_suite.py paced kills --kills 5
+    .venv/bin/python -m benchmarks.node_suite                       # all parts, about 25 minutes
+    .venv/bin/python -m benchmarks.node_suite paced kills --kills 5
 
-Starts the real nodes in processes of their own and writes docs/node_suite.md; parts that are
-not run keep the figures of their last run (docs/node_suite.json).
+Starts the real nodes, each in a process of its own, over real DDS on loopback; writes the parts of
+docs/node_suite.md.
 """
 
-import argparse
-import json
+from __future__ import annotations
+
+import os
+import random
+import re
+import subprocess
 import sys
 import tempfile
+import time
+from argparse import Namespace
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "tests" / "nodes"), str(Path(__file__).resolve().parent)]
+import numpy as np
+import psutil
 
-from suite_trials import PARTS, settings  # noqa: E402
+from benchmarks.pages import Page, Spread, arguments, table
+from capture_sim import load_scene, simulate
+from capture_sim.bench import compile_kernels
+from capture_sim.control.simulation import Code, State
+from capture_sim.recording.read import read_run
+from tests.nodes.bench_processes import Client, Simulation, processes, wait_until
 
-from benchmarks.machine import clock_rate, describe  # noqa: E402
-from capture_sim.bench import compile_kernels  # noqa: E402
+FOLLOWERS = ("launcher", "capture_detector", "recorder")
+NODES = ("simulator", *FOLLOWERS)
 
-PAGE = ROOT / "docs" / "node_suite.md"
-FIGURES = ROOT / "docs" / "node_suite.json"
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="default: all")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the paced run (60)")
-    parser.add_argument("--resets", type=int, default=3000, help="(3000)")
-    parser.add_argument("--kills", type=int, default=30, help="(30)")
-    parser.add_argument("--seed", type=int, default=1, help="of the random moments (1)")
-    options = parser.parse_args()
-    settings()
-    compile_kernels()
-    figures = json.loads(FIGURES.read_text()) if FIGURES.is_file() else {}
-    for name in options.parts or PARTS:
-        print(f"== {name}", flush=True)
-        with tempfile.TemporaryDirectory(prefix="node_suite_") as folder:
-            result = PARTS[name].run(Path(folder), options)
-        machine = describe(clock_rate())
-        figures[name] = {"machine": machine, **result}
-        print(json.dumps(result, indent=1), flush=True)
-        FIGURES.write_text(json.dumps(figures, indent=1) + "\n")
-        PAGE.write_text(page(figures))
-    return 0
+#: Sleeps to each of n ticks at 1 kHz; prints by how much it was late, us, as the simulator does.
+BARE = """
+import sys, time, numpy
+late, start = [], time.monotonic()
+for i in range(int(sys.argv[1])):
+    due = start + i * 1e-3
+    time.sleep(max(due - time.monotonic(), 0.0))
+    late.append(1e6 * (time.monotonic() - due))
+print(*numpy.percentile(late, (50, 99, 99.9, 100)).round().astype(int))
+"""
 
 
-def page(figures):
-    """Return the page: a section for each part that has been measured."""
-    lines = [
-        "# The node suite as measured",
-        "",
-        "Made by `benchmarks/node_suite.py`; real nodes, each in a process of its own, over real",
-        "DDS on loopback. Wall times are of the machine named with each part, as busy as it was.",
-        "",
+class Suite:
+    """Nodes of a bench, the simulator waiting for the others.
+
+    Parameters
+    ----------
+    start
+        As :func:`processes` gives it.
+    out
+        Folder of the recordings.
+    order
+        Of the start; seconds among the names are pauses.
+    simulator
+        Its parameters.
+    """
+
+    def __init__(self, start, out, order=NODES, **simulator):
+        self.out, self.nodes = out, {}
+        others = [name for name in FOLLOWERS if name in order]
+        given = {
+            "simulator": {"consumers": f"[{','.join(others)}]", **simulator},
+            "recorder": {"out": out},
+        }
+        for name in order:
+            if isinstance(name, float):
+                time.sleep(name)
+            else:
+                self.nodes[name] = start(name, **given.get(name, {}))
+
+    def shares(self, seconds: float) -> dict[str, float]:
+        """Return the share of a core that each node takes, from a moment after the release on."""
+        self.nodes["simulator"].wait_for("released")
+        time.sleep(1.0)
+        before = self.spent()
+        time.sleep(seconds)
+        return {name: (spent - before[name]) / seconds for name, spent in self.spent().items()}
+
+    def spent(self) -> dict[str, float]:
+        """Return the processor time of each node that lives, with its children, s."""
+        found = {}
+        for name, node in self.nodes.items():
+            with suppress(psutil.NoSuchProcess):
+                process = psutil.Process(node.process.pid)
+                family = [process, *process.children(recursive=True)]
+                found[name] = sum(sum(one.cpu_times()[:2]) for one in family)
+        return found
+
+    def end(self) -> str:
+        """Wait until all have ended well; return what the simulator said of its last run."""
+        statuses = {name: node.status(600.0) for name, node in self.nodes.items()}
+        assert not any(statuses.values()), "\n".join(node.text for node in self.nodes.values())
+        return self.nodes["simulator"].text.rpartition("done, ")[2]
+
+    def recorded(self):
+        """Return the newest recording; None where there is none."""
+        files = sorted(self.out.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+        return read_run(files[-1]) if files else None
+
+
+def endless(seconds: float) -> str:
+    """Return the changes after which a run of tilt_0 takes so long: nothing latches."""
+    return str(["latch=null", f"run.t_end={seconds}"])
+
+
+def achieved(said: str) -> float:
+    """Return the real-time factor from the simulator's line."""
+    return float(re.search(r"\(([\d.]+) x real time\)", said)[1])
+
+
+def measure_start(folder: Path, options: Namespace) -> list[str]:
+    took = []
+    for _ in range(options.times):
+        with processes(folder) as start:
+            began = time.monotonic()
+            node = start("simulator", overrides=endless(0.1))
+            node.wait_for("released")
+            took.append(time.monotonic() - began)
+            assert node.status() == 0
+    return [
+        "From the start of a simulator alone, kernels compiled, to its first sample: median "
+        f"{Spread.of(took).median:.2f} s of {len(took)}, {min(took):.2f} to {max(took):.2f}."
     ]
-    for name, part in PARTS.items():
-        if name in figures:
-            result = figures[name]
-            machine = result["machine"]
-            lines += [f"## {part.TITLE}", "", *part.lines(result), ""]
-            load = f", load average {result['load']:.1f}" if "load" in result else ""
-            lines += [
-                f"*{machine['date']}, {machine['cores']} cores {machine['processor']}, "
-                f"{machine['clock under load']}, Python {machine['Python']}{load}.*",
-                "",
-            ]
-    return "\n".join(lines)
+
+
+def measure_paced(folder: Path, options: Namespace, burners: int = 0) -> list[str]:
+    rows, factors, messages, lost = [], [], [], []
+    for i in range(options.times):
+        with ExitStack() as stack:
+            for _ in range(burners):
+                burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+                stack.callback(burner.wait)
+                stack.callback(burner.kill)
+            start = stack.enter_context(processes(folder))
+            suite = Suite(start, folder / str(i), rtf=1.0, overrides=endless(options.seconds))
+            suite.nodes["simulator"].wait_for("released")
+            command = [sys.executable, "-c", BARE, str(int(1000 * options.seconds))]
+            bare = subprocess.run(command, capture_output=True, text=True, check=True)
+            said = suite.end()
+        ticks = re.search(r"late by ([\d, -]+) us", said)[1].split(",")
+        rows += [[f"simulator, run {i + 1}", *ticks]]
+        rows += [[f"a bare sleep loop beside it, run {i + 1}", *bare.stdout.split()]]
+        run = suite.recorded()
+        factors.append(f"{achieved(said):.5f}")
+        messages.append(sum(run.topics.values()))
+        lost += run.problems
+    counts = ", ".join(map(str, messages))
+    return [
+        f"{options.times} times {options.seconds:g} s of state at 1 kHz and standard topics at "
+        f"100 Hz: {counts} messages recorded, lost: {'; '.join(lost) or 'none'}; real-time "
+        f"factors {', '.join(factors)}.",
+        "",
+        table(["lateness of a tick, us", "p50", "p99", "p99.9", "max"], rows),
+    ]
+
+
+def measure_busy(folder: Path, options: Namespace) -> list[str]:
+    return measure_paced(folder, options, burners=4)
+
+
+def measure_unpaced(folder: Path, options: Namespace) -> list[str]:
+    factors, spent, lost = [], {}, []
+    for i in range(options.times):
+        with processes(folder) as start:
+            suite = Suite(start, folder / str(i), rtf=0.0, overrides=endless(options.seconds))
+            simulator = suite.nodes["simulator"]
+            simulator.wait_for("released")
+            before = suite.spent()
+            while "done, " not in simulator.text:
+                spent = {name: value - before[name] for name, value in suite.spent().items()}
+                time.sleep(0.02)
+            factors.append(f"{achieved(suite.end()):.1f}")
+            lost += suite.recorded().problems
+    shares = ", ".join(f"{name} {value:.2f}" for name, value in spent.items())
+    return [
+        f"{options.seconds:g} simulated seconds, {options.times} times: {', '.join(factors)} times "
+        f"real time, lost: {'; '.join(lost) or 'none'}. Processor time of the nodes in the last, "
+        f"s: {shares}."
+    ]
+
+
+def measure_same_bits(folder: Path, options: Namespace) -> list[str]:
+    rng = random.Random(options.seed)
+    offline = simulate(load_scene("tilt_p10")).samples.tobytes()
+    factors, equal = [0.0, 1.0, 10.0] * options.times, 0
+    for i, factor in enumerate(factors):
+        order = [x for name in rng.sample(NODES, 4) for x in (rng.uniform(0.0, 1.5), name)]
+        with processes(folder) as start:
+            suite = Suite(start, folder / str(i), order, rtf=factor, scenes="[tilt_p10]")
+            suite.end()
+        equal += suite.recorded().samples.tobytes() == offline
+    return [
+        f"tilt_p10 at real-time factors {', '.join(f'{x:g}' for x in factors)}, nodes started in a "
+        f"random order and up to 1.5 s apart: {equal} of {len(factors)} recordings hold the "
+        "offline run's samples to the last bit."
+    ]
+
+
+def measure_resets(folder: Path, options: Namespace) -> list[str]:
+    steps, names = 20, NODES[:3]
+    with processes(folder) as start, closing(Client()) as client:
+        lasting = {"exit_when_done": "false"}
+        nodes = [
+            start(
+                "simulator",
+                consumers="[launcher,capture_detector]",
+                initial_state="stopped",
+                scenes="[paper_designed]",
+                **lasting,
+            ),
+            *(start(name, **lasting) for name in names[1:]),
+        ]
+        for node in nodes[1:]:
+            node.wait_for("ready")
+        simulation = Simulation(client)
+        assert simulation.set(State.PAUSED)[0] == Code.OK
+        watched = [psutil.Process(node.process.pid) for node in nodes]
+        states, memory, files, others = [], [], [], 0
+        began = time.monotonic()
+        for i in range(options.resets):
+            simulation.states.clear()
+            assert simulation.step(steps)[0] == Code.OK
+            wait_until(lambda: len(simulation.states) == steps)
+            bits = b"".join(
+                np.array([m.t, *m.q, *m.v, m.energy_residual]).tobytes() for m in simulation.states
+            )
+            states = states or [bits]
+            others += bits != states[0]
+            simulation.runs.clear()
+            simulation.clock.clear()
+            assert simulation.reset()[0] == Code.OK
+            if (i + 1) % max(options.resets // 4, 1) == 0:
+                memory.append([p.memory_info().rss / 2**20 for p in watched])
+                files.append([p.num_fds() for p in watched])
+        each = (time.monotonic() - began) / options.resets
+        simulation.set(State.QUITTING)
+    rows = [
+        [name, *(f"{m:.1f}, {f}" for m, f in zip(rss, fds, strict=True))]
+        for name, rss, fds in zip(names, np.transpose(memory), np.transpose(files), strict=True)
+    ]
+    marks = [f"after {share} of the runs" for share in ("1/4", "1/2", "3/4", "all")[: len(memory)]]
+    return [
+        f"{options.resets} runs in one process, {steps} steps of paper_designed each and then a "
+        f"reset: {others} of them differ from the first in a bit; each took {1e3 * each:.0f} ms.",
+        "",
+        table(["memory MB, open files", *marks], rows),
+    ]
+
+
+def measure_kills(folder: Path, options: Namespace) -> list[str]:
+    rng = random.Random(options.seed)
+    offline = simulate(load_scene("tilt_0")).samples
+    killed, lost, problems = dict.fromkeys(NODES, 0), [], []
+    for i in range(options.kills):
+        victim, delay = rng.choice(NODES), rng.uniform(0.0, 2.5)
+        killed[victim] += 1
+        with processes(folder) as start, closing(Client()) as client:
+            simulation = Simulation(client)
+            suite = Suite(start, folder / f"kill_{i}", rtf=2.0)
+            suite.nodes["simulator"].wait_for("released")
+            time.sleep(delay)
+            suite.nodes[victim].process.kill()
+            sent = len(simulation.states)
+            for name, node in suite.nodes.items():
+                if name != victim:
+                    # a launcher that dies after the release is missed by nobody
+                    said = node.status(60.0), "Traceback" in node.text
+                    if said not in ((0, False), (1, False)):
+                        problems.append(f"kill {i} of {victim}: {name} ended with {said}")
+            if victim != "simulator" and "done, " not in suite.nodes["simulator"].text:
+                problems.append(f"kill {i} of {victim}: the run did not go on")
+        run = suite.recorded()
+        kept = 0 if run is None else run.samples.size
+        if kept and run.samples.tobytes() != offline[:kept].tobytes():
+            problems.append(f"kill {i} of {victim}: other bits in the recording")
+        if victim == "recorder":
+            lost.append(max(sent - kept, 0) / 2.0)  # ms of wall time, at 1 kHz and rtf 2
+    count = ", ".join(f"{name} {number}" for name, number in killed.items())
+    return [
+        f"{options.kills} times `kill -9` at a random moment of a run at twice real time "
+        f"({count}). Asked each time: the other nodes end by themselves and without a traceback, "
+        "the run goes on unless it was the simulator's, and what is recorded is the offline run's "
+        f"beginning to the last bit. A killed recorder lost at most {max(lost, default=0.0):.0f} "
+        "ms.",
+        "",
+        *([f"- {problem}" for problem in problems] or ["All of it held."]),
+    ]
+
+
+PARTS = {
+    "start": measure_start,
+    "paced": measure_paced,
+    "busy": measure_busy,
+    "unpaced": measure_unpaced,
+    "same_bits": measure_same_bits,
+    "resets": measure_resets,
+    "kills": measure_kills,
+}
+
+
+def main() -> None:
+    options = arguments(
+        __doc__,
+        tuple(PARTS),
+        seconds=(60.0, "of a paced or unpaced run"),
+        times=(3, "that it is repeated"),
+        resets=(2000, "runs in one process"),
+        kills=(30, "of a node at a random moment"),
+        seed=(1, "of the random moments"),
+    )
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    compile_kernels()
+    page = Page("node_suite", options.dry)
+    for name in options.parts:
+        with tempfile.TemporaryDirectory(prefix="node_suite_") as folder:
+            os.environ["ROS_LOG_DIR"] = folder
+            page.write(name, *PARTS[name](Path(folder), options))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
