@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import datetime
-import importlib.metadata
 import math
 import os
 import platform
 import time
 from pathlib import Path
 
-import numpy as np
 import psutil
 
 from capture_sim import __version__
-from capture_sim.kernels import entry_kernel, source_hash
+from capture_sim.kernels import source_hash
 
 #: Cores that others may keep busy on average before a measurement is no more to be trusted.
 QUIET = 0.1
@@ -66,55 +64,3 @@ def stamp(others: float) -> str:
         f"capture_sim {__version__}, kernels {source_hash()}; others kept {others:.2f} cores busy.*"
     )
     return f"**{BUSY}**\n\n{line}" if is_busy(others) else line
-
-
-_PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
-_STEPS = 20_000_000
-
-
-@entry_kernel
-def dependent_steps(seed, n):  # type: ignore[no-untyped-def]
-    """Go ``n`` steps of a multiplication and an addition that wait for the step before."""
-    x = seed
-    for _ in range(n):
-        x = x * x + 5
-    return x
-
-
-def clock_rate(repeats: int = 5) -> float:
-    """Return the processor's clock under load, Hz.
-
-    An integer multiplication takes three cycles and an addition one, on x86 and ARM processors
-    of the last ten years; each step here waits for both.
-    """
-    seed = np.int64(1)
-    dependent_steps(seed, 10)
-    best = np.inf
-    for _ in range(repeats):
-        began = time.perf_counter()
-        dependent_steps(seed, _STEPS)
-        best = min(best, time.perf_counter() - began)
-    return float(4.0 * _STEPS / best)
-
-
-def load() -> float:
-    """Return how many processes have been running of late; NaN where that is not known."""
-    try:
-        return os.getloadavg()[0]
-    except OSError:
-        return float("nan")
-
-
-def describe(clock: float) -> dict[str, str]:
-    """Return what a reader must know of the machine, by name."""
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
-    return {
-        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
-        "processor": processor(),
-        "clock under load": f"{clock * 1e-9:.2f} GHz (measured)",
-        "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} on {platform.machine()}",
-        "Python": platform.python_version(),
-        "packages": ", ".join(versions),
-        "capture_sim": f"{__version__}, kernels {source_hash()}",
-    }

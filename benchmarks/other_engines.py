@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
 
 from benchmarks import work_precision
-from benchmarks.engines import drake, exudyn, mujoco
 from benchmarks.engines.own import with_run
 from benchmarks.reference import load_reference
-from benchmarks.trial import Outcome, Progress, Trial
+from benchmarks.trial import Progress, Trial, run_rounds
 from capture_sim.scene.parts import Scene
 
-#: Each has NAME, MODULE, PACKAGE, REFERENCE, NOTE and ``trials(scene, quick)``.
-ADAPTERS: tuple[ModuleType, ...] = (exudyn, mujoco, drake)
+#: By the name of their package; each adapter has REFERENCE, NOTE, ``trials(scene, truth, quick)``.
+ENGINES = {"exudyn": "Exudyn", "mujoco": "MuJoCo", "drake": "Drake"}
 _ENOUGH = 1e-6  # m or rad: compared there, or where an engine's error ends
 
 
@@ -56,15 +54,15 @@ class Agreement:
     error: float
 
 
-def why_missing(adapter: ModuleType) -> str:
-    """Return why an engine cannot be tried; empty if it can."""
+def adapter(package: str) -> tuple[ModuleType | None, str]:
+    """Return the module that drives an engine, or None and why it cannot."""
     try:
-        importlib.import_module(adapter.MODULE)
+        version = importlib.metadata.version(package)
+        return importlib.import_module(f"benchmarks.engines.{package}"), version
+    except importlib.metadata.PackageNotFoundError:
+        return None, "not installed: pip install -c requirements/constraints.txt '.[benchmark]'"
     except ImportError as error:
-        if isinstance(error, ModuleNotFoundError) and error.name == adapter.MODULE:
-            return "not installed: pip install -c requirements/constraints.txt '.[benchmark]'"
-        return f"does not load: {error}"
-    return ""
+        return None, f"does not load: {error}"
 
 
 def measure(
@@ -72,63 +70,37 @@ def measure(
 ) -> list[EngineResult]:
     """Try all engines that are installed, interleaved with our own integrators."""
     results = []
-    adaptive = replace(plan, steps=())
-    for adapter in ADAPTERS:
-        reason = why_missing(adapter)
-        if reason:
-            results.append(EngineResult(adapter.NAME, "", adapter.NOTE, reason, [], []))
+    scene = with_run(scene, t_end=plan.t_end)
+    for package, name in ENGINES.items():
+        engine, version = adapter(package)
+        if engine is None:
+            results.append(EngineResult(name, "", "", version, [], []))
             continue
-        version = importlib.metadata.version(adapter.PACKAGE)
-        run_scene = with_run(scene, t_end=plan.t_end)
-        theirs = list(adapter.trials(run_scene, quick))
-        own = list(work_precision.own_trials(run_scene, adaptive))
-        truth = load_reference(scene.name, scene).at(plan.t_end)
-        their_truth = load_reference(scene.name + adapter.REFERENCE).at(plan.t_end)
-        _interleave(own, truth, theirs, their_truth, min(plan.rounds, 5), progress, adapter.NAME)
-        families = work_precision.families(theirs)
+        truth = load_reference(scene.name).at(plan.t_end)
+        own = list(work_precision.own_trials(scene, replace(plan, steps=()), truth))
+        truth = load_reference(scene.name + engine.REFERENCE).at(plan.t_end)
+        theirs = list(engine.trials(scene, truth, quick))
+        run_rounds(theirs + own, min(plan.rounds, 5), progress, f"{name} beside ours")
         comparisons = [
             work_precision.compare(
                 own, family, plan.t_end, max(_ENOUGH, 1.02 * min(t.errors.position for t in family))
             )
-            for family in families
+            for family in work_precision.families(theirs)
         ]
-        results.append(EngineResult(adapter.NAME, version, adapter.NOTE, "", theirs, comparisons))
+        results.append(EngineResult(name, version, engine.NOTE, "", theirs, comparisons))
     return results
-
-
-def _interleave(
-    own: Sequence[Trial],
-    truth: Outcome,
-    theirs: Sequence[Trial],
-    their_truth: Outcome,
-    rounds: int,
-    progress: Progress,
-    name: str,
-) -> None:
-    for k in range(rounds):
-        for number, trial in enumerate(theirs):
-            progress.at(
-                f"{name} beside ours",
-                k * len(theirs) + number,
-                rounds * len(theirs),
-                f"{trial.family}, {trial.setting}",
-            )
-            trial.run(their_truth)
-        for trial in own:
-            trial.run(truth)
 
 
 def exudyn_agreement(scene: Scene, progress: Progress) -> list[Agreement]:
     """Return how Exudyn at a tight tolerance agrees with references of its own law."""
-    if why_missing(exudyn):
-        return []
+    exudyn, _ = adapter("exudyn")
     found = []
-    for law in ("frictionless", "clamp"):
+    for law in ("frictionless", "clamp") if exudyn is not None else ():
         reference = load_reference(f"{scene.name}_{law}")
         for number, t in enumerate(reference.times):
             progress.at(f"agreement with Exudyn, {law}", number, len(reference.times), f"{t:g} s")
-            changed = with_run(scene, t_end=t)
-            job = exudyn.prepare(changed, 1e-10, 0.0 if law == "frictionless" else None)
-            difference = np.abs(job()().q - reference.at(t).q).max()
+            mu = 0.0 if law == "frictionless" else None
+            outcome = exudyn.prepare(with_run(scene, t_end=t), 1e-10, mu)()()
+            difference = np.abs(outcome.q - reference.at(t).q).max()
             found.append(Agreement(law, t, float(difference)))
     return found

@@ -15,30 +15,13 @@ from capture_sim.scene.parts import Scene, as_mapping
 
 FOLDER = Path(__file__).resolve().parent / "references"
 
-#: What of a scene changes the motion.
-PHYSICS = (
-    "chaser",
-    "target",
-    "cylinder",
-    "probe",
-    "buffer",
-    "cone",
-    "contact",
-    "friction",
-    "initial",
-    "supports",
-    "rail",
-    "string",
-    "latch",
-    "stops",
-    "gravity",
-)
+#: What of a scene does not change the motion.
+_NO_PHYSICS = {"name", "title", "run", "detector", "sensors"}
 
 
 def physics_of(scene: Scene) -> dict[str, Any]:
     """Return what of a scene changes the motion, as plain data."""
-    mapping = as_mapping(scene)
-    return {name: mapping[name] for name in PHYSICS}
+    return {name: part for name, part in as_mapping(scene).items() if name not in _NO_PHYSICS}
 
 
 @dataclass(frozen=True)
@@ -49,8 +32,8 @@ class Reference:
     ----------
     times : list of float
         s since the release.
-    q, v : ndarray (n, 8)
-        Coordinates and rates then, m, rad and per second.
+    q : ndarray (n, 8)
+        Coordinates then, m and rad.
     impulse : ndarray (n, 2)
         Normal impulse of the walls on +y and -y, N s.
     touches : ndarray (m,) of dtype TOUCHED
@@ -61,7 +44,6 @@ class Reference:
 
     times: list[float]
     q: np.ndarray
-    v: np.ndarray
     impulse: np.ndarray
     touches: np.ndarray
     uncertainty: list[float]
@@ -81,46 +63,30 @@ class Reference:
 
 
 def load_reference(name: str, scene: Scene | None = None) -> Reference:
-    """Load a reference by name.
-
-    Parameters
-    ----------
-    name
-        Of the file, without ``.json``.
-    scene
-        To make sure that the reference is about this scene.
+    """Load a reference by its file's name, without ``.json``; it must be about the scene.
 
     Raises
     ------
     SceneError
-        There is no such reference, or the scene has changed since it was made.
+        The scene has changed since the reference was made.
     """
-    path = FOLDER / f"{name}.json"
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise SceneError(
-            f"no reference {name}: benchmarks/references holds none of that name"
-        ) from None
+    data = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     if scene is not None:
         wanted, there = json.loads(json.dumps(physics_of(scene))), data["physics"]
-        changed = [key for key in wanted if wanted[key] != there.get(key)]
-        if changed:
+        if changed := [key for key in wanted if wanted[key] != there.get(key)]:
             raise SceneError(
                 f"{scene.name}: {', '.join(changed)} differ from the reference {name}; make it "
-                "again with benchmarks/references/generate.py"
+                f"again: python -m benchmarks.references.generate {name}"
             )
-    columns = data["touches"]["columns"]
-    touches = np.zeros(len(data["touches"]["rows"]), TOUCHED)
-    for row, values in zip(touches, data["touches"]["rows"], strict=True):
-        for column, value in zip(columns, values, strict=True):
-            if column in TOUCHED.names:  # type: ignore[operator]
-                row[column] = np.nan if value is None else value
+    columns = [data["touches"]["columns"].index(name) for name in TOUCHED.names or ()]
+    rows = [
+        tuple(np.nan if row[i] is None else row[i] for i in columns)
+        for row in data["touches"]["rows"]
+    ]
     return Reference(
         times=data["times"],
         q=np.array(data["q"]),
-        v=np.array(data["v"]),
         impulse=np.array(data["impulse"]),
-        touches=touches,
+        touches=np.array(rows, TOUCHED),
         uncertainty=data["uncertainty"],
     )

@@ -2,79 +2,83 @@
 
     make benchmark
 
-that is ``python -m benchmarks.speed``; ``--quick`` for a reduced sweep of less than a minute.
+that is ``python -m benchmarks.speed``, eight minutes; ``--quick`` for a reduced sweep of less than
+a minute.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import costs, machine, other_engines, work_precision
+from benchmarks import costs, other_engines, work_precision
+from benchmarks.machine import OthersAtWork
 from benchmarks.page import FOLDER, Results, page, summary, write_trials
+from benchmarks.pages import DOCS
 from benchmarks.plots import save_all
 from benchmarks.reference import load_reference
 from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
 from capture_sim.launch.scenes import load_scene
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
 SCENE = "paper_designed"
 _ON_RAIL = "tilt_0"  # a scene with rail and string
 
 
 def measure(quick: bool, progress: Progress) -> Results:
     """Measure everything; ``quick`` takes a reduced sweep of less than a minute."""
-    began = time.monotonic()
-    others = machine.OthersAtWork()
+    began, others = time.monotonic(), OthersAtWork()
     scene = load_scene(SCENE)
     progress.at("compiling", 0, 1, "kernels")
     compile_kernels()
+    gc.collect()
+    gc.freeze()  # each timing collects before: only what has come since
     plans = work_precision.QUICK if quick else work_precision.FULL
     # what diverges in a trial step of some solver is rejected there, not here
     with np.errstate(all="ignore"):
         works = [work_precision.measure(scene, plan, progress) for plan in plans]
         found = other_engines.measure(scene, plans[0], quick, progress)
         agreement = [] if quick else other_engines.exudyn_agreement(scene, progress)
-    repeats = 5 if quick else 25
-    horizon = plans[0].t_end
-    references = {name: load_reference(name) for name in _references(agreement)}
-    clock = machine.clock_rate()
+    names = [SCENE, *dict.fromkeys(f"{SCENE}_{a.law}" for a in agreement)]
+    references = {name: load_reference(name) for name in names}
+    repeats, horizon = 5 if quick else 25, plans[0].t_end
+    parts = costs.part_costs(scene, horizon, quick, repeats, progress)
+    progress.at("cost of simulated time, and of batches", 0, 1)
     return Results(
         scene=SCENE,
         quick=quick,
-        machine=machine.describe(clock),
-        clock=clock,
         works=works,
         engines=found,
         agreement=agreement,
         uncertainty={
             name: dict(zip(r.times, r.uncertainty, strict=True)) for name, r in references.items()
         },
-        evaluation=costs.evaluation_cost(scene, repeats),
-        operations=costs.operations(scene),
-        parts=[
-            *costs.part_costs(scene, horizon, repeats, progress),
-            costs.rail_cost(load_scene(_ON_RAIL), repeats),
-        ],
+        parts=[*parts, costs.rail_cost(load_scene(_ON_RAIL), repeats)],
         times=[
             costs.run_cost(scene, t_end, repeats)
             for t_end in ((0.1, 0.35) if quick else (0.01, 0.03, 0.1, 0.35, 1.0, 3.0, 10.0))
         ],
-        batches=costs.batch_costs(
-            scene, horizon, (1, 10) if quick else (1, 10, 100, 1000), 3, progress
-        ),
+        batches=[
+            costs.batch_cost(scene, horizon, size, 3)
+            for size in ((1, 10) if quick else (1, 10, 100, 1000))
+        ],
         others=others.cores(),
         seconds=time.monotonic() - began,
     )
 
 
-def _references(agreement: list[other_engines.Agreement]) -> list[str]:
-    return [SCENE, *dict.fromkeys(f"{SCENE}_{a.law}" for a in agreement)]
+def save(results: Results, folder: Path) -> str:
+    """Write page, trials and pictures into a folder; return the tables for a terminal."""
+    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
+    write_trials(results, folder / FOLDER / "trials.csv")
+    save_all(results, folder / FOLDER)
+    return f"{summary(results)}\n\npage in {folder / 'benchmark.md'}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,16 +89,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     print(save(measure(options.quick, Progress()), options.out))
     return 0
-
-
-def save(results: Results, folder: Path) -> str:
-    """Write page, trials and pictures into a folder; return the tables for a terminal."""
-    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
-    write_trials(results, folder / FOLDER / "trials.csv")
-    save_all(results, folder / FOLDER)
-    text = summary(results)
-    return f"{text}\n\npage in {folder / 'benchmark.md'}, pictures in {folder / FOLDER}"
 
 
 if __name__ == "__main__":

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import gc
 import math
-import statistics
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from benchmarks.pages import Spread
 from capture_sim.results import first_cluster
 
 #: A touch as any engine can give it; ``end`` is NaN for one that was still on.
@@ -87,8 +88,28 @@ def _both(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 Prepare = Callable[[], Callable[[], Callable[[], Outcome]]]
 
 
-#: Runs that take less are done once before they are timed, s.
+#: Runs that take less, whoever's, are done once before they are timed, s.
 WARMED = 0.1
+#: Wall time after which a setting is not run again, s.
+ENOUGH = 2.5
+
+
+def timed(job: Callable[[], Any], warm: Callable[[], Any] | None = None) -> tuple[float, Any]:
+    """Return what a job takes on the clock, s, and what it returns.
+
+    ``warm``, the like of it, goes before: what others have left in the processor's caches is not
+    to be timed.
+    """
+    gc.collect()
+    gc.disable()
+    try:
+        if warm is not None:
+            warm()
+        began = time.perf_counter()
+        result = job()
+        return time.perf_counter() - began, result
+    finally:
+        gc.enable()
 
 
 @dataclass
@@ -98,7 +119,8 @@ class Trial:
     family: str
     setting: str  # such as "rtol 1e-06"
     prepare: Prepare  # makes a run ready, untimed
-    group: str  # "own", "compiled", "numpy", "python" or "engine"
+    group: str  # "own", "compiled", "numpy" or "engine"
+    truth: Outcome
     seconds: list[float] = field(default_factory=list)  # one a round; empty if it failed
     outcome: Outcome | None = None  # of the first run
     errors: Errors = field(default_factory=Errors)
@@ -112,52 +134,46 @@ class Trial:
         return "" if self.outcome is None else self.outcome.failure
 
     @property
-    def median(self) -> float:
-        """Median wall time, s."""
-        return statistics.median(self.seconds)
+    def spread(self) -> Spread:
+        """Median and quartiles of the wall time, s."""
+        return Spread.of(self.seconds)
 
-    def run(self, truth: Outcome) -> float:
-        """Run once more; return the wall time, s."""
-        gc.collect()
-        # what others have left in the processor's caches is not to be timed: a short run, of
-        # whoever's, is done once before
+    @property
+    def median(self) -> float:
+        """Median wall time, s; NaN if there is none."""
+        return self.spread.median
+
+    def run(self) -> None:
+        """Run once more."""
         warm = self.prepare() if self.seconds and self.seconds[-1] < WARMED else None
-        job = self.prepare()
-        gc.disable()
-        try:
-            if warm is not None:
-                warm()
-            began = time.perf_counter()
-            read = job()
-            seconds = time.perf_counter() - began
-        finally:
-            gc.enable()
+        seconds, read = timed(self.prepare(), warm)
         if self.outcome is None:
             self.outcome = read()
-            self.errors = errors(self.outcome, truth)
+            self.errors = errors(self.outcome, self.truth)
         if not self.outcome.failure:
             self.seconds.append(seconds)
-        return seconds
 
 
-def run_rounds(
-    trials: Sequence[Trial], truth: Outcome, rounds: int, progress: Progress, what: str
-) -> None:
-    """Run all trials ``rounds`` times, in turn: what disturbs one round disturbs all alike."""
+def run_rounds(trials: Sequence[Trial], rounds: int, progress: Progress, stage: str) -> None:
+    """Run all trials some times, in turn: what disturbs one round disturbs all alike.
+
+    What has taken :data:`ENOUGH` is not repeated any more; where two of a kind took too long, the
+    tighter ones are not tried.
+    """
+    late: dict[tuple[str, str], list[str]] = {}
     for k in range(rounds):
         for number, trial in enumerate(trials):
-            done = k * len(trials) + number
-            progress.at(what, done, rounds * len(trials), f"{trial.family}, {trial.setting}")
-            trial.run(truth)
-
-
-def spread(values: Iterable[float]) -> tuple[float, float]:
-    """Return the lower and upper quartile."""
-    ordered = sorted(values)
-    if len(ordered) < 2:
-        return ordered[0], ordered[0]
-    low, _, high = statistics.quantiles(ordered, n=4, method="inclusive")
-    return low, high
+            if k and (trial.failure or sum(trial.seconds) > ENOUGH):
+                continue
+            done, total = k * len(trials) + number, rounds * len(trials)
+            progress.at(stage, done, total, f"{trial.family}, {trial.setting}")
+            kind = late.setdefault((trial.family, trial.setting.rpartition(" ")[2]), [])
+            if k == 0 and len(kind) >= 2:
+                trial.skipped = f"not tried: {' and '.join(kind)} were not done in time"
+                continue
+            trial.run()
+            if trial.failure.startswith("not done"):
+                kind.append(trial.setting)
 
 
 class Progress:

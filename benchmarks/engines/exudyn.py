@@ -13,35 +13,35 @@ writes the run that `capture-sim reproduce` compares the paper's Figures 10 and 
 from __future__ import annotations
 
 import functools
-import importlib
 import importlib.metadata
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import exudyn as exu
 import numpy as np
+from exudyn import itemInterface as items  # noqa: N813
 
 from benchmarks.trial import Outcome, Trial
 from capture_sim.launch.scenes import load_scene
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
 
-NAME = "Exudyn"
-MODULE = "exudyn"
-PACKAGE = "exudyn"
 REFERENCE = "_clamp"  # what the reference's name ends with, friction by clamp
 NOTE = (
     "KinematicTree, RigidBody2D and ContactSphereTriangle, DOPRI5; same contact law, friction "
     "clamped on both sides"
 )
 _HALF_WIDTH = 0.1  # m, of the wall across the plane of motion
+_KINDS = (exu.OutputVariableType.Coordinates, exu.OutputVariableType.Coordinates_t)
 
 
-def trials(scene: Scene, quick: bool) -> Iterator[Trial]:
+def trials(scene: Scene, truth: Outcome, quick: bool) -> Iterator[Trial]:
     """Yield the settings to try."""
     for rtol in (1e-6,) if quick else (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10):
-        yield Trial(NAME, f"rtol {rtol:.0e}", functools.partial(prepare, scene, rtol), "engine")
+        job = functools.partial(prepare, scene, rtol)
+        yield Trial("Exudyn", f"rtol {rtol:.0e}", job, "engine", truth)
 
 
 def prepare(
@@ -51,9 +51,8 @@ def prepare(
 
     ``mu`` takes the place of the scene's coefficient of friction.
     """
-    exu = importlib.import_module(MODULE)
-    system, tree_node, target_node = build(scene, scene.friction.mu if mu is None else mu)
-    settings = solver_settings(exu, scene.run.t_end, rtol)
+    system, *nodes = build(scene, scene.friction.mu if mu is None else mu)
+    settings = solver_settings(scene.run.t_end, rtol)
 
     def run() -> Callable[[], Outcome]:
         done = system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5)
@@ -61,17 +60,20 @@ def prepare(
         def read() -> Outcome:
             if not done:
                 return Outcome(np.full(8, np.nan), 0, failure="solver gave up")
-            kind = exu.OutputVariableType.Coordinates
-            c = system.GetNodeOutput(tree_node, kind)
-            t = system.GetNodeOutput(target_node, kind)
-            return Outcome(np.array([c[0], c[1], c[2], c[2] + c[3], c[4], *t[:3]]), 0)
+            values = [np.atleast_2d(system.GetNodeOutput(node, _KINDS[0])) for node in nodes]
+            return Outcome(coordinates(*values)[0], 0)
 
         return read
 
     return run
 
 
-def solver_settings(exu: Any, t_end: float, rtol: float, output_step: float = 1e-3) -> Any:
+def coordinates(chain: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Return q (n, 8), or its rate, of the tree's coordinates (n, 5) and the target's."""
+    return np.column_stack([chain[:, :3], chain[:, 2] + chain[:, 3], chain[:, 4], body[:, :3]])
+
+
+def solver_settings(t_end: float, rtol: float, output_step: float = 1e-3) -> Any:
     """Return the settings of a run to ``t_end`` (s), in pieces of ``output_step`` (s)."""
     settings = exu.SimulationSettings()
     time = settings.timeIntegration
@@ -91,8 +93,6 @@ def solver_settings(exu: Any, t_end: float, rtol: float, output_step: float = 1e
 
 def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
     """Return the assembled system and the numbers of its two nodes."""
-    exu = importlib.import_module(MODULE)
-    items = importlib.import_module(f"{MODULE}.itemInterface")
     b, cone, contact = scene.buffer, scene.cone, scene.contact
     compliance = sum((1.0 - part.nu**2) / part.E for part in (contact.tip, contact.wall))
     stiffness = 4.0 * math.sqrt(scene.probe.tip_radius) / (3.0 * compliance)  # Hertz
@@ -107,19 +107,17 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
             numberOfODE2Coordinates=5,
         )
     )
-    joint = exu.JointType
+    slide_x, slide_y, turn = (
+        exu.JointType.PrismaticX,
+        exu.JointType.PrismaticY,
+        exu.JointType.RevoluteZ,
+    )
     inertias = [0.0, 0.0, scene.chaser.inertia, scene.cylinder.inertia, scene.probe.inertia]
     middles = [0.0, 0.0, 0.0, -scene.cylinder.length / 2.0, -scene.probe.com_offset]
     tree = system.AddObject(
         items.ObjectKinematicTree(
             nodeNumber=tree_node,
-            jointTypes=[
-                joint.PrismaticX,
-                joint.PrismaticY,
-                joint.RevoluteZ,
-                joint.RevoluteZ,
-                joint.PrismaticX,
-            ],
+            jointTypes=[slide_x, slide_y, turn, turn, slide_x],
             linkParents=[-1, 0, 1, 2, 3],
             jointTransformations=exu.Matrix3DList([np.eye(3)] * 5),
             jointOffsets=exu.Vector3DList(
@@ -176,31 +174,23 @@ def build(scene: Scene, mu: float) -> tuple[Any, int, int]:
     return system, tree_node, target_node
 
 
-def run_trace(
-    scene: Scene, rtol: float = 1e-9, step: float = 1e-3
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def run_trace(scene: Scene, rtol: float = 1e-9, step: float = 1e-3) -> tuple[np.ndarray, ...]:
     """Return times (n,), s, at least ``step`` apart, coordinates and rates (n, 8) of a run."""
-    exu = importlib.import_module(MODULE)
-    items = importlib.import_module(f"{MODULE}.itemInterface")
-    system, tree, target = build(scene, scene.friction.mu)
-    kinds = (exu.OutputVariableType.Coordinates, exu.OutputVariableType.Coordinates_t)
+    system, *nodes = build(scene, scene.friction.mu)
     sensors = [
         system.AddSensor(
             items.SensorNode(nodeNumber=node, storeInternal=True, outputVariableType=kind)
         )
-        for kind in kinds
-        for node in (tree, target)
+        for kind in _KINDS
+        for node in nodes
     ]
     system.Assemble()
-    settings = solver_settings(exu, scene.run.t_end, rtol, step)
+    settings = solver_settings(scene.run.t_end, rtol, step)
     settings.solution.sensors.writePeriod = step
     if not system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5):
         raise RuntimeError("Exudyn's solver gave up")
     values = [np.asarray(system.GetSensorStoredData(sensor)) for sensor in sensors]
-    q, v = (
-        np.column_stack([chain[:, 1:4], chain[:, 3] + chain[:, 4], chain[:, 5], body[:, 1:4]])
-        for chain, body in (values[:2], values[2:])
-    )
+    q, v = (coordinates(*(value[:, 1:] for value in pair)) for pair in (values[:2], values[2:]))
     return np.minimum(values[0][:, 0], scene.run.t_end), q, v
 
 
@@ -210,7 +200,7 @@ def main() -> None:
     t, q, v = run_trace(replace(scene, run=replace(scene.run, t_end=1.3)))
     kept = (t <= 0.3) | (np.arange(t.size) % 5 == 0)
     path = config_dir() / "reference" / "paper_designed_exudyn.csv"
-    version = importlib.metadata.version(PACKAGE)
+    version = importlib.metadata.version("exudyn")
     head = (
         f"Exudyn {version} (ObjectKinematicTree, RigidBody2D, ContactSphereTriangle; DOPRI5, "
         "rtol 1e-9)\n"

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.engines.problems import packed
 from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.bench import Bench
 from capture_sim.errors import SimulationError
+from capture_sim.launch.plan import plan_launch
+from capture_sim.model.parameters import pack
 from capture_sim.scene.parts import Scene
 
 
@@ -20,9 +21,10 @@ def with_run(scene: Scene, **changes: Any) -> Scene:
     return dataclasses.replace(scene, run=dataclasses.replace(scene.run, **changes))
 
 
-def has_fixed_steps(scene: Scene, method: str) -> bool:
-    """Return whether a method takes ``run.step`` instead of ``run.rtol``."""
-    return bool(packed(with_run(scene, method=method))[0]["fixed_step"] > 0.0)
+def packed(scene: Scene) -> np.ndarray:
+    """Return the (1,) record of a scene's constants that the compiled kernels read."""
+    plan = plan_launch(scene)
+    return pack(scene, plan.hanging_mass, plan.drop_height, plan.impact_speed)
 
 
 def prepare(scene: Scene) -> Callable[[], Callable[[], Outcome]]:
@@ -48,7 +50,7 @@ def prepare(scene: Scene) -> Callable[[], Callable[[], Outcome]]:
 def _outcome(bench: Bench, last: np.void) -> Outcome:
     ended = np.sort(bench.touches, order="start")
     touches = np.zeros(ended.size, TOUCHED)
-    for name in ("start", "end", "wall", "peak_force"):
+    for name in TOUCHED.names or ():
         touches[name] = ended[name]
     # the run's end closes a touch that is still on
     touches["end"][touches["end"] >= bench.scene.run.t_end] = np.nan

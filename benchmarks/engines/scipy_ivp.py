@@ -1,11 +1,10 @@
 """The bench with SciPy's ``solve_ivp``, done as carefully as a good user would.
 
-Each touch of a wall is a terminal event that latches the approach speed and restarts the
-solver, and so is each lift-off.  Two traps are minded.  A restart lands on the event's own
-zero: rounding may leave the gap on the wrong side of it, and ``solve_ivp`` then waits for a
-change of sign that never comes, or sees one at once; a touch therefore ends a little beyond
-zero, where the force has gone already.  And forces read at step ends miss their peaks: they are
-read from the dense output.
+Each touch of a wall is a terminal event that latches the approach speed and restarts the solver,
+and so is each lift-off.  Two traps are minded.  A restart lands on the event's own zero: rounding
+may leave the gap on the wrong side of it, and ``solve_ivp`` then waits for a change of sign that
+never comes, or sees one at once; a touch therefore ends a little beyond zero, where the force has
+gone already.  And forces read at step ends miss their peaks: they are read from the dense output.
 """
 
 from __future__ import annotations
@@ -14,16 +13,113 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
-from benchmarks.engines.problems import Problem
+from benchmarks.engines.model import Model
+from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
+from capture_sim.engine import loop
+from capture_sim.kernels import entry_kernel
+from capture_sim.model.equations import N_STATE, N_TOTAL, make_system, tip_in_cone, wall_gap
+from capture_sim.scene.parts import Scene
 
 METHODS = ("DOP853", "RK45", "LSODA", "BDF", "Radau")
 _JUST_OFF = 1e-13  # m: gap at which a touch has ended, a thousand times its rounding
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(7)
+
+
+class Problem(Protocol):
+    """What an integrator needs to know of the bench; walls are 0: +y, 1: -y."""
+
+    evaluations: int
+
+    def rate_of_change(self, t: float, y: np.ndarray) -> np.ndarray:
+        """Return dy/dt (16,) at the time ``t`` (s)."""
+
+    def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
+        """Return gap (m) and its rate (m/s) of a wall."""
+
+    def latch(self, wall: int, approach: float) -> None:
+        """Begin a touch at this approach speed, m/s."""
+
+    def release(self, wall: int) -> None:
+        """End a touch."""
+
+    def normal_force(self, y: np.ndarray, wall: int) -> float:
+        """Return F_n of a wall in touch, N."""
+
+
+@entry_kernel
+def gap_of_wall(parameters, y, side):  # type: ignore[no-untyped-def]
+    """Return the gap (m) and its rate (m/s) of the wall on ``side`` (+1: +y, -1: -y)."""
+    par = parameters[0]
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, rate, _, _ = wall_gap(px, py, wx, wy, side, par)
+    return gap, rate
+
+
+class CompiledProblem:
+    """The engine's own right-hand side, :func:`capture_sim.engine.loop.evaluate`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.parameters = packed(scene)
+        self.system = make_system(self.parameters)
+        self.mode, self.par = self.system["mode"][0], self.parameters[0]
+        self._f = np.zeros(N_TOTAL)
+        self.evaluations = 0
+
+    def rate_of_change(self, _: float, y: np.ndarray) -> np.ndarray:
+        """Return dy/dt (16,)."""
+        self.evaluations += 1
+        loop.evaluate(self.system, y, self._f)
+        return self._f[:N_STATE].copy()
+
+    def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
+        """Return gap (m) and its rate (m/s)."""
+        return gap_of_wall(self.parameters, y, 1.0 - 2.0 * wall)
+
+    def latch(self, wall: int, approach: float) -> None:
+        """Begin a touch."""
+        par = self.par
+        chi = par["hysteresis"] * par["K"] / max(approach, par["v_0_floor"])
+        self.mode["touching"][wall], self.mode["chi"][wall] = 1, chi
+        self.mode["sticking"][wall] = 0
+
+    def release(self, wall: int) -> None:
+        """End a touch."""
+        self.mode["touching"][wall] = 0
+
+    def normal_force(self, y: np.ndarray, wall: int) -> float:
+        """Return F_n, N; eq. (1)."""
+        gap, rate = self.gap(y, wall)
+        force = max(-gap, 0.0) ** 1.5 * (self.par["K"] - self.mode["chi"][wall] * rate)
+        return max(float(force), 0.0)
+
+
+class NumpyProblem:
+    """The textbook's equations, :class:`benchmarks.engines.model.Model`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = Model(scene)
+        self.latch, self.release = self._model.latch, self._model.release
+        self.evaluations = 0
+
+    def rate_of_change(self, _: float, y: np.ndarray) -> np.ndarray:
+        """Return dy/dt (16,)."""
+        self.evaluations += 1
+        return self._model.rate_of_change(y)
+
+    def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
+        """Return gap (m) and its rate (m/s)."""
+        contact = self._model.contact(y, wall)
+        return float(contact.gap), float(contact.rate)
+
+    def normal_force(self, y: np.ndarray, wall: int) -> float:
+        """Return F_n, N."""
+        return float(self._model.normal_force(self._model.contact(y, wall), wall))
 
 
 class TookTooLongError(Exception):
@@ -32,7 +128,7 @@ class TookTooLongError(Exception):
 
 @dataclass
 class Touch:
-    """A touch of a wall (0: +y, 1: -y); times in s, speed in m/s, force in N, impulse in N s."""
+    """A touch of a wall; times in s, speed in m/s, force in N, impulse in N s."""
 
     wall: int
     start: float
@@ -65,16 +161,9 @@ class ScipyRun:
 
 
 def solve(
-    problem: Problem,
-    y_0: np.ndarray,
-    t_end: float,
-    method: str,
-    rtol: float,
-    atol: np.ndarray,
-    allowed: float,
-    dense: bool = False,
+    problem: Problem, y_0: np.ndarray, t_end: float, allowed: float, **options: Any
 ) -> ScipyRun:
-    """Integrate from t = 0 to ``t_end``.
+    """Integrate from t = 0 to ``t_end`` (s), in at most ``allowed`` s of wall time.
 
     Parameters
     ----------
@@ -82,35 +171,15 @@ def solve(
         With no wall in touch.
     y_0
         (16,) q and v at t = 0.
-    t_end
-        s.
-    method
-        One of :data:`METHODS`.
-    rtol, atol
-        As ``solve_ivp`` takes them; ``atol`` (16,).
-    allowed
-        Wall time, s.
-    dense
-        Keep the dense output, for :func:`read_forces`.
+    options
+        Of ``solve_ivp``; with ``dense_output`` the run can be given to :func:`read_forces`.
     """
-    from scipy.integrate import solve_ivp
-
-    deadline = time.perf_counter() + allowed
-    run = ScipyRun(y_0)
+    deadline, run, t = time.perf_counter() + allowed, ScipyRun(y_0), 0.0
     on: dict[int, Touch] = {}
-    t = 0.0
     while t < t_end:
+        events = [_gap_event(problem, wall, wall in on, deadline) for wall in (0, 1)]
         try:
-            piece = solve_ivp(
-                problem.rate_of_change,
-                (t, t_end),
-                run.y,
-                method=method,
-                rtol=rtol,
-                atol=atol,
-                events=[_gap_event(problem, wall, wall in on, deadline) for wall in (0, 1)],
-                dense_output=dense,
-            )
+            piece = solve_ivp(problem.rate_of_change, (t, t_end), run.y, events=events, **options)
         except TookTooLongError:
             run.failure = f"not done after {allowed:g} s"
             break
@@ -120,7 +189,7 @@ def solve(
         if piece.status < 0 or not np.isfinite(piece.y[:, -1]).all():
             run.failure = f"stopped at {piece.t[-1]:.4f} s: {piece.message}"
             break
-        if dense:
+        if piece.sol is not None:
             run.pieces.append((piece.sol, list(on.values())))
         t, run.y = float(piece.t[-1]), np.ascontiguousarray(piece.y[:, -1])
         for wall in (0, 1):
@@ -156,8 +225,7 @@ def _gap_event(
 def read_forces(run: ScipyRun, problem: Problem) -> None:
     """Fill peak force and impulse of a run's touches from its dense output.
 
-    Seven Gauss points a step; the peak is the parabola's through the highest and its
-    neighbours.
+    Seven Gauss points a step; the peak is the parabola's through the highest and its neighbours.
     """
     for solution, touches in run.pieces:
         begin, end = solution.ts[:-1], solution.ts[1:]
@@ -177,13 +245,11 @@ def read_forces(run: ScipyRun, problem: Problem) -> None:
 def _peak(t: np.ndarray, force: np.ndarray) -> float:
     """Return the largest value of a sampled smooth function."""
     k = int(force.argmax())
-    if not 0 < k < force.size - 1:
-        return float(force[k])
-    a, b = t[k] - t[k - 1], t[k + 1] - t[k]
-    left, right = (force[k] - force[k - 1]) / a, (force[k + 1] - force[k]) / b
-    curvature = 2.0 * (right - left) / (a + b)
-    slope = (left * b + right * a) / (a + b)
-    return float(force[k] - 0.5 * slope * slope / curvature) if curvature < 0.0 else float(force[k])
+    if 0 < k < force.size - 1:
+        curvature, slope, height = np.polyfit(t[k - 1 : k + 2] - t[k], force[k - 1 : k + 2], 2)
+        if curvature < 0.0:
+            return float(height - slope**2 / (4.0 * curvature))
+    return float(force[k])
 
 
 def outcome(run: ScipyRun, problem: Problem) -> Outcome:

@@ -1,28 +1,27 @@
 """Extrapolation integrator with located touches, in extended precision, for references.
 
 Gragg's modified midpoint rule, extrapolated by Aitken and Neville (Bulirsch and Stoer 1966;
-Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.9): order 16, no
-tableau, no dense output.  Events are located by Newton's method on real steps of trial
-length, so what is found is as exact as a step.  Shares nothing with ``capture_sim``'s
-integration or equations.
+Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.9): order 16, no tableau,
+no dense output.  Events are located by Newton's method on real steps of trial length, so what is
+found is as exact as a step.  Shares nothing with ``capture_sim``'s integration or equations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from benchmarks.engines.numpy_model import NumpyModel
+from benchmarks.engines.model import Model
 
 Real = np.longdouble
 SEQUENCE = (2, 4, 6, 8, 10, 12, 14, 16)
 LONGEST_STEP = Real("2e-4")  # s: less than a flight between two touches, or half a period
+FIRST_STEP = Real("1e-5")  # s, of a run and of a touch
 COLUMNS = ("start", "end", "wall", "approach_speed", "peak_force", "peak_time", "impulse")
 
 
-class Reference:
+class Extrapolation:
     """A run of the bench's free phases, from t = 0.
 
     Parameters
@@ -37,12 +36,9 @@ class Reference:
         (18,) of each state.
     """
 
-    def __init__(
-        self, model: NumpyModel, y: np.ndarray, tolerance: float, scale: np.ndarray
-    ) -> None:
+    def __init__(self, model: Model, y: np.ndarray, tolerance: float, scale: np.ndarray) -> None:
         self.model, self.y, self.tolerance, self.scale = model, y.astype(Real), tolerance, scale
-        self.t = Real(0)
-        self.step = Real("1e-5")
+        self.t, self.step = Real(0), FIRST_STEP
         self.touches: list[dict[str, Any]] = []
         self.open: list[dict[str, Any] | None] = [None, None]
         self.evaluations = 0
@@ -70,11 +66,12 @@ class Reference:
 
     def force_and_rate(self, y: np.ndarray, wall: int) -> tuple[Any, Any]:
         """Return the normal force of a wall (N) and its rate (N/s) in a state."""
-        now = self.model.contact(list(y), wall)
         small = Real("1e-9")
-        later = self.model.contact(list(y + small * self.f(y)), wall)
-        force = self.model.normal_force(now, wall)
-        return force, (self.model.normal_force(later, wall) - force) / small
+        force, later = (
+            self.model.normal_force(self.model.contact(place, wall), wall)
+            for place in (y, y + small * self.f(y))
+        )
+        return force, (later - force) / small
 
     def advance(self, t_end: float) -> np.ndarray:
         """Run to ``t_end`` (s) exactly; return the state there."""
@@ -86,52 +83,44 @@ class Reference:
                 factor = 0.9 * max(error, 1e-30) ** (-1.0 / (2 * len(SEQUENCE) - 1))
                 if error > 1.0:
                     h *= min(0.9, max(0.1, factor))
-                    continue
-                if self._hides_something(h, y_new):
+                elif self._hides_something(h, y_new):
                     h /= 2
-                    continue
-                break
+                else:
+                    break
             self.step = h * min(4.0, factor)
             self._finish(h, f_0, y_new, t_end)
         return self.y
 
     def _signed_gap(self, y: np.ndarray, wall: int) -> tuple[Any, Any]:
         """Return a function that goes below zero at the wall's next event, and its rate."""
-        contact = self.model.contact(list(y), wall)
-        if self.model.touching[wall]:
-            return -contact.gap, -contact.rate
-        return contact.gap, contact.rate
+        contact = self.model.contact(y, wall)
+        sign = -1 if self.model.touching[wall] else 1
+        return sign * contact.gap, sign * contact.rate
 
     def _hides_something(self, h: Any, y_new: np.ndarray) -> bool:
         """Return whether a dip below zero may lie inside a step that ends above zero."""
-        if h < 1e-9:
-            return False
-        for wall in (0, 1):
+        for wall in (0, 1) if h >= 1e-9 else ():
             g_a, d_a = self._signed_gap(self.y, wall)
             g_b, d_b = self._signed_gap(y_new, wall)
-            if g_b <= 0 or not (d_a < 0 < d_b):
-                continue
             # both tangents meet below the function's minimum if it is convex
-            x = (g_b - g_a - d_b * h) / (d_a - d_b)
-            if g_a + d_a * x < 0:
+            if g_b > 0 and d_a < 0 < d_b and g_a + d_a * (g_b - g_a - d_b * h) / (d_a - d_b) < 0:
                 return True
         return False
 
     def _finish(self, h: Any, f_0: np.ndarray, y_new: np.ndarray, t_end: float) -> None:
         """Cut the step at its first event, and draw the consequences."""
-        event = None
-        for wall in (0, 1):
-            if self._signed_gap(y_new, wall)[0] < 0:
-                place, y_there = self._locate(h, f_0, wall)
-                if event is None or place < event[1]:
-                    event = wall, place, y_there
-        if event is not None:
-            _, h, y_new = event
+        events = [
+            (*self._locate(h, f_0, wall), wall)
+            for wall in (0, 1)
+            if self._signed_gap(y_new, wall)[0] < 0
+        ]
+        if events:
+            h, y_new, wall = min(events, key=lambda event: event[0])
         self._watch(h, f_0, y_new)
-        self.t = Real(t_end) if event is None and self.t + h >= Real(t_end) else self.t + h
-        self.y = y_new
-        if event is not None:
-            self._switch(event[0])
+        is_end = not events and self.t + h >= Real(t_end)
+        self.t, self.y = Real(t_end) if is_end else self.t + h, y_new
+        if events:
+            self._switch(wall)
 
     def _locate(self, h: Any, f_0: np.ndarray, wall: int) -> tuple[Any, np.ndarray]:
         """Return where in the step a wall's function passes zero downwards, and the state."""
@@ -145,10 +134,7 @@ class Reference:
         for _ in range(60):
             y_x, _ = self.leap(x, f_0)
             g, d = self._signed_gap(y_x, wall)
-            if g > 0:
-                low = x
-            else:
-                high = x
+            low, high = (x, high) if g > 0 else (low, x)
             new = x - g / d if d != 0 else (low + high) / 2
             if abs(new - x) < 1e-18:
                 break
@@ -157,63 +143,45 @@ class Reference:
 
     def _watch(self, h: Any, f_0: np.ndarray, y_new: np.ndarray) -> None:
         """Keep the peaks of force."""
-        for wall in (0, 1):
-            touch = self.open[wall]
+        for wall, touch in enumerate(self.open):
             if touch is None:
                 continue
             _, before = self.force_and_rate(self.y, wall)
-            force, after = self.force_and_rate(y_new, wall)
-            begins = self.t == touch["start"]
-            if (begins or before > 0) and after < 0:
+            peak, after = self.force_and_rate(y_new, wall)
+            x = h
+            if (self.t == touch["start"] or before > 0) and after < 0:
                 low, high = Real(0), h
-                for _ in range(40):
-                    # regula falsi would do; bisection is sure, and a peak is flat
+                while high - low >= 1e-8 * h:  # a peak is flat: bisection is enough
                     x = (low + high) / 2
-                    y_x, _ = self.leap(x, f_0)
-                    peak, slope = self.force_and_rate(y_x, wall)
-                    if slope > 0:
-                        low = x
-                    else:
-                        high = x
-                    if high - low < 1e-8 * h:
-                        break
-                if peak > touch["peak_force"]:
-                    touch["peak_force"], touch["peak_time"] = peak, self.t + x
-            elif force > touch["peak_force"]:
-                touch["peak_force"], touch["peak_time"] = force, self.t + h
+                    peak, slope = self.force_and_rate(self.leap(x, f_0)[0], wall)
+                    low, high = (x, high) if slope > 0 else (low, x)
+            if peak > touch["peak_force"]:
+                touch["peak_force"], touch["peak_time"] = peak, self.t + x
 
     def _switch(self, wall: int) -> None:
         """Begin or end the touch of a wall, now."""
-        touch = self.open[wall]
+        touch, impulse = self.open[wall], self.y[16 + wall]
         if touch is not None:
-            touch["end"] = self.t
-            touch["impulse"] = self.y[16 + wall] - touch["impulse"]
+            touch |= {"end": self.t, "impulse": impulse - touch["impulse"]}
             self.touches.append(touch)
             self.open[wall] = None
             self.model.release(wall)
             return
-        speed = -self.model.contact(list(self.y), wall).rate
+        speed = -self.model.contact(self.y, wall).rate
         self.model.latch(wall, speed)
-        self.open[wall] = {
-            "start": self.t,
-            "end": None,
-            "wall": 1 - 2 * wall,
-            "approach_speed": speed,
-            "peak_force": Real(0),
-            "peak_time": self.t,
-            "impulse": self.y[16 + wall],
-        }
-        self.step = min(self.step, Real("1e-5"))
+        values = (self.t, None, 1 - 2 * wall, speed, Real(0), self.t, impulse)
+        self.open[wall] = dict(zip(COLUMNS, values, strict=True))
+        self.step = min(self.step, FIRST_STEP)
 
+    def table(self) -> list[list[float | None]]:
+        """Return the touches as rows of :data:`COLUMNS`, in order of their starts.
 
-def table(touches: Sequence[dict[str, Any]]) -> list[list[float | None]]:
-    """Return touches as rows of :data:`COLUMNS`, in order of their starts.
-
-    A touch that is still on has neither end nor impulse.
-    """
-    rows: list[list[float | None]] = []
-    for touch in sorted(touches, key=lambda touch: touch["start"]):
-        known = touch if touch["end"] is not None else {**touch, "impulse": None}
-        values = [known[name] for name in COLUMNS]
-        rows.append([None if value is None else float(value) for value in values])
-    return rows
+        A touch that is still on has neither end nor impulse.
+        """
+        touches = self.touches + [
+            touch | {"impulse": None} for touch in self.open if touch is not None
+        ]
+        return [
+            [None if touch[name] is None else float(touch[name]) for name in COLUMNS]
+            for touch in sorted(touches, key=lambda touch: touch["start"])
+        ]

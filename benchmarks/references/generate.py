@@ -1,26 +1,24 @@
 """Makes the reference solutions of this folder; see README.md.
 
-    python benchmarks/references/generate.py [NAME ...]
+    python -m benchmarks.references.generate [NAME ...]
 
-Takes some five minutes for each.  Needs extended precision: x86, and not Windows.
+Takes some ten minutes for each.  Needs extended precision: x86, and not Windows.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
-from extrapolation import COLUMNS, Real, Reference, table
 
-from benchmarks.engines.python_model import PythonModel
-from benchmarks.reference import physics_of
+from benchmarks.engines.model import Model
+from benchmarks.reference import FOLDER, physics_of
+from benchmarks.references.extrapolation import COLUMNS, Extrapolation, Real
 from capture_sim import load_scene
-from capture_sim.scene.parts import FRICTION_LAWS, Scene
+from capture_sim.scene.parts import Scene
 
-FOLDER = Path(__file__).resolve().parent
 TIMES = (0.1, 0.35, 1.5)  # s since the release
 TOLERANCES = (1e-14, 1e-15)
 #: Scene and law of friction, by the reference's name.
@@ -40,30 +38,21 @@ def scales(scene: Scene) -> np.ndarray:
     return np.concatenate([length * shape, speed * shape, [0.01, 0.01]])
 
 
-def solve(scene: Scene, friction: str, tolerance: float) -> tuple[list[np.ndarray], Reference]:
-    """Run a scene; return the states at TIMES, and the run."""
+def solve(scene: Scene, tolerance: float, times: tuple[float, ...] = TIMES):
+    """Run a scene; return the states at some times, (n, 18), and the run."""
     q, v = scene.initial_coordinates()
-    model = PythonModel(scene, Real, friction)
-    run = Reference(model, np.concatenate([q, v, [0.0, 0.0]]), tolerance, scales(scene))
-    states = []
-    for t in TIMES:
-        states.append(run.advance(t))
-        print(
-            f"  tolerance {tolerance:g}: at {t} s after {run.evaluations} evaluations", flush=True
-        )
+    y_0 = np.concatenate([q, v, [0.0, 0.0]])
+    run = Extrapolation(Model(scene, Real), y_0, tolerance, scales(scene))
+    states = np.array([run.advance(t) for t in times])
     return states, run
 
 
 def generate(name: str) -> None:
     """Make one reference."""
     source, friction = REFERENCES[name]
-    # "clamp" is not among the scene's own laws
-    law = [f"friction.law={friction}"] if friction in FRICTION_LAWS else []
-    scene = load_scene(source, law)
-    began = time.monotonic()
-    coarse, _ = solve(scene, friction, TOLERANCES[0])
-    states, run = solve(scene, friction, TOLERANCES[1])
-    rows = table(run.touches + [touch for touch in run.open if touch is not None])
+    scene = load_scene(source, [f"friction.law={friction}"])
+    (coarse, _), (states, run) = (solve(scene, tolerance) for tolerance in TOLERANCES)
+    final = states.astype(float)
     data = {
         "scene": source,
         "friction": friction,
@@ -71,22 +60,16 @@ def generate(name: str) -> None:
         "tolerance": TOLERANCES[1],
         "evaluations": run.evaluations,
         "times": TIMES,
-        "uncertainty": [
-            float(np.abs(a[:8] - b[:8]).max()) for a, b in zip(coarse, states, strict=True)
-        ],
-        "q": [[float(x) for x in y[:8]] for y in states],
-        "v": [[float(x) for x in y[8:16]] for y in states],
-        "impulse": [[float(x) for x in y[16:]] for y in states],
-        "touches": {"columns": COLUMNS, "rows": rows},
+        "uncertainty": np.abs(coarse - states)[:, :8].max(axis=1).astype(float).tolist(),
+        "q": final[:, :8].tolist(),
+        "v": final[:, 8:16].tolist(),
+        "impulse": final[:, 16:].tolist(),
+        "touches": {"columns": COLUMNS, "rows": run.table()},
         "physics": physics_of(scene),
     }
     text = json.dumps(data, indent=1, allow_nan=False)
-    (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-    print(
-        f"{name}: {len(rows)} touches, uncertainty {data['uncertainty']}, "
-        f"{time.monotonic() - began:.0f} s",
-        flush=True,
-    )
+    Path(FOLDER, f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    print(f"{name}: {len(run.table())} touches, uncertainty {data['uncertainty']}", flush=True)
 
 
 if __name__ == "__main__":
