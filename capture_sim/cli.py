@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
@@ -61,9 +63,9 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     command = in_worker(lambda: import_module(f"capture_sim.commands.{name}"))
     parser = _Parser(
         prog=f"capture-sim {name}",
-        description=command.DESCRIPTION,
+        description=textwrap.fill(command.DESCRIPTION, shutil.get_terminal_size().columns - 2),
         epilog=f"example:\n{command.EXAMPLE}",
-        formatter_class=_Formatter,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.add_arguments(parser)
     parser.set_defaults(run=command.run)
@@ -79,7 +81,7 @@ def _run(arguments: Sequence[str]) -> int:
         usage="capture-sim [-h] [--version] COMMAND ...",
         description="Emulates a ground test bench for docking and capture.",
         epilog=_overview(),
-        formatter_class=_Formatter,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"capture_sim {__version__}")
     parser.add_argument("command", metavar="COMMAND", choices=COMMANDS, help=argparse.SUPPRESS)
@@ -96,15 +98,6 @@ def _overview() -> str:
         lines.append("")
     lines.append("capture-sim COMMAND --help says more, with an example.")
     return "\n".join(lines)
-
-
-class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """Leaves the epilogue's lines as they are, and fills the description's."""
-
-    def _fill_text(self, text: str, width: int, indent: str) -> str:
-        if "\n" in text:
-            return super()._fill_text(text, width, indent)
-        return argparse.HelpFormatter._fill_text(self, text, width, indent)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -443,7 +443,10 @@ def _label_runs(
 
 def _finish_time_axis(axes: Axes, shown: Sequence[Shown], window: Window) -> None:
     """Set limits, grid and the label of the time axis; a touch at its start is off the frame."""
-    axes.set_xlim(window[0] - 0.01 * (window[1] - window[0]), window[1])
+    length = window[1] - window[0]
+    axes.set_xlim(window[0] - 0.01 * length, window[1])
+    if length < 0.01:  # long numbers
+        axes.locator_params(axis="x", nbins=5)
     grid(axes)
     axes.set_xlabel(f"{time_label(shown)}  [s]")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import datetime
 import io
-from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import is_dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from capture_sim.files import whole_file
 from capture_sim.results import LEGEND, first_cluster, heads, rows
 from capture_sim.samples import ENERGIES
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
 from capture_sim.viewing import figures, report_figures
 from capture_sim.viewing.curves import as_shown, has_ledger
@@ -203,37 +204,29 @@ def parameter_rows(
 
     A row holds name, unit, a value (of each scene, where they differ) and the meaning.
     """
-    described: dict[str, tuple[str, str]] = {}
-    values: list[dict[str, str]] = []
-    for scene in scenes:
-        found: dict[str, str] = {}
-        _walk("", scene, found, described)
-        values.append(found)
+    described: dict[str, Declared] = {}
+    values = [dict(_fields("", scene, described)) for scene in scenes]
     differing: list[tuple[str, ...]] = []
     shared: list[tuple[str, ...]] = []
-    for name, (unit, doc) in described.items():
+    for name, what in described.items():
+        unit = "" if what.unit == "1" else what.unit
         cells = [found.get(name, "-") for found in values]
         if len(set(cells)) > 1:
-            differing.append((name, unit, *cells, doc))
+            differing.append((name, unit, *cells, what.doc))
         else:
-            shared.append((name, unit, cells[0], doc))
+            shared.append((name, unit, cells[0], what.doc))
     return differing, shared
 
 
-def _walk(
-    prefix: str, part: Any, found: dict[str, str], described: dict[str, tuple[str, str]]
-) -> None:
-    for f in fields(part):
-        value, name = getattr(part, f.name), f"{prefix}{f.name}"
+def _fields(prefix: str, part: Any, described: dict[str, Declared]) -> Iterator[tuple[str, str]]:
+    """Yield every number and choice of a part by its path; note what is declared of each."""
+    for name, what in declared(type(part)).items():
+        value = getattr(part, name)
         if is_dataclass(value):
-            _walk(f"{name}.", value, found, described)
-            continue
-        if name in ("name", "title"):
-            continue
-        unit = str(f.metadata.get("unit", ""))
-        unit = "" if unit == "1" else unit
-        described.setdefault(name, (unit, str(f.metadata.get("doc", ""))))
-        found[name] = _shown(value)
+            yield from _fields(f"{prefix}{name}.", value, described)
+        elif name not in ("name", "title"):
+            described.setdefault(prefix + name, what)
+            yield prefix + name, _shown(value)
 
 
 def _shown(value: Any) -> str:
