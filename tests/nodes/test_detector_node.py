@@ -179,7 +179,8 @@ class Bench(BenchNode):
 
     def run(self, scene, measurements, readers):
         publishers = [SIMULATOR, CAPTURE_DETECTOR]
-        run = RunDescription.of(scene, "on the bench", publishers)
+        # the detector then waits for its own reader
+        run = RunDescription.of(scene, "on the bench", publishers, consumers=["recorder"])
         ours = (CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS)
         wait_until(lambda: all(self.matched(topic) >= readers for topic in ours), 90.0)
         self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(run)))
@@ -232,7 +233,9 @@ LATE = """
 """
 
 
-@pytest.mark.parametrize("name, change", [("tilt_m10", LATE), ("paper_undamped", "")])
+@pytest.mark.parametrize(
+    "name, change", [("tilt_m10", LATE), ("paper_undamped", "")], ids=["late", "in time"]
+)
 def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name, change):
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
