@@ -34,10 +34,10 @@ setup:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Nodes run in real time, so their tests have the machine to themselves.
+# What compiles comes before the nodes, which wait for each other; what they share stands in a file.
 test: lint
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto
-	$(BIN)/python -m pytest tests/nodes
+	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile
 
 # Of what is committed, in a clone with an environment of its own
 test-numpy1:
@@ -47,7 +47,7 @@ test-numpy1:
 	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
 	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
 	cd build/numpy1 && $(BIN)/python -m pytest tests --ignore tests/nodes -n auto
-	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes
+	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes -n auto --dist loadfile
 
 # Without ROS, in an environment of its own: what README's Python lines need
 test-plain:

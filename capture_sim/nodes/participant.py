@@ -140,8 +140,8 @@ class Participant(BenchNode):
         self._announcer: Any = None  # a publisher, once a trial was begun here
         watch = SubscriptionEventCallbacks(matched=self._announcers_changed)
         # the first subscription: an executor without order of arrival goes by this one
-        self.listen(RUN_INFO, self._announced, event_callbacks=watch)
-        self._waiting.append(partial(self.listen, STREAM_COUNTS, self._counted))
+        super().listen(RUN_INFO, self._announced, event_callbacks=watch)
+        self.listen(STREAM_COUNTS, self._counted)
         self.create_service(BeginTrial, "~/begin_trial", self._asked_to_begin)
         self.create_service(Trigger, "~/end_trial", self._asked_to_end)
         # a steady clock: this must also run when simulated time does not
@@ -197,6 +197,14 @@ class Participant(BenchNode):
             if self._came[topic.name] < sent.get(topic.name, 0)
         ]
 
+    def listen(self, topic: Topic, callback: Callable[[Any], None], **options: Any) -> None:
+        """Subscribe to a topic once callbacks run."""
+        subscribe = partial(super().listen, topic, callback, **options)
+        if self._ready.is_set():
+            subscribe()
+        else:
+            self._waiting.append(subscribe)
+
     def follow(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe to a stream; it is counted until the run's end.
 
@@ -210,9 +218,7 @@ class Participant(BenchNode):
                 self.end_if_complete()
 
         self._followed.append(topic)
-        self._waiting.append(partial(self.listen, topic, take, raw=raw))
-        if self._ready.is_set():
-            self._subscribe()
+        self.listen(topic, take, raw=raw)
 
     def end_if_complete(self) -> None:
         """End the run if its announcer has ended it and nothing is missing."""
@@ -336,13 +342,11 @@ class Participant(BenchNode):
         if self._exit_when_done and self._alone and self._runs > 0 and self.run is None:
             self._over.set()
 
-    def _subscribe(self) -> None:
-        while self._waiting:
-            self._waiting.pop(0)()
-        self._ready.set()
-
     def _look_at_clock(self) -> None:
-        self._subscribe()
+        if not self._ready.is_set():
+            for subscribe in self._waiting:
+                subscribe()
+            self._ready.set()
         if self.run is None or self.failure or time.monotonic() < self._deadline:
             return
         if self._counts is None:

@@ -251,7 +251,7 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
     finally:
         rclpy.shutdown()
     assert nodes[0].status(30.0) == 0, nodes[0].text
-    nodes[1].status(30.0)
+    assert nodes[1].status(30.0) == 0, nodes[1].text
     run = read_run(tmp_path / f"{name}.mcap")
     offline, _ = judge(scene, iter(measured))
     again = detect_again(run)[-1]
