@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core.compiler import Compiler
+from numba.core.registry import cpu_target
+
+
+def _load_without_blas() -> None:
+    """Load what Numba knows of Python and NumPy, without scipy.linalg, which no kernel needs.
+
+    It would be 0.3 s of every start; that SciPy may be missing Numba allows for.
+    """
+    blas = "scipy.linalg.cython_blas"
+    loaded = sys.modules.get(blas)
+    sys.modules[blas] = loaded  # type: ignore[assignment]  # None: an ImportError
+    try:
+        cpu_target.typing_context.refresh()
+        cpu_target.target_context.refresh()
+    finally:
+        if loaded is None:
+            del sys.modules[blas]
+
+
+_load_without_blas()
 
 # what Python gets that calls a kernel for other kernels: a TypeError (for it, see ``plain``)
 _REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from numba.core import event
@@ -18,32 +16,16 @@ from capture_sim.kernels import is_compiled
 def compile_first() -> None:
     """Load the kernels; compile them if this version never was, and show how far that is."""
     if is_compiled():
-        with _without_blas():
-            compile_kernels()
+        compile_kernels()
         return
     say("compiling the kernels, once for this version: about half a minute of one core")
     began = time.perf_counter()
     with (
         Progress("kernels") as progress,
         event.install_listener("numba:compile", _Compiling(progress)),
-        _without_blas(),
     ):
         compile_kernels()
     say(f"compiled in {time.perf_counter() - began:.1f} s")
-
-
-@contextmanager
-def _without_blas() -> Iterator[None]:
-    """Keep Numba from loading scipy.linalg: a third of the start, and no kernel needs BLAS."""
-    name = "scipy.linalg.cython_blas"
-    if name in sys.modules:
-        yield
-        return
-    sys.modules[name] = None  # type: ignore[assignment]  # an ImportError, which Numba allows for
-    try:
-        yield
-    finally:
-        del sys.modules[name]
 
 
 class _Compiling(event.Listener):
