@@ -62,7 +62,7 @@ def adapter(package: str) -> tuple[ModuleType | None, str]:
     except importlib.metadata.PackageNotFoundError:
         return None, "not installed: pip install -c requirements/constraints.txt '.[benchmark]'"
     except ImportError as error:
-        return None, f"does not load: {error}"
+        return None, f"does not load: {str(error).splitlines()[0]}"
 
 
 def measure(
