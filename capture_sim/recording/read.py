@@ -33,7 +33,8 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.completeness import Completeness
-from capture_sim.recording.contents import CDR, UNPACKED_RATIO, Contents, read_contents
+from capture_sim.recording.contents import CDR, Contents, read_contents
+from capture_sim.recording.scan import UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
     RECOVERY_METADATA,

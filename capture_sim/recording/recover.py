@@ -1,40 +1,17 @@
-"""Saving what is whole in a damaged recording into a new file, and saying what was lost.
-
-A record is whole when it stands in the file as it would be written, a chunk when it unpacks and
-its checksum fits.  Behind damage the next whole chunk is looked for byte by byte, since a
-damaged length leads anywhere.
-"""
+"""Saving what is whole in a damaged recording into a new file, and saying what was lost."""
 
 from __future__ import annotations
 
-import mmap
-import re
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
+from mmap import mmap
 from pathlib import Path
 from typing import NamedTuple
 
 import yaml
-from mcap.data_stream import RecordBuilder
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Message,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from capture_sim.errors import RecordingError
@@ -49,17 +26,19 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
-from capture_sim.recording.contents import (
-    DAMAGE,
-    UNPACKED_RATIO,
-    Records,
-    allowance,
-    bag_files,
-    records_in,
-    summary_of,
-    unpacked,
-)
+from capture_sim.recording.contents import bag_files
 from capture_sim.recording.live import decoded
+from capture_sim.recording.scan import (
+    UNPACKED_RATIO,
+    Damage,
+    Stored,
+    Whole,
+    data_fit,
+    definitions_in,
+    mapped,
+    scan,
+    summary_of,
+)
 from capture_sim.recording.write import (
     BAG_METADATA,
     CHUNK_SIZE,
@@ -74,14 +53,6 @@ from capture_sim.recording.write import (
 UNVERIFIED = "unverified."
 #: Lines about losses of one kind, at most.
 _MOST_LINES = 5
-#: Bytes that a record takes in memory beside its data.
-_RECORD_COST = 300
-
-_HEAD = struct.Struct("<BQ")  # opcode, length
-_CHUNK = struct.Struct("<QQQII")  # first and last time, size, checksum, length of a name
-_SIZE = struct.Struct("<Q")
-# opcode of a chunk, and a length below 4 GB; looked ahead, so that hits may overlap
-_CHUNK_HEAD = re.compile(rb"(?=\x06[\s\S]{4}\x00\x00\x00\x00)")
 
 
 class NothingWholeError(RecordingError):
@@ -140,12 +111,13 @@ def recover(
     parts, lost = [], []
     for file in files:
         try:
-            parts.append(_search(file, ratio))
+            with mapped(file) as data:
+                parts.append(_Part(file, data, ratio))
         except RecordingError as error:
             if len(files) == 1:
                 raise
             lost.append(f"all of {error}")
-    if not any(m.channel_id in part.channels for part in parts for m in part.messages):
+    if not any(channel in part.channels for part in parts for channel, *_ in part.messages):
         raise NothingWholeError(f"{path}: nothing to recover: no whole chunk in it")
     target = free_path(path.with_name(f"{path.stem}_recovered.mcap")) if out is None else Path(out)
     try:
@@ -164,28 +136,15 @@ class _Loss(NamedTuple):
     after: int  # whole messages before it
 
 
-def _search(path: Path, ratio: float) -> _Part:
-    """Find what is whole in a file."""
-    try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            if data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
-                raise RecordingError(f"{path}: not an MCAP file")
-            return _Part(path, data, ratio)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
-    except ValueError:  # an empty file makes no map
-        raise RecordingError(f"{path}: not an MCAP file") from None
-
-
 class _Part:
     """What is whole in one file, in its order."""
 
-    def __init__(self, path: Path, data: mmap.mmap, ratio: float) -> None:
+    def __init__(self, path: Path, data: mmap, ratio: float) -> None:
         self.path, self.size = path, len(data)
         self.chunks = self.unchecked = self.loose = 0  # chunks without checksum, messages outside
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.messages: list[Message] = []
+        self.messages: list[Stored] = []
         self.attachments: dict[str, Attachment] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.losses: list[_Loss] = []
@@ -195,11 +154,7 @@ class _Part:
         self.written: int | None = None
         self.named: list[str] = []
         self._confirmed: set[tuple[type, int]] = set()  # definitions under a checksum
-        self._data, self._left = data, allowance(len(data), ratio)
-        self._summary, self._summary_confirmed = summary_of(data)
-        self._walk()
-        self._take_summary()
-        del self._data
+        self._scan(data, ratio)
 
     @property
     def all_saved(self) -> bool:
@@ -211,130 +166,65 @@ class _Part:
         """How many topics' names and types no checksum confirms."""
         return sum((Channel, number) not in self._confirmed for number in self.channels)
 
-    def _walk(self) -> None:
-        """Take in all records, and look for the next chunk behind each damage."""
-        position = sure = len(MCAP0_MAGIC)
-        while True:
-            for start, end, record in self._records(position):
-                if not self._take(record, start):
-                    break
-                position = end
-                if isinstance(record, Chunk | Attachment):
-                    sure = end  # nothing before it needs another look
-                if isinstance(record, DataEnd):
-                    if self._summary is None:
-                        self._lose(end, self.size, "index and end mark damaged")
-                    return
-            found = self._next_chunk(sure)
-            if found is None:
-                break
-            if found > position:
-                self._lose(position, found, "damaged")
-            position = sure = found
-        if self._summary is not None:
-            self._lose(position, max(self._summary, position), "damaged")
-        elif position == self.size:
-            self._lose(position, position, "the file ends without index and end mark")
+    def _scan(self, data: mmap, ratio: float) -> None:
+        """Take in all that is whole, and note what is not."""
+        summary, end, gap = summary_of(data), len(MCAP0_MAGIC), None
+        for found in scan(data, ratio):
+            if isinstance(found, Damage):
+                gap = found
+                continue
+            if gap is not None and found.start > gap.start:
+                self._lose(gap.start, found.start, "damaged")
+            gap, end = None, found.end
+            self._take(found)
+            if isinstance(found.record, DataEnd):
+                self.verified = data_fit(data, found)
+        if summary is not None and summary.confirmed:
+            self.written, self.named = summary.written, summary.named
+            for each in summary.definitions:
+                if (type(each), each.id) not in self._confirmed:
+                    self._define(each, confirmed=True)
+        if gap is None:
+            if summary is None:
+                self._lose(end, self.size, "index and end mark damaged")
+        elif summary is not None:
+            self._lose(gap.start, max(summary.start, gap.start), "damaged")
+        elif gap.start == self.size:
+            self._lose(self.size, self.size, "the file ends without index and end mark")
+        elif gap.cut:
+            self._lose(gap.start, self.size, "the file ends within a record")
         else:
-            head = self._data[position : position + _HEAD.size]
-            cut = len(head) < _HEAD.size or position + _HEAD.unpack(head)[1] >= self.size
-            why = "the file ends within a record" if cut else "damaged, up to the file's end"
-            self._lose(position, self.size, why)
+            self._lose(gap.start, self.size, "damaged, up to the file's end")
 
-    def _records(self, start: int) -> Iterator[tuple[int, int, McapRecord]]:
-        """Yield place, end and content of the records from a place on, while they are whole."""
-        data = self._data
-        data.seek(start)
-        reader = Records(data, skip_magic=True, emit_chunks=True, record_size_limit=self.size)
-        with suppress(*DAMAGE):
-            for record in reader.records:
-                end, builder = data.tell(), RecordBuilder()
-                record.write(builder)
-                if builder.end() != data[start:end]:
-                    return
-                yield start, end, record
-                start = end
-
-    def _take(self, record: McapRecord, start: int) -> bool:
-        """Take in a record; return whether it is whole."""
+    def _take(self, found: Whole) -> None:
+        record, checked = found.record, False
         if isinstance(record, Chunk):
-            try:
-                definitions, messages = records_in(unpacked(record, self._left))
-            except DAMAGE:
-                return False
-            self._left -= record.uncompressed_size + _RECORD_COST * len(messages)
+            checked = bool(record.uncompressed_crc)
             self.chunks += 1
-            self.unchecked += not record.uncompressed_crc
-            for each in definitions:
-                self._define(each, confirmed=bool(record.uncompressed_crc))
-            self.messages += [Message(*each) for each in messages]
+            self.unchecked += not checked
         elif isinstance(record, Attachment):
             self.attachments[record.name] = record
             if record.name == DEFINITIONS_ATTACHMENT:
-                with suppress(*DAMAGE):
-                    for each in StreamReader(BytesIO(record.data)).records:
-                        self._define(each, confirmed=True)
+                for each in definitions_in(record):
+                    self._define(each, confirmed=True)
         elif isinstance(record, Metadata):
             self.metadata[record.name] = dict(record.metadata)
-        elif isinstance(record, Message):
-            self.messages.append(record)
-            self.loose += 1
-        elif isinstance(record, DataEnd):
-            self.verified = None
-            if record.data_section_crc:
-                crc = zlib.crc32(memoryview(self._data)[:start])
-                self.verified = crc == record.data_section_crc
-        else:
+        elif isinstance(record, Schema | Channel):
             self._define(record, confirmed=False)
-        return True
+        else:
+            self.loose += len(found.messages)
+        for each in found.definitions:
+            self._define(each, confirmed=checked)
+        self.messages += found.messages
 
-    def _define(self, record: McapRecord, *, confirmed: bool) -> None:
+    def _define(self, record: Schema | Channel, *, confirmed: bool) -> None:
         """Take in a type or a topic; one under a checksum stands over others."""
-        if isinstance(record, Schema | Channel):
-            key = (type(record), record.id)
-            if confirmed or key not in self._confirmed:
-                kind = self.schemas if isinstance(record, Schema) else self.channels
-                kind[record.id] = record  # type: ignore[assignment]  # each in its own
-            if confirmed:
-                self._confirmed.add(key)
-
-    def _next_chunk(self, sure: int) -> int | None:
-        """Return where the next whole chunk begins; it may lie in what a wrong length skipped."""
-        for match in _CHUNK_HEAD.finditer(self._data, sure):
-            at = match.start()
-            if self._may_be_chunk(at):
-                _, _, record = next(self._records(at), (at, at, None))
-                if isinstance(record, Chunk):
-                    with suppress(*DAMAGE):
-                        records_in(unpacked(record, self._left))
-                        return at
-        return None
-
-    def _may_be_chunk(self, at: int) -> bool:
-        """Whether the lengths in a chunk's head fit together; looks at nothing behind it."""
-        with suppress(struct.error):
-            _, length = _HEAD.unpack_from(self._data, at)
-            *_, name = _CHUNK.unpack_from(self._data, at + _HEAD.size)
-            if name <= len("zstd"):
-                (size,) = _SIZE.unpack_from(self._data, at + _HEAD.size + _CHUNK.size + name)
-                return bool(length == _CHUNK.size + name + _SIZE.size + size)
-        return False
-
-    def _take_summary(self) -> None:
-        """Take from the summary, where a checksum confirms it, what it says of the rest."""
-        if self._summary is None or not self._summary_confirmed:
-            return
-        reader = StreamReader(BytesIO(self._data[self._summary :]), skip_magic=True)
-        with suppress(*DAMAGE):
-            for record in reader.records:
-                if isinstance(record, Statistics):
-                    self.written = record.message_count
-                elif isinstance(record, AttachmentIndex):
-                    self.named.append(f"attachment {record.name}")
-                elif isinstance(record, MetadataIndex):
-                    self.named.append(f"metadata {record.name}")
-                elif (type(record), getattr(record, "id", None)) not in self._confirmed:
-                    self._define(record, confirmed=True)
+        key = (type(record), record.id)
+        if confirmed or key not in self._confirmed:
+            kind = self.schemas if isinstance(record, Schema) else self.channels
+            kind[record.id] = record  # type: ignore[assignment]  # each in its own
+        if confirmed:
+            self._confirmed.add(key)
 
     def _lose(self, start: int, end: int, why: str) -> None:
         self.losses.append(_Loss(start, end, why, len(self.messages)))
@@ -384,14 +274,14 @@ class _Saved:
         """Write a file's messages; return how many are of topics that nothing whole defines."""
         ids = {number: self._channel(part, number) for number in sorted(part.channels)}
         unknown = 0
-        for m in part.messages:
-            channel = ids.get(m.channel_id)
+        for number, log_time, *rest in part.messages:
+            channel = ids.get(number)
             if channel is None:
                 unknown += 1
                 continue
-            self._writer.add_message(channel, m.log_time, m.data, m.publish_time, m.sequence)
+            self._writer.add_message(channel, log_time, *rest)
             self._counts[channel] += 1
-            self._times.append(m.log_time)
+            self._times.append(log_time)
         return unknown
 
     @property
@@ -463,39 +353,38 @@ def _describe(writer: Writer, parts: list[_Part], run: RunDescription | None) ->
     return unconfirmed
 
 
-def _of_topics(parts: list[_Part], *topics: Topic) -> Iterator[tuple[Topic, Message]]:
-    """Yield the messages of the bench's topics."""
+def _of_topics(parts: list[_Part], *topics: Topic) -> Iterator[tuple[Topic, int, bytes]]:
+    """Yield topic, log time (ns) and bytes of the messages of the bench's topics."""
     for part in parts:
         ids: dict[int, Topic] = {}
         for number, channel in part.channels.items():
             topic, schema = topic_named(channel.topic), part.schemas.get(channel.schema_id)
             if topic in topics and topic and schema and schema.name == topic.type_name:
                 ids[number] = topic
-        for message in part.messages:
-            if message.channel_id in ids:
-                yield ids[message.channel_id], message
+        for number, log_time, data, *_ in part.messages:
+            if number in ids:
+                yield ids[number], log_time, data
 
 
 def _run(parts: list[_Part]) -> RunDescription | None:
     """Return the description of the run from its announcement, where that is whole."""
-    for topic, message in _of_topics(parts, RUN_INFO):
+    for topic, _, data in _of_topics(parts, RUN_INFO):
         with suppress(RecordingError):
-            return RunDescription.of_message(decoded(topic, message.data))
+            return RunDescription.of_message(decoded(topic, data))
     return None
 
 
 def _release(parts: list[_Part]) -> int | None:
     """Return the log time of the release, ns; None where nothing whole holds it."""
     started = None
-    for topic, message in _of_topics(parts, LAUNCH_COMMAND, BENCH_STATE):
+    for topic, log_time, data in _of_topics(parts, LAUNCH_COMMAND, BENCH_STATE):
         with suppress(RecordingError):
             if topic is LAUNCH_COMMAND:
-                if decoded(topic, message.data).action == LaunchAction.RELEASE:
-                    return message.log_time
+                if decoded(topic, data).action == LaunchAction.RELEASE:
+                    return log_time
             elif started is None:
                 # simulated time, by whatever clock the log's is
-                stamp = stamp_of(topic, message.data) or message.log_time
-                started = message.log_time - stamp + EPOCH_NS
+                started = log_time - (stamp_of(topic, data) or log_time) + EPOCH_NS
     return started
 
 
@@ -543,7 +432,8 @@ def _in_words(part: _Part, loss: _Loss, release: int | None) -> str:
     zero, meaning = (0, "of the log") if release is None else (release, "since the release")
     before, behind = part.messages[: loss.after][-1:], part.messages[loss.after :][:1]
     first, last = (
-        "".join(f"{(m.log_time - zero) / 1e9:.3f} s" for m in some) for some in (before, behind)
+        "".join(f"{(log_time - zero) / 1e9:.3f} s" for _, log_time, *_ in some)
+        for some in (before, behind)
     )
     if first and last:
         return f"{where} (any messages between {first} and {last} {meaning})"

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
-from mcap._chunk_builder import ChunkBuilder
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import Message, MessageIndex
 from mcap.writer import IndexType, Writer
 
 from capture_sim.errors import RecordingError
@@ -30,7 +24,6 @@ from capture_sim.recording.bag_metadata import (
     dump,
     qos_profile,
 )
-from capture_sim.recording.contents import MESSAGE_HEAD
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"
@@ -98,8 +91,6 @@ class RunWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb" if is_device(path) else "xb")
             self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
-            # by its private name: without it files are the same, and take longer
-            self._writer._Writer__chunk_builder = _Chunk()  # type: ignore[attr-defined]
             self._writer.start("ros2")
             self._writer.add_metadata(RUN_METADATA, {**describing(run), **(metadata or {})})
             self._attach(SCENE_ATTACHMENT, "application/yaml", run.scene.encode())
@@ -244,41 +235,6 @@ class RunWriter:
         failed = RecordingError(f"{self.path}: cannot write: {error.strerror or error}")
         failed.__cause__ = error
         return failed
-
-
-class _Index(MessageIndex):
-    """The library's index of a chunk's messages, packed at once."""
-
-    def write(self, stream: RecordBuilder) -> None:
-        """Write the record."""
-        count = 2 * len(self.records)
-        stream.start_record(Opcode.MESSAGE_INDEX)
-        stream.write(struct.pack("<HI", self.channel_id, 8 * count))
-        stream.write(struct.pack(f"<{count}Q", *chain.from_iterable(self.records)))
-        stream.finish_record()
-
-
-class _Chunk(ChunkBuilder):
-    """The library's builder of chunks, with a message's head packed at once: in half the time."""
-
-    message_start_time: int
-    message_end_time: int
-
-    def add_message(self, message: Message) -> None:
-        """Write a message into the chunk."""
-        time, data, buffer = message.log_time, message.data, self.record_writer
-        if self.num_messages == 0 or time < self.message_start_time:
-            self.message_start_time = time
-        if time > self.message_end_time:
-            self.message_end_time = time
-        self.num_messages += 1
-        index = self.message_indices.get(message.channel_id)
-        if index is None:
-            index = self.message_indices[message.channel_id] = _Index(message.channel_id, [])
-        index.records.append((time, buffer.count))
-        head = (Opcode.MESSAGE, MESSAGE_HEAD.size - 9 + len(data), message.channel_id)
-        buffer.write(MESSAGE_HEAD.pack(*head, message.sequence, time, message.publish_time))
-        buffer.write(data)
 
 
 def describing(run: RunDescription) -> dict[str, str]:

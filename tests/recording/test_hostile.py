@@ -32,11 +32,11 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     STREAM_COUNTS,
 )
-from capture_sim.recording.contents import UNPACKED_LEAST
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
+from capture_sim.recording.scan import UNPACKED_LEAST
 
 COMMANDS = ("detect", "export", "resimulate", "recover", "compare", "identify")
 
