@@ -36,11 +36,9 @@ CONTACT_RIG = "contact_rig"
 LOOP_SIMULATOR = "loop_simulator"
 
 #: Where the tip is in the cone, for what measures or makes the contact.
-TIP = Topic("loop/tip", "nav_msgs/msg/Odometry", (LOOP_SIMULATOR,), Rate.STATE, recorded=False)
+TIP = Topic("loop/tip", "nav_msgs/msg/Odometry", (LOOP_SIMULATOR,), Rate.STATE)
 #: What acts on the tip; stamped with the stamp of the tip's place that it answers.
-TIP_WRENCH = Topic(
-    "loop/wrench", "geometry_msgs/msg/WrenchStamped", (CONTACT_RIG,), Rate.STATE, recorded=False
-)
+TIP_WRENCH = Topic("loop/wrench", "geometry_msgs/msg/WrenchStamped", (CONTACT_RIG,), Rate.STATE)
 
 
 class SafeStopError(CaptureSimError):

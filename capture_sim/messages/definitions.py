@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import NUMBERS
+from capture_sim.messages.topics import Topic
 from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"
@@ -64,6 +67,20 @@ def blank(type_name: str) -> Any:
     }
     fields = typestore().fielddefs[type_name][1]
     return typestore().types[type_name](*(kinds[kind](of) for _, (kind, of) in fields))
+
+
+def decoded(topic: Topic, data: bytes) -> Any:
+    """Return a message of a topic from its bytes.
+
+    Raises
+    ------
+    MessageError
+        The bytes are no such message.
+    """
+    try:
+        return typestore().deserialize_cdr(data, topic.type_name)
+    except (SerdeError, UnicodeDecodeError) as error:
+        raise MessageError(f"{topic.name}: {error}") from None
 
 
 @cache

@@ -51,8 +51,6 @@ class Topic:
         the last change of its state.
     sequenced
         A ``uint64 seq`` follows the header and counts from 0 without gaps.
-    recorded
-        Part of a recorded run.
     """
 
     name: str
@@ -63,7 +61,6 @@ class Topic:
     latched: bool = False
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False
-    recorded: bool = True
 
     @property
     def absolute_name(self) -> str:
@@ -144,8 +141,6 @@ TOPICS: tuple[Topic, ...] = (
     CAPTURE_STATUS,
     STREAM_COUNTS,
 )
-
-RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded)
 
 
 def topics_of(publisher: str) -> tuple[Topic, ...]:

@@ -43,13 +43,13 @@ from capture_sim.messages.topics import (
     LAUNCH_COMMAND,
     LAUNCHER,
     LAUNCHER_STATE,
-    RECORDED,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
     STRING_STATE,
     TARGET_ODOMETRY,
     TARGET_POSE,
+    TOPICS,
     Topic,
     topics_of,
 )
@@ -73,7 +73,7 @@ READ: dict[str, tuple[Topic, ...]] = {
         *(CHASER_ODOMETRY, TARGET_ODOMETRY, CHASER_POSE, TARGET_POSE),
         *(BUFFER_STATE, JOINT_STATES),
     ),
-    RECORDER: tuple(topic for topic in RECORDED if topic is not RUN_INFO),
+    RECORDER: tuple(topic for topic in TOPICS if topic is not RUN_INFO),
 }
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"

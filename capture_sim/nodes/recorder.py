@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
-from capture_sim.messages.topics import RECORDED, RUN_INFO, STREAM_COUNTS, Rate, Stamp, Topic
+from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, TOPICS, Rate, Stamp, Topic
 from capture_sim.nodes.node import ParameterError, from_bytes, run
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.recording.live import LiveRecorder, Split
@@ -48,7 +48,7 @@ class RecorderNode(Participant):
             "those that are recorded, of the bench or others, whose types are found when they are "
             "published; the bench's unless given",
         )
-        known = {topic.absolute_name: topic for topic in RECORDED}
+        known = {topic.absolute_name: topic for topic in TOPICS}
         names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(known)
         self._topics = [known[name] for name in names if name in known]
         self._sought = {name for name in names if name not in known}

@@ -19,9 +19,9 @@ from capture_sim.recording.scan import (
     Whole,
     data_fit,
     ends_with_mark,
+    index_of,
     mapped,
     scan,
-    summary_of,
 )
 
 #: Encoding of ROS 2 messages.
@@ -157,19 +157,19 @@ class _Reader:
                 if data_fit(data, found) is False:
                     raise self._damaged(found.start, "wrong checksum of what is before it")
                 break
-        summary = summary_of(data)
-        if summary is None:
-            if ends_with_mark(data):
-                raise self._damaged(end, "the index does not match its checksum")
-            damage = (
-                f"the file ends without its end mark; {end} of {len(data)} bytes are complete "
-                "records"
-            )
+        index = index_of(data)
+        if index is not None:
+            written = index.summary.statistics
+            if written is not None and written.message_count != self._count:
+                why = f"{self._count} messages read, {written.message_count} were written"
+                raise self._damaged(index.start, why)
+        elif ends_with_mark(data):
+            raise self._damaged(end, "the index does not match its checksum")
+        else:
+            size = f"{end} of {len(data)} bytes"
+            damage = f"the file ends without its end mark; {size} are complete records"
             before = self._contents.damage
             self._contents.damage = f"{before}; then {damage}" if before else damage
-        elif summary.written not in (None, self._count):
-            why = f"{self._count} messages read, {summary.written} were written"
-            raise self._damaged(summary.start, why)
 
     def _take(self, found: Whole) -> None:
         for record in (*found.definitions, found.record):

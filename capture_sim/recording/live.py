@@ -10,19 +10,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from rosbags.serde import SerdeError
-
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.files import file_name, free_path, whole_file
 from capture_sim.messages.cdr import sequence_of, stamp_of
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.definitions import typestore
+from capture_sim.messages.definitions import decoded
 from capture_sim.messages.topics import (
     BENCH_STATE,
-    RECORDED,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
+    TOPICS,
     Topic,
 )
 from capture_sim.recording.bag_metadata import FILE_NAME, TopicEntry, bag_metadata, in_folder
@@ -82,7 +80,7 @@ class RecordingFiles:
     Raises
     ------
     RecordingError
-        A file cannot be written.
+        A file cannot be written, here or later.
     """
 
     def __init__(
@@ -93,14 +91,9 @@ class RecordingFiles:
         topics: Sequence[Topic],
         split: Split,
     ) -> None:
-        self._run = run
-        self._metadata = dict(metadata)
-        self._topics = topics
-        self._split = split
+        self._run, self._metadata, self._topics, self._split = run, metadata, topics, split
         self._stem = file_name(run.name)
         self._finished: list[RunWriter] = []
-        #: Entries for the metadata record at the end of the last file.
-        self.closing: dict[str, str] = {}
         wanted = directory / (self._stem if split else f"{self._stem}.mcap")
         while True:
             #: The file, or the folder.
@@ -121,13 +114,7 @@ class RecordingFiles:
                 break
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
-        """Write a serialised message, into a new file when it is time for one.
-
-        Raises
-        ------
-        RecordingError
-            A file cannot be written.
-        """
+        """Write a serialised message, into a new file when it is time for one."""
         size, span = self._split.size, self._split.time
         if (size and self._writer.size >= size) or (span and self._writer.span >= span):
             self._writer.close()
@@ -139,18 +126,21 @@ class RecordingFiles:
         """Hand what waits to the operating system."""
         self._writer.flush()
 
-    def close(self) -> None:
-        """Write index and summary, and ``metadata.yaml`` of a folder.
-
-        Raises
-        ------
-        RecordingError
-            A file cannot be written.
-        """
-        self._writer.closing.update(self.closing)
+    def close(self, closing: Mapping[str, str]) -> None:
+        """Write what is known at the end, index and summary; ``metadata.yaml`` of a folder."""
+        self._writer.closing.update(closing)
         self._writer.close()
-        if self._split:
-            self._write_metadata()
+        if not self._split:
+            return
+        parts = [*self._finished, self._writer]
+        topics: dict[str, TopicEntry] = {}
+        for entry in (entry for part in parts for entry in part.topic_entries()):
+            known = topics.get(entry.name)
+            topics[entry.name] = replace(entry, count=entry.count + (known.count if known else 0))
+        files = [part.file_entry for part in parts]
+        text = bag_metadata(list(topics.values()), files, self._writer.run_id)
+        with whole_file(self.path / FILE_NAME) as part:
+            part.write_text(in_folder(text), encoding="utf-8")
 
     def give_up(self) -> None:
         """Close the file as far as that is possible."""
@@ -164,18 +154,6 @@ class RecordingFiles:
             path = self.path / f"{self._stem}_{number}.mcap"
             metadata = {**metadata, "part": str(number)}
         return RunWriter(path, self._run, metadata, topics=self._topics)
-
-    def _write_metadata(self) -> None:
-        parts = [*self._finished, self._writer]
-        topics: dict[str, TopicEntry] = {}
-        for entry in (entry for part in parts for entry in part.topic_entries()):
-            known = topics.get(entry.name)
-            count = entry.count + (known.count if known else 0)
-            topics[entry.name] = replace(entry, count=count)
-        files = [part.file_entry for part in parts]
-        text = bag_metadata(list(topics.values()), files, self._writer.run_id)
-        with whole_file(self.path / FILE_NAME) as part:
-            part.write_text(in_folder(text), encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -204,11 +182,10 @@ class RecordingReport:
 class LiveRecorder:
     """Records one run from serialised messages as they come.
 
-    A RunInfo names the run and opens ``<directory>/<name>.mcap`` (``<name>_2.mcap`` when that
-    exists); what came before it is kept and written after it.  Messages are written by a
-    thread of the recorder's own, logged at the simulated time that they carry, or where no
-    simulator takes part at the time of their arrival.  The publishers' StreamCounts are
-    written last, since they carry no time.
+    A RunInfo names the run and opens its file; what came before it is kept and written after it.
+    Messages are written by a thread of the recorder's own, logged at the simulated time that they
+    carry, or where no simulator takes part at the time of their arrival.  The publishers'
+    StreamCounts are written last, since they carry no time.
 
     :meth:`take` may be called from any one thread.  Use it as a context manager or call
     :meth:`close`.
@@ -231,6 +208,15 @@ class LiveRecorder:
     ----------
     paused : bool
         While set, messages are counted and not written; RunInfo and StreamCounts are.
+    run : RunDescription or None
+        The run that is recorded; None until it is announced.
+    path : Path or None
+        The file, or the folder of files; None until the run is announced.
+
+    Raises
+    ------
+    RecordingError
+        From its methods: the file cannot be written.
     """
 
     def __init__(
@@ -239,14 +225,14 @@ class LiveRecorder:
         metadata: Mapping[str, str] | None = None,
         queue_bytes: int = QUEUE_BYTES,
         *,
-        topics: Sequence[Topic] = RECORDED,
+        topics: Sequence[Topic] = TOPICS,
         split: Split | None = None,
     ) -> None:
         self._directory = Path(directory)
         self._metadata = {"origin": LIVE, **(metadata or {})}
         chosen = {*topics, RUN_INFO, STREAM_COUNTS}
-        others = [topic for topic in topics if topic not in RECORDED]
-        self._topics = (*(topic for topic in RECORDED if topic in chosen), *others)
+        others = [topic for topic in topics if topic not in TOPICS]
+        self._topics = (*(topic for topic in TOPICS if topic in chosen), *others)
         self._split = split or Split()
         self._completeness = Completeness(topics=self._topics)
         self._simulated = True  # a simulator takes part
@@ -258,9 +244,7 @@ class LiveRecorder:
         self._queue = _WriteQueue(queue_bytes)
         self._report: RecordingReport | None = None
         self.paused = False
-        #: The run that is recorded; None until it is announced.
         self.run: RunDescription | None = None
-        #: The file, or the folder of files; None until the run is announced.
         self.path: Path | None = None
 
     @property
@@ -269,15 +253,7 @@ class LiveRecorder:
         return self.run is not None and self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes) -> None:
-        """Take in one serialised message.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written.
-        MessageError
-            The bytes are no such message.
-        """
+        """Take in one serialised message; MessageError where the bytes are none."""
         if self._report is not None:
             raise RecordingError(f"{topic.name}: message after the recording was closed")
         self._last_message = time.monotonic()
@@ -288,22 +264,23 @@ class LiveRecorder:
         elif topic is STREAM_COUNTS:
             self._take_counts(data)
         elif topic in self._topics:
-            paused = self.paused
-            stamp = self._log_time(topic, data)
+            stamp, paused = self._log_time(topic, data), self.paused
             self._completeness.add(topic, sequence_of(topic, data), written=not paused)
             if not paused:
                 self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
-        """Write what waits, close the file and say what is missing; again: same report.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written.
-        """
+        """Write what waits, close the file and say what is missing; again: same report."""
         if self._report is None:
-            self._report = self._make_report()
+            problems = [*self._remarks, *self._completeness.problems()]
+            if self.run is None:
+                problems.insert(0, "no run was announced: nothing recorded")
+            self._report = RecordingReport(
+                path=self.path,
+                complete=not problems,
+                topics={topic.name: entry for topic, entry in self._completeness.topics.items()},
+                problems=tuple(problems),
+            )
             for data in self._counts.values():
                 self._queue.put(STREAM_COUNTS, data, None)
             closing = {}
@@ -329,12 +306,9 @@ class LiveRecorder:
         if self.run is None:
             run = RunDescription.of_message(info)
             self._simulated = SIMULATOR in run.publishers
-            stamp = self._log_time(RUN_INFO, data)
-            files = self._queue.open(
-                self._directory, run, self._metadata, self._topics, self._split
-            )
-            self._queue.begin(files, data, stamp)
-            self.path = files.path
+            first = (RUN_INFO, data, self._log_time(RUN_INFO, data))
+            files = (self._directory, run, self._metadata, self._topics, self._split)
+            self.path = self._queue.begin(first, *files)
             self._completeness.add(RUN_INFO, None)
             self.run = run
             self._completeness.publishers = run.publishers
@@ -349,87 +323,47 @@ class LiveRecorder:
             raise MessageError(f"{len(ended.topics)} topics and {len(ended.counts)} counts")
         if self.run is None:
             self._early_counts.append(data)
-            return
-        if ended.run_id != self.run.run_id:
-            return  # latched by an earlier run
-        self._counts.setdefault(ended.publisher, data)
-        counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
-        self._completeness.end(
-            ended.publisher, counts, complete=ended.complete, reason=ended.reason
-        )
-
-    def _make_report(self) -> RecordingReport:
-        problems = [*self._remarks, *self._completeness.problems()]
-        if self.run is None:
-            problems.insert(0, "no run was announced: nothing recorded")
-        return RecordingReport(
-            path=self.path,
-            complete=not problems,
-            topics={topic.name: entry for topic, entry in self._completeness.topics.items()},
-            problems=tuple(problems),
-        )
+        elif ended.run_id == self.run.run_id:  # else latched by an earlier run
+            self._counts.setdefault(ended.publisher, data)
+            counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
+            self._completeness.end(
+                ended.publisher, counts, complete=ended.complete, reason=ended.reason
+            )
 
 
-def decoded(topic: Topic, data: bytes) -> Any:
-    """Return a message of a topic from its bytes.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message.
-    """
-    try:
-        return typestore().deserialize_cdr(data, topic.type_name)
-    except (SerdeError, UnicodeDecodeError) as error:
-        raise MessageError(f"{topic.name}: {error}") from None
+_Waiting = tuple[Topic, bytes, int | None]
 
 
 class _WriteQueue:
-    """Hands messages to a writer in a thread of its own, in batches, in bounded memory.
+    """Hands messages to the files in a thread of its own, in batches, in bounded memory.
 
-    The thread looks every :data:`WRITE_PERIOD` instead of being woken by each message:
-    at 1 kHz the waking costs more than the writing.
+    The thread looks every :data:`WRITE_PERIOD` instead of being woken by each message: at 1 kHz
+    the waking costs more than the writing.  What it fails by is raised by every later call.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._lock = threading.Condition()
-        self._waiting: list[tuple[Topic, bytes, int | None]] = []
+        self._waiting: list[_Waiting] = []
         self._bytes = 0
         self._closing: dict[str, str] | None = None
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
 
-    def open(self, *arguments: Any) -> RecordingFiles:
-        """Return new files; what fails is raised by :meth:`put` too.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written.
-        """
+    def begin(self, first: _Waiting, *files: Any) -> Path:
+        """Open the files and start writing: the first message, then what waits; return where."""
         try:
-            return RecordingFiles(*arguments)
+            opened = RecordingFiles(*files)
         except RecordingError as error:
             self._error = error
             raise
-
-    def begin(self, files: RecordingFiles, info: bytes, stamp: int | None) -> None:
-        """Start writing: the RunInfo, then what waits."""
-        self._waiting.insert(0, (RUN_INFO, info, stamp))
-        self._thread = threading.Thread(
-            target=self._work, args=(files,), name="recording", daemon=True
-        )
+        self._waiting.insert(0, first)
+        self._thread = threading.Thread(target=self._work, args=(opened,), daemon=True)
         self._thread.start()
+        return opened.path
 
-    def put(self, topic: Topic, data: bytes, stamp: int | None) -> None:
-        """Append a message; waits while the queue is full.
-
-        Raises
-        ------
-        RecordingError
-            Writing failed, or the disk stands still.
-        """
+    def put(self, *message: *_Waiting) -> None:
+        """Append a message; waits while the queue is full."""
         with self._lock:
             if self._bytes >= self._limit and self._thread is not None:
                 self._lock.wait_for(
@@ -442,23 +376,16 @@ class _WriteQueue:
                     if self._thread is None
                     else f"the disk has not written anything for {STALL_LIMIT:g} s"
                 )
-            self._waiting.append((topic, data, stamp))
-            self._bytes += len(data)
+            self._waiting.append(message)
+            self._bytes += len(message[1])
 
     def close(self, closing: dict[str, str]) -> None:
-        """Write all that waits, then the closing metadata, and close the file.
-
-        Raises
-        ------
-        RecordingError
-            Writing failed.
-        """
+        """Write all that waits, then the closing metadata, and close the files."""
         with self._lock:
             self._closing = closing
             self._lock.notify_all()
         if self._thread is not None:
             self._thread.join()
-            self._thread = None
         self._check()
 
     def _check(self) -> None:
@@ -466,32 +393,26 @@ class _WriteQueue:
             raise self._error
 
     def _work(self, files: RecordingFiles) -> None:
+        flushed = time.monotonic()
         try:
-            self._write_until_closed(files)
-            files.close()
+            while self._closing is None or self._waiting:
+                with self._lock:
+                    self._lock.wait_for(lambda: self._closing is not None, WRITE_PERIOD)
+                    batch, self._waiting = self._waiting, []
+                    self._bytes = 0
+                    self._lock.notify_all()
+                for message in batch:
+                    files.write(*message)
+                if time.monotonic() - flushed > FLUSH_PERIOD:
+                    files.flush()
+                    flushed = time.monotonic()
+            files.close(self._closing or {})
         except Exception as error:  # whatever it is, the callers of put() must learn of it
             files.give_up()
             with self._lock:
-                if isinstance(error, RecordingError):
-                    self._error = error
-                else:
-                    self._error = RecordingError(f"{files.path}: {type(error).__name__}: {error}")
+                self._error = (
+                    error
+                    if isinstance(error, RecordingError)
+                    else RecordingError(f"{files.path}: {type(error).__name__}: {error}")
+                )
                 self._lock.notify_all()
-
-    def _write_until_closed(self, files: RecordingFiles) -> None:
-        flushed = time.monotonic()
-        while True:
-            with self._lock:
-                self._lock.wait_for(lambda: self._closing is not None, WRITE_PERIOD)
-                batch, self._waiting = self._waiting, []
-                self._bytes = 0
-                closing = self._closing
-                self._lock.notify_all()
-            for message in batch:
-                files.write(*message)
-            if closing is not None:
-                files.closing.update(closing)
-                return
-            if time.monotonic() - flushed > FLUSH_PERIOD:
-                files.flush()
-                flushed = time.monotonic()

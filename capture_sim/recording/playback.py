@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from rosbags.serde import SerdeError
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages.definitions import typestore
+from capture_sim.messages.definitions import decoded, typestore
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
 from capture_sim.recording.contents import Contents, bag_files, read_contents
 
@@ -171,10 +170,7 @@ class Rewritten:
             return data
         if not (self._suffix or self._consumers or self._skipped):
             return data
-        try:
-            message: Any = typestore().deserialize_cdr(data, topic.type_name)
-        except SerdeError as error:
-            raise RecordingError(f"{name}: {error}") from None
+        message = decoded(topic, data)
         if topic is STREAM_COUNTS and message.publisher in self._consumers:
             return None
         if topic is RUN_INFO and self._consumers:
@@ -194,11 +190,7 @@ class Rewritten:
 
 def run_id_of(data: bytes) -> str:
     """Return the run's id in a serialised RunInfo."""
-    try:
-        message: Any = typestore().deserialize_cdr(data, RUN_INFO.type_name)
-    except SerdeError as error:
-        raise RecordingError(f"{RUN_INFO.name}: {error}") from None
-    return str(message.run_id)
+    return str(decoded(RUN_INFO, data).run_id)
 
 
 def _rank(name: str, place: int) -> int:

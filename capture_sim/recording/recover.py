@@ -18,6 +18,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, whole_file
 from capture_sim.messages.cdr import stamp_of
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, RunDescription
+from capture_sim.messages.definitions import decoded
 from capture_sim.messages.topics import (
     BENCH_STATE,
     LAUNCH_COMMAND,
@@ -27,7 +28,6 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
 from capture_sim.recording.contents import bag_files
-from capture_sim.recording.live import decoded
 from capture_sim.recording.scan import (
     UNPACKED_RATIO,
     Damage,
@@ -35,9 +35,9 @@ from capture_sim.recording.scan import (
     Whole,
     data_fit,
     definitions_in,
+    index_of,
     mapped,
     scan,
-    summary_of,
 )
 from capture_sim.recording.write import (
     BAG_METADATA,
@@ -141,7 +141,8 @@ class _Part:
 
     def __init__(self, path: Path, data: mmap, ratio: float) -> None:
         self.path, self.size = path, len(data)
-        self.chunks = self.unchecked = self.loose = 0  # chunks without checksum, messages outside
+        self.chunks = self.unchecked = 0  # of them without checksum
+        self.loose = False  # messages stand outside chunks
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.messages: list[Stored] = []
@@ -162,13 +163,14 @@ class _Part:
         return self.written == len(self.messages)
 
     @property
-    def doubtful_topics(self) -> int:
-        """How many topics' names and types no checksum confirms."""
-        return sum((Channel, number) not in self._confirmed for number in self.channels)
+    def outside(self) -> bool:
+        """Whether messages, or topics' names and types, are known from outside the chunks only."""
+        topics = {(Channel, number) for number in self.channels}
+        return self.loose or not topics <= self._confirmed
 
     def _scan(self, data: mmap, ratio: float) -> None:
         """Take in all that is whole, and note what is not."""
-        summary, end, gap = summary_of(data), len(MCAP0_MAGIC), None
+        index, end, gap = index_of(data), len(MCAP0_MAGIC), None
         for found in scan(data, ratio):
             if isinstance(found, Damage):
                 gap = found
@@ -179,16 +181,19 @@ class _Part:
             self._take(found)
             if isinstance(found.record, DataEnd):
                 self.verified = data_fit(data, found)
-        if summary is not None and summary.confirmed:
-            self.written, self.named = summary.written, summary.named
-            for each in summary.definitions:
+        if index is not None and index.confirmed:
+            summary = index.summary
+            self.written = summary.statistics and summary.statistics.message_count
+            self.named += [f"attachment {each.name}" for each in summary.attachment_indexes]
+            self.named += [f"metadata {each.name}" for each in summary.metadata_indexes]
+            for each in (*summary.schemas.values(), *summary.channels.values()):
                 if (type(each), each.id) not in self._confirmed:
                     self._define(each, confirmed=True)
         if gap is None:
-            if summary is None:
+            if index is None:
                 self._lose(end, self.size, "index and end mark damaged")
-        elif summary is not None:
-            self._lose(gap.start, max(summary.start, gap.start), "damaged")
+        elif index is not None:
+            self._lose(gap.start, max(index.start, gap.start), "damaged")
         elif gap.start == self.size:
             self._lose(self.size, self.size, "the file ends without index and end mark")
         elif gap.cut:
@@ -212,7 +217,7 @@ class _Part:
         elif isinstance(record, Schema | Channel):
             self._define(record, confirmed=False)
         else:
-            self.loose += len(found.messages)
+            self.loose |= bool(found.messages)
         for each in found.definitions:
             self._define(each, confirmed=checked)
         self.messages += found.messages
@@ -396,22 +401,16 @@ def _said_of(
     if more := part.losses[_MOST_LINES:]:
         size = sum(loss.end - loss.start for loss in more)
         lost.append(f"{len(more)} more places are damaged, {size} bytes in all")
-    doubtful = []
-    if part.loose and not part.verified:
-        doubtful.append(f"{part.loose} messages outside chunks, which have no checksum")
     if part.written is not None and not part.all_saved:
         lost.append(f"{part.written - len(part.messages)} of {part.written} messages")
+    doubtful = []
     if part.unchecked:
         doubtful.append(f"{part.unchecked} of {part.chunks} chunks, which have no checksum")
-    if not part.verified and not lost and not doubtful:
-        if part.verified is None:
-            doubtful.append("what stands outside the chunks, which has no checksum")
-        else:
-            whole = f"; all {part.written} messages are saved" if part.all_saved else ""
-            lost.append(f"some bytes outside chunks are damaged, in their index perhaps{whole}")
-    if part.doubtful_topics and not part.verified:
-        count = part.doubtful_topics
-        doubtful.append(f"names and types of {count} topics, which have no checksum")
+    if part.verified is None or (part.outside and not part.verified):
+        doubtful.append("what stands outside the chunks, which has no checksum")
+    if part.verified is False and not lost and not doubtful:
+        whole = f"; all {part.written} messages are saved" if part.all_saved else ""
+        lost.append(f"some bytes outside chunks are damaged, in their index perhaps{whole}")
     there = {f"attachment {name}" for name in part.attachments}
     there |= {f"metadata {name}" for name in part.metadata}
     if run is not None:  # the announcement of the run holds the same
@@ -443,11 +442,9 @@ def _in_words(part: _Part, loss: _Loss, release: int | None) -> str:
 
 
 def _absent_parts(parts: list[_Part]) -> list[str]:
-    """Return a line for the parts of a split recording that are not there."""
+    """Return which parts of a split recording are not there, in a line."""
     numbers = (part.metadata.get(RUN_METADATA, {}).get("part", "") for part in parts)
     there = {int(number) for number in numbers if number.isdecimal() and len(number) < 7}
     absent = sorted(set(range(max(there, default=0))) - there)
-    lines = [f"part {number} of the recording is not there" for number in absent[:_MOST_LINES]]
-    if len(absent) > _MOST_LINES:
-        lines.append(f"{len(absent) - _MOST_LINES} more parts are not there")
-    return lines
+    shown = ", ".join(map(str, absent[:_MOST_LINES])) + ", ..." * (len(absent) > _MOST_LINES)
+    return [f"part {shown} of the recording is not there"] if absent else []

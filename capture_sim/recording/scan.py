@@ -22,18 +22,17 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
     DataEnd,
     McapRecord,
     Metadata,
-    MetadataIndex,
     Schema,
-    Statistics,
 )
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from capture_sim.errors import RecordingError
@@ -56,7 +55,7 @@ _FOOTER = struct.Struct("<BQQQI")  # opcode, length, places of summary and offse
 # opcode of a chunk, and a length below 4 GB; looked ahead, so that hits may overlap
 _CHUNK_HEAD = re.compile(rb"(?=\x06[\s\S]{4}\x00\x00\x00\x00)")
 
-_IN_DATA: Mapping[int, Any] = {
+_READ: Mapping[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK: Chunk,
@@ -65,13 +64,6 @@ _IN_DATA: Mapping[int, Any] = {
     Opcode.DATA_END: DataEnd,
 }
 _PASSED_OVER = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
-_IN_SUMMARY: Mapping[int, Any] = {
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.STATISTICS: Statistics,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-}
 #: A message: channel, log time (ns), bytes, publish time (ns), sequence.  The library's ``Message``
 #: takes several times as long to make.
 Stored = tuple[int, int, bytes, int, int]
@@ -106,17 +98,12 @@ class Damage(NamedTuple):
     cut: bool
 
 
-class Summary(NamedTuple):
-    """Index and statistics at a file's end, which others find messages by.
-
-    ``confirmed``: by a checksum; ``named``: attachments and metadata that were written.
-    """
+class Index(NamedTuple):
+    """What stands at a file's end; ``confirmed``: by a checksum."""
 
     start: int
     confirmed: bool
-    written: int | None
-    named: list[str]
-    definitions: list[Schema | Channel]
+    summary: Summary
 
 
 @contextmanager
@@ -182,36 +169,27 @@ def scan(data: mmap.mmap, ratio: float) -> Iterator[Whole | Damage]:
             return
 
 
-def summary_of(data: mmap.mmap) -> Summary | None:
-    """Return what the summary says; None where it is damaged or not there."""
+def index_of(data: mmap.mmap) -> Index | None:
+    """Return index and statistics; None where they are damaged or not there."""
     footer = len(data) - len(MCAP0_MAGIC) - _FOOTER.size
     if footer < 0 or not ends_with_mark(data):
         return None
     opcode, length, start, _, crc = _FOOTER.unpack_from(data, footer)
-    start = start or footer
     if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _HEAD.size) or start > footer:
         return None
-    if crc and zlib.crc32(memoryview(data)[start : footer + _FOOTER.size - _CRC.size]) != crc:
+    end = footer + _FOOTER.size - _CRC.size
+    if crc and zlib.crc32(memoryview(data)[start or footer : end]) != crc:
         return None
-    found = Summary(start, bool(crc), None, [], [])
-    position = start
+    summary = None
     with suppress(*_DAMAGE):
-        while position < footer:
-            position, record = _parsed(data, position, _IN_SUMMARY)
-            if isinstance(record, Statistics):
-                found = found._replace(written=record.message_count)
-            elif isinstance(record, AttachmentIndex):
-                found.named.append(f"attachment {record.name}")
-            elif isinstance(record, MetadataIndex):
-                found.named.append(f"metadata {record.name}")
-            elif isinstance(record, Schema | Channel):
-                found.definitions.append(record)
-    return found
+        summary = SeekingReader(data, record_size_limit=len(data)).get_summary()
+    return Index(start or footer, bool(crc), summary or Summary())
 
 
 def ends_with_mark(data: mmap.mmap) -> bool:
     """Whether a file has its end mark."""
-    return data[-len(MCAP0_MAGIC) :] == MCAP0_MAGIC
+    size = len(MCAP0_MAGIC)
+    return len(data) > size and data[-size:] == MCAP0_MAGIC
 
 
 def data_fit(data: mmap.mmap, end: Whole) -> bool | None:
@@ -226,27 +204,25 @@ def definitions_in(attachment: Attachment) -> list[Schema | Channel]:
     found, position = [], len(MCAP0_MAGIC)
     with suppress(*_DAMAGE):
         while True:
-            position, record = _parsed(attachment.data, position, _IN_DATA)
+            position, record = _parsed(attachment.data, position)
             if isinstance(record, Schema | Channel):
                 found.append(record)
     return found
 
 
-def _parsed(
-    data: bytes | mmap.mmap, start: int, kinds: Mapping[int, Any]
-) -> tuple[int, McapRecord | None]:
-    """Return where a record ends, and its content if it is of these kinds."""
+def _parsed(data: bytes | mmap.mmap, start: int) -> tuple[int, McapRecord | None]:
+    """Return where a record ends, and its content if it is of a kind that is read."""
     opcode, length = _HEAD.unpack_from(data, start)
     begin, end = start + _HEAD.size, start + _HEAD.size + length
     if end > len(data):
         raise EndOfFile
-    kind = kinds.get(opcode)
+    kind = _READ.get(opcode)
     return end, kind and kind.read(ReadDataStream(BytesIO(data[begin:end])))
 
 
 def _whole(data: mmap.mmap, start: int, limit: int) -> Whole:
     """Return a record of the data section with what it holds, checked."""
-    end, record = _parsed(data, start, _IN_DATA)
+    end, record = _parsed(data, start)
     opcode = data[start]
     if isinstance(record, Chunk):
         return Whole(start, end, record, *_records_in(_unpacked(record, limit)))
@@ -291,7 +267,7 @@ def _records_in(data: bytes) -> tuple[list[Schema | Channel], list[Stored]]:
     head, a_message = _MESSAGE.unpack_from, int(Opcode.MESSAGE)
     while position < end:
         if data[position] != a_message:
-            position, record = _parsed(data, position, _IN_DATA)
+            position, record = _parsed(data, position)
             if isinstance(record, Schema | Channel):
                 definitions.append(record)
             continue
@@ -316,10 +292,6 @@ def _may_be_chunk(data: mmap.mmap, at: int) -> bool:
 
 def _in_words(error: Exception) -> str:
     """Return what is wrong with a record whose parsing raised one of _DAMAGE."""
-    if isinstance(error, UnicodeDecodeError):
-        return "what should be text is none"
-    if isinstance(error, zstandard.ZstdError):
-        return "a chunk that cannot be unpacked"
     if isinstance(error, struct.error | EndOfFile | OverflowError | MemoryError):
         return "a length that does not fit"
-    return " ".join(str(error).split()) or "a record that cannot be read"
+    return " ".join(str(error).split())

@@ -16,7 +16,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.files import is_device
 from capture_sim.messages.convert import EPOCH_NS, RunDescription
 from capture_sim.messages.definitions import schema_text, type_hash
-from capture_sim.messages.topics import RECORDED, Topic
+from capture_sim.messages.topics import TOPICS, Topic
 from capture_sim.recording.bag_metadata import (
     FileEntry,
     TopicEntry,
@@ -73,7 +73,7 @@ class RunWriter:
         run: RunDescription,
         metadata: Mapping[str, str] | None = None,
         *,
-        topics: Sequence[Topic] = RECORDED,
+        topics: Sequence[Topic] = TOPICS,
         name: str = "",
     ) -> None:
         self.path = path

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.topics import CAPTURE_DETECTOR, RECORDED, topic_named
+from capture_sim.messages.topics import CAPTURE_DETECTOR, TOPICS, topic_named
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, Rewritten
@@ -193,7 +193,7 @@ def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
     assert two.problems == ()
-    played = [topic for topic in RECORDED if CAPTURE_DETECTOR not in topic.publishers]
+    played = [topic for topic in TOPICS if CAPTURE_DETECTOR not in topic.publishers]
     for topic in played:
         if topic.name != "bench/run_info":
             assert two.raw(topic.name) == [padded(data) for data in one.raw(topic.name)], topic.name

@@ -41,9 +41,9 @@ from capture_sim.messages.topics import (
     BENCH_STATE,
     CAPTURE_STATUS,
     JOINT_STATES,
-    RECORDED,
     RUN_INFO,
     STREAM_COUNTS,
+    TOPICS,
 )
 from capture_sim.recording import live as live_module
 from capture_sim.recording.completeness import Completeness
@@ -153,7 +153,7 @@ def test_scene_inside_makes_the_same_run_again(result, path):
 def test_columns_of_every_topic_agree_with_a_decoder_of_messages(path):
     run = read_run(path)
     store = typestore()
-    for topic in RECORDED:
+    for topic in TOPICS:
         found = run.columns(topic.name)
         messages = [store.deserialize_cdr(data, topic.type_name) for data in run.raw(topic.name)]
         assert len(messages) == run.topics[topic.absolute_name] > 0
@@ -222,10 +222,10 @@ def test_rosbags_knows_quality_of_service_and_types(path):
             for connection in reader.connections
             if connection.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL
         }
-        assert durable == {topic.absolute_name for topic in RECORDED if topic.latched}
+        assert durable == {topic.absolute_name for topic in TOPICS if topic.latched}
         for connection in reader.connections:
             qos = connection.ext.offered_qos_profiles[0]
-            topic = next(t for t in RECORDED if t.absolute_name == connection.topic)
+            topic = next(t for t in TOPICS if t.absolute_name == connection.topic)
             assert (qos.depth, qos.reliability.name) == (topic.depth, "RELIABLE")
 
 
@@ -731,7 +731,7 @@ def test_every_message_type_comes_back_byte_by_byte(path, sent):
             again = reader.typestore.serialize_cdr(message, connection.msgtype)
             assert bytes(again) == bytes(data)
     assert found == by_topic
-    assert set(by_topic) == {topic.absolute_name for topic in RECORDED}
+    assert set(by_topic) == {topic.absolute_name for topic in TOPICS}
 
 
 # small parts

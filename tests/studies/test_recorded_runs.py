@@ -14,7 +14,7 @@ from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED
+from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.export import flat, save_tables, table
 from capture_sim.recording.measured import first_contact
@@ -27,7 +27,7 @@ TF = "tf2_msgs/msg/TFMessage"
 def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_path, capsys):
     """As `ros2 bag record` leaves it: no attachment, and the wall's time for the log's."""
     topics = [
-        (topic.absolute_name, topic.type_name) for topic in RECORDED if topic is not CAPTURE_STATUS
+        (topic.absolute_name, topic.type_name) for topic in TOPICS if topic is not CAPTURE_STATUS
     ]
 
     def as_it_is(time, message):

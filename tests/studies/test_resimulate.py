@@ -7,7 +7,7 @@ from recorded_bags import rewritten
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.messages.topics import CAPTURE_STATUS, RECORDED, topic_named
+from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS, topic_named
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.measured import first_contact
 from capture_sim.recording.read import read_run
@@ -61,7 +61,7 @@ def test_a_recording_with_foreign_samples_is_not_identical(path, tmp_path, capsy
             message.t += 2e-4
             yield time, message
 
-    topics = [(t.absolute_name, t.type_name) for t in RECORDED if t is not CAPTURE_STATUS]
+    topics = [(t.absolute_name, t.type_name) for t in TOPICS if t is not CAPTURE_STATUS]
     rewritten(path, tmp_path / "bag", doubled, topics)
     assert main(["resimulate", str(tmp_path / "bag")]) == 1
     said = capsys.readouterr().out
