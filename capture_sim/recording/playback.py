@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -105,22 +107,14 @@ class Playback:
         begin = self.start + round(offset * 1e9)
         for i in range(len(self._files)):
             contents = self._read(i)
-            names = [name for name in contents.messages if topics is None or name in topics]
-            sizes = [len(contents.messages[name]) for name in names]
-            times = np.concatenate(
-                [np.array(contents.log_times[name], dtype=np.int64) for name in names]
-                or [np.zeros(0, dtype=np.int64)]
+            streams = (
+                zip(contents.log_times[name], repeat(_rank(name, k)), repeat(name), messages)
+                for k, (name, messages) in enumerate(contents.messages.items())
+                if topics is None or name in topics
             )
-            ranks = np.repeat([_rank(name, k) for k, name in enumerate(names)], sizes)
-            owners = np.repeat(np.arange(len(names)), sizes)
-            places = np.concatenate([np.arange(size) for size in sizes] or [times])
-            latched = np.array([self._is_latched(name) for name in names], dtype=bool)
-            wanted = (times >= begin) | (latched[owners] if len(names) else False)
-            times = np.maximum(times, begin)
-            for j in np.lexsort((ranks, times)):
-                if wanted[j]:
-                    name = names[owners[j]]
-                    yield int(times[j]), name, contents.messages[name][places[j]]
+            for time, _, name, data in sorted(chain.from_iterable(streams), key=itemgetter(0, 1)):
+                if time >= begin or self._is_latched(name):
+                    yield max(time, begin), name, data
 
     def skipped(self, offset: float, topics: Collection[str]) -> dict[str, int]:
         """Return how many messages of each topic :meth:`messages` leaves out, where it does."""
@@ -166,25 +160,25 @@ class Rewritten:
     def __call__(self, name: str, data: bytes) -> bytes | None:
         """Return the message as it is to be sent; None when it is left out."""
         topic = topic_named(name)
-        if topic is None or topic not in (RUN_INFO, STREAM_COUNTS):
-            return data
-        if not (self._suffix or self._consumers or self._skipped):
+        unchanged = not (self._suffix or self._consumers or self._skipped)
+        if topic not in (RUN_INFO, STREAM_COUNTS) or topic is None or unchanged:
             return data
         message = decoded(topic, data)
-        if topic is STREAM_COUNTS and message.publisher in self._consumers:
-            return None
+        message.run_id += self._suffix
         if topic is RUN_INFO and self._consumers:
             message.consumers = self._consumers
         if topic is STREAM_COUNTS:
+            if message.publisher in self._consumers:
+                return None
             # of a topic that is not played at all nothing is said: a player has its own clock
-            said = [
-                (name, int(count) - self._skipped.get(name.lstrip("/"), 0), int(count))
-                for name, count in zip(message.topics, message.counts, strict=True)
-            ]
-            said = [(name, left, count) for name, left, count in said if left > 0 or count == 0]
-            message.topics = [name for name, _, _ in said]
-            message.counts = np.array([left for _, left, _ in said], dtype=np.uint64)
-        message.run_id += self._suffix
+            counts = zip(message.topics, message.counts.tolist(), strict=True)
+            left = {
+                name: count - skipped
+                for name, count in counts
+                if (skipped := self._skipped.get(name.lstrip("/"), 0)) < count or count == 0
+            }
+            message.topics = list(left)
+            message.counts = np.array(list(left.values()), dtype=np.uint64)
         return bytes(typestore().serialize_cdr(message, topic.type_name))
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -64,7 +64,7 @@ class RunWriter:
     Raises
     ------
     RecordingError
-        The file cannot be written.
+        The file cannot be written, here or later, or is closed.
     """
 
     def __init__(
@@ -87,19 +87,20 @@ class RunWriter:
         #: Entries for the metadata record at the end.
         self.closing: dict[str, str] = {}
         self._file: IO[bytes] | None = None
-        try:
+        with self._checked():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb" if is_device(path) else "xb")
             self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
             self._writer.start("ros2")
             self._writer.add_metadata(RUN_METADATA, {**describing(run), **(metadata or {})})
-            self._attach(SCENE_ATTACHMENT, "application/yaml", run.scene.encode())
-            self._attach(DEFINITIONS_ATTACHMENT, "application/mcap", _definitions(topics))
+            for attached in (
+                (SCENE_ATTACHMENT, "application/yaml", run.scene.encode()),
+                (DEFINITIONS_ATTACHMENT, "application/mcap", _definitions(topics)),
+            ):
+                self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *attached)
             for topic in topics:
-                self._channel(self._writer, topic)
+                self._channel(topic)
             self._file.flush()
-        except OSError as error:
-            raise self._given_up(error) from None
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
         """Write a serialised message.
@@ -110,22 +111,18 @@ class RunWriter:
             What is sent.
         time
             Log and publish time, ns; None for the latest so far.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written, or is closed.
         """
         if self._file is None:
             raise RecordingError(f"{self.path}: already closed")
         if time is None:
             time = self._last_time
         try:
-            channel = self._channels.get(topic) or self._channel(self._writer, topic)
+            channel = self._channels.get(topic) or self._channel(topic)
             count = self._counts[topic]
             self._writer.add_message(channel, time, data, time, count)
-        except OSError as error:
-            raise self._given_up(error) from None
+        except OSError:
+            with self._checked():
+                raise
         self._counts[topic] = count + 1
         if time > self._last_time:
             self._last_time = time
@@ -133,30 +130,16 @@ class RunWriter:
             self._first_time = time
 
     def flush(self) -> None:
-        """End the chunk in progress and hand all to the operating system.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written.
-        """
+        """End the chunk in progress and hand all to the operating system."""
         if self._file is not None:
-            try:
+            with self._checked():
                 self._writer.flush()
-            except OSError as error:
-                raise self._given_up(error) from None
 
     def close(self) -> None:
-        """Write index and summary and close the file; a second call does nothing.
-
-        Raises
-        ------
-        RecordingError
-            The file cannot be written.
-        """
+        """Write index and summary and close the file; a second call does nothing."""
         if self._file is None:
             return
-        try:
+        with self._checked():
             self._writer.flush()
             if self.closing:
                 self._writer.add_metadata(END_METADATA, self.closing)
@@ -165,8 +148,6 @@ class RunWriter:
             self._writer.finish()
             self._file.close()
             self._file = None
-        except OSError as error:
-            raise self._given_up(error) from None
 
     @property
     def run_id(self) -> dict[str, str]:
@@ -218,23 +199,23 @@ class RunWriter:
             with suppress(RecordingError):
                 self.close()
 
-    def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        self._writer.add_attachment(EPOCH_NS, EPOCH_NS, name, media_type, data)
-
-    def _channel(self, writer: Writer, topic: Topic) -> int:
+    def _channel(self, topic: Topic) -> int:
         self._counts[topic] = 0
-        self._channels[topic] = _register(writer, topic, self._schemas)
+        self._channels[topic] = _register(self._writer, topic, self._schemas)
         return self._channels[topic]
 
-    def _given_up(self, error: OSError) -> RecordingError:
-        """Close the file as it is, and say why; buffered bytes that the disk refuses are lost."""
-        if self._file is not None:
-            with suppress(OSError):
-                self._file.close()
-            self._file = None
-        failed = RecordingError(f"{self.path}: cannot write: {error.strerror or error}")
-        failed.__cause__ = error
-        return failed
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """Where the disk refuses, close the file as it is and say why."""
+        try:
+            yield
+        except OSError as error:
+            if self._file is not None:
+                with suppress(OSError):  # buffered bytes are lost
+                    self._file.close()
+                self._file = None
+            reason = error.strerror or error
+            raise RecordingError(f"{self.path}: cannot write: {reason}") from error
 
 
 def describing(run: RunDescription) -> dict[str, str]:
