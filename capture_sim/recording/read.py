@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, np.ndarray]
 
+_T = TypeVar("_T")
 # events that end a touch
 _ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
@@ -125,20 +126,18 @@ class Run:
     @cached_property
     def missing(self) -> tuple[str, ...]:
         """What sequences and counts tell of lost messages and of an early end, in lines."""
-        publishers = self.metadata.get("publishers", "").split("\n")
-        # when the recording was cut, their counts are missing too
         recorded = {
             topic: messages
             for name, messages in self._contents.messages.items()
             if (topic := topic_named(name)) and self._contents.types[name] == topic.type_name
         }
-        completeness = Completeness(
-            [] if self.damage else list(filter(None, publishers)), list(recorded)
-        )
+        # when the recording was cut, their counts are missing too
+        publishers = () if self.damage else self._publishers
+        completeness = Completeness(publishers, list(recorded))
         for topic, messages in recorded.items():
             for data in messages:
                 completeness.add(topic, sequence_of(topic, data))
-        ends = self._ends
+        ends = self._of_its_type(STREAM_COUNTS)
         for i, publisher in enumerate(ends.get("publisher", ())):
             topics, counts = ends["topics"][i], ends["counts"][i].tolist()
             if len(topics) != len(counts):
@@ -156,20 +155,20 @@ class Run:
     @property
     def cut(self) -> bool:
         """Whether a simulator's run does not come to its end: ended early, or not all recorded."""
-        if SIMULATOR not in self.metadata.get("publishers", "").split("\n"):
+        if SIMULATOR not in self._publishers:
             return False
-        ended = zip(self._ends.get("publisher", ()), self._ends.get("complete", ()), strict=True)
+        ends = self._of_its_type(STREAM_COUNTS)
+        ended = zip(ends.get("publisher", ()), ends.get("complete", ()), strict=True)
         return not any(publisher == SIMULATOR and complete for publisher, complete in ended)
 
     @property
-    def _ends(self) -> Columns:
-        """How the publishers have ended the run; empty where that is not recorded."""
-        # one of another type is a bag's of others
-        recorded = any(
-            topic_named(name) is STREAM_COUNTS and type_name == STREAM_COUNTS.type_name
-            for name, type_name in self._contents.types.items()
-        )
-        return self.columns(STREAM_COUNTS) if recorded else {}
+    def _publishers(self) -> list[str]:
+        return list(filter(None, self.metadata.get("publishers", "").split("\n")))
+
+    def _of_its_type(self, topic: Topic) -> Columns:
+        """Return a topic's columns; empty where a bag of others has one of another type."""
+        found = self._contents.types.get(self._resolved(topic.name))
+        return self.columns(topic) if found == topic.type_name else {}
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -192,47 +191,26 @@ class Run:
     @property
     def run_ids(self) -> tuple[str, ...]:
         """Ids of the runs that were announced in it, in order; ours hold one."""
-        topic = next((name for name in self.topics if topic_named(name) is RUN_INFO), "")
-        if self._contents.types.get(topic) != RUN_INFO.type_name:
-            return ()
-        return tuple(dict.fromkeys(self.columns(RUN_INFO).get("run_id", ())))
+        return tuple(dict.fromkeys(self._of_its_type(RUN_INFO).get("run_id", ())))
 
     @property
     def wall_time(self) -> float | None:
-        """How long the run took, s of wall time; None when the recording ended before it.
-
-        Raises
-        ------
-        RecordingError
-            The file holds something else.
-        """
-        text = self._contents.metadata.get(END_METADATA, {}).get("wall_time")
-        if text is None:
-            return None
-        try:
-            seconds = float(text)
-        except ValueError:
-            seconds = math.nan
-        if not 0.0 <= seconds < math.inf:
-            raise RecordingError(f"{self.path}: wall_time = {text[:40]!r}: allowed is s, 0 or more")
-        return seconds
+        """How long the run took, s of wall time; None when the recording ended before it."""
+        return self._known_at_end("wall_time", _seconds, "allowed is s, 0 or more")
 
     @property
     def extremes(self) -> Extremes | None:
-        """Strokes, torsion and forces between the samples too; None where not recorded.
+        """Strokes, torsion and forces between the samples too; None where not recorded."""
+        return self._known_at_end("extremes", extremes_from_text, "not as written")
 
-        Raises
-        ------
-        RecordingError
-            The file says something else.
-        """
-        text = self._contents.metadata.get(END_METADATA, {}).get("extremes")
+    def _known_at_end(self, name: str, parse: Callable[[str], _T], otherwise: str) -> _T | None:
+        text = self._contents.metadata.get(END_METADATA, {}).get(name)
         if text is None:
             return None
         try:
-            return extremes_from_text(text)
+            return parse(text)
         except ValueError:
-            raise RecordingError(f"{self.path}: extremes = {text[:40]!r}: not as written") from None
+            raise RecordingError(f"{self.path}: {name} = {text[:40]!r}: {otherwise}") from None
 
     @property
     def has_scene(self) -> bool:
@@ -313,9 +291,8 @@ class Run:
             The messages do not fit their definition, or are not of the bench's type.
         """
         name = self._resolved(topic)
-        found = self._columns.get(name)
-        if found is None:
-            messages = self._contents.messages.get(name, ())
+        if name not in self._columns:
+            messages, found = self._contents.messages.get(name), {}
             if messages:
                 type_name = self._contents.types[name]
                 try:
@@ -324,10 +301,8 @@ class Run:
                     raise RecordingError(
                         f"{self.path}: definition of type {type_name!r} contains itself"
                     ) from None
-            else:
-                found = {}
             self._columns[name] = found
-        return found
+        return self._columns[name]
 
     @cached_property
     def samples(self) -> np.ndarray:
@@ -346,32 +321,27 @@ class Run:
         """The recorded BenchEvents, in order."""
         recorded = self.columns(BENCH_EVENT)
         kinds = {kind.label: kind for kind in EventKind}
-        events = []
-        for i in range(len(recorded.get("t", ()))):
-            label = recorded["kind"][i]
-            if label not in kinds:
-                raise RecordingError(f"{self.path}: event of unknown kind {label!r}")
-            events.append(
-                Event(
-                    kind=kinds[label],
-                    t=float(recorded["t"][i]),
-                    q=recorded["q"][i],
-                    v=recorded["v"][i],
-                    wall=int(recorded["wall"][i]),
-                    detail=recorded["detail"][i],
-                    touch=_touch(recorded, i),
-                )
+        labels = recorded.get("kind", ())
+        if unknown := [label for label in labels if label not in kinds]:
+            raise RecordingError(f"{self.path}: event of unknown kind {unknown[0]!r}")
+        return tuple(
+            Event(
+                kind=kinds[label],
+                t=float(recorded["t"][i]),
+                q=recorded["q"][i],
+                v=recorded["v"][i],
+                wall=int(recorded["wall"][i]),
+                detail=recorded["detail"][i],
+                touch=_touch(recorded, i),
             )
-        return tuple(events)
+            for i, label in enumerate(labels)
+        )
 
     @cached_property
     def touches(self) -> np.ndarray:
         """The touches that ended, (n,) of dtype TOUCH, in the order in which they ended."""
         ended = [event.touch for event in self.events if event.touch is not None]
-        touches = np.zeros(len(ended), dtype=TOUCH)
-        for i, touch in enumerate(ended):
-            touches[i] = touch
-        return touches
+        return np.array(ended, dtype=TOUCH)
 
     @cached_property
     def trace(self) -> np.ndarray:
@@ -459,6 +429,13 @@ class Run:
                     f"{self.path}: {name} is of type {found or 'none'}: wanted is {topic.type_name}"
                 )
         return name
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.0 <= seconds < math.inf:
+        raise ValueError(text)
+    return seconds
 
 
 def _touch(recorded: Columns, i: int) -> np.void | None:
