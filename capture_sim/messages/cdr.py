@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,8 @@ from capture_sim.messages.topics import Stamp, Topic
 Columns = Mapping[str, np.ndarray]
 
 _HEADER = 4
+#: Offset and length of a text.
+_Place = tuple[int, int]
 _LITTLE_ENDIAN = b"\x00\x01"
 #: Kinds of numbers, as they stand in a message.
 NUMBERS = {
@@ -113,7 +114,7 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
     for waiting in np.split(by_size, np.flatnonzero(np.diff(sizes[by_size])) + 1):
         while len(waiting):
             try:
-                layout = _Walk(store, type_name, messages[waiting[0]]).layout()
+                layout = Layout(store, type_name, messages[waiting[0]])
             except KeyError as error:
                 raise MessageError(f"{type_name}: {error} is no known type") from None
             raw = np.frombuffer(b"".join([messages[i] for i in waiting]), dtype=np.uint8)
@@ -121,7 +122,9 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
             alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
             _store_records(found, layout, raw[alike], waiting[alike], len(messages))
             waiting = waiting[~alike]
-    return {name: _tidied(column) for name, column in found.items()}
+    for column in found.values():
+        column.flags.writeable = False
+    return found
 
 
 class Numbers:
@@ -156,7 +159,7 @@ class Numbers:
         raw = np.frombuffer(data, dtype=np.uint8)
         fits = len(raw) == self._records.itemsize and (raw[self._fixed] == self._lengths).all()
         if not fits:
-            layout = _Walk(self._store, self._type_name, data).layout()
+            layout = Layout(self._store, self._type_name, data)
             self._records = layout.records[self._paths]
             self._fixed, self._lengths = layout.fixed, raw[layout.fixed]
         return raw.view(self._records)[0]  # type: ignore[no-any-return]  # of a record: np.void
@@ -183,7 +186,7 @@ class Template:
         type_name = message.__msgtype__
         data = bytes(store.serialize_cdr(message, type_name))
         self._data = np.frombuffer(data, dtype=np.uint8)
-        self._records = _Walk(store, type_name, data).layout().records
+        self._records = Layout(store, type_name, data).records
 
     def filled(self, columns: Columns) -> Iterator[bytes]:
         """Yield the n messages with these values."""
@@ -208,124 +211,107 @@ def fill(message: Any, path: str, value: Any) -> None:
     setattr(message, name, value)
 
 
-@dataclass(frozen=True)
 class Layout:
-    """Where the fields of a message are, given its texts' and sequences' lengths."""
+    """Where the fields of a message are, found by walking over it along its definition.
 
-    records: np.dtype
-    texts: dict[str, tuple[int, int]]  # path: offset, length
-    text_lists: dict[str, list[tuple[int, int]]]
-    fixed: np.ndarray  # offsets of bytes that another message must share to fit
+    Attributes
+    ----------
+    records
+        The numbers; a name is a field's path.
+    texts
+        Offset and length of each text; of a sequence of texts a list of these.
+    fixed
+        Offsets of the bytes that another message must share to fit: encapsulation and lengths.
 
-
-class _Walk:
-    """Walks over one message along its definition, noting where each field is."""
+    Raises
+    ------
+    MessageError
+        The bytes are no such message, or a message has a sequence of messages.
+    """
 
     def __init__(self, store: Typestore, type_name: str, data: bytes) -> None:
         if data[:2] != _LITTLE_ENDIAN:
             raise MessageError(f"{type_name}: encapsulation {data[:2].hex()} is not supported")
-        self._store = store
-        self._type_name = type_name
-        self._data = data
-        self._position = 0
-        self._names: list[str] = []
-        self._formats: list[object] = []
-        self._offsets: list[int] = []
-        self._texts: dict[str, tuple[int, int]] = {}
-        self._text_lists: dict[str, list[tuple[int, int]]] = {}
-        self._fixed: list[int] = [0, 1]  # the encapsulation, then 4 bytes a length
+        self._store, self._type_name, self._data = store, type_name, data
+        self._position = _HEADER
+        self._numbers: list[tuple[str, object, int]] = []  # path, format, offset
+        self.texts: dict[str, _Place | list[_Place]] = {}
+        self._lengths: list[int] = []  # where they stand
         self._steps = 0
         self._message("", type_name)
         # a transport may pad a message to a multiple of 4 bytes
-        if not 0 <= len(data) - _HEADER - self._position < 4:
+        if not 0 <= len(data) - self._position < 4:
             raise MessageError(
-                f"{type_name}: message of {len(data)} bytes, "
-                f"its definition makes {self._position + _HEADER}"
+                f"{type_name}: message of {len(data)} bytes, its definition makes {self._position}"
             )
-
-    def layout(self) -> Layout:
-        """Return what was found."""
-        records = np.dtype(
-            {
-                "names": self._names,
-                "formats": self._formats,
-                "offsets": self._offsets,
-                "itemsize": len(self._data),
-            }  # type: ignore[arg-type]  # NumPy's stubs want a TypedDict
-        )
-        fixed = np.array(self._fixed, dtype=np.int64)
-        return Layout(records, self._texts, self._text_lists, fixed)
+        names, formats, offsets = zip(*self._numbers, strict=True) if self._numbers else ((),) * 3
+        records: Any = {"names": names, "formats": formats, "offsets": offsets}
+        records["itemsize"] = len(data)
+        self.records = np.dtype(records)
+        fixed = [0, 1, *(start + i for start in self._lengths for i in range(_LENGTH.size))]
+        self.fixed = np.array(fixed, dtype=np.int64)
 
     def _message(self, prefix: str, type_name: str) -> None:
         known = self._store.fielddefs[type_name][1]
         self._steps += len(known) + 1
         if self._steps > _MOST_FIELDS:
             raise MessageError(f"{self._type_name}: more than {_MOST_FIELDS} fields")
-        for name, description in known:
+        for name, (kind, of) in known:
             path = f"{prefix}{name}"
-            kind = description[0]
             if kind == Nodetype.BASE:
-                self._base(path, description[1][0])
+                if of[0] == "string":
+                    self.texts[path] = self._text()
+                else:
+                    self._number(path, of[0], ())
             elif kind == Nodetype.NAME:
-                self._message(f"{path}.", str(description[1]))
+                self._message(f"{path}.", str(of))
             else:
-                (item_kind, item), count = description[1]
+                (item_kind, item), count = of
                 if kind == Nodetype.SEQUENCE:
                     count = self._length()
-                if item_kind == Nodetype.BASE:
-                    self._array(path, item[0], count)
-                elif kind == Nodetype.ARRAY:
+                if item_kind != Nodetype.BASE:
+                    if kind == Nodetype.SEQUENCE:
+                        raise MessageError(
+                            f"{self._type_name}.{path}: a sequence of messages makes no column"
+                        )
                     for i in range(count):
                         self._message(f"{path}.{i}.", str(item))
+                elif item[0] != "string":
+                    self._number(path, item[0], (count,))
+                elif count > len(self._data):
+                    raise self._is_cut()
                 else:
-                    raise MessageError(
-                        f"{self._type_name}.{path}: a sequence of messages makes no column"
-                    )
-
-    def _base(self, path: str, name: str) -> None:
-        if name == "string":
-            self._texts[path] = self._text()
-        else:
-            self._number(path, name, ())
-
-    def _array(self, path: str, name: str, count: int) -> None:
-        if name == "string":
-            if count > len(self._data):
-                raise MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
-            self._text_lists[path] = [self._text() for _ in range(count)]
-        else:
-            self._number(path, name, (count,))
+                    self.texts[path] = [self._text() for _ in range(count)]
 
     def _number(self, path: str, name: str, shape: tuple[int, ...]) -> None:
         item = NUMBERS[name]
         if shape != (0,):
             self._align(item.itemsize)
-        self._names.append(path)
-        self._formats.append((item, shape) if shape else item)
-        self._offsets.append(self._position + _HEADER)
+        self._numbers.append((path, (item, shape) if shape else item, self._position))
         self._position += item.itemsize * math.prod(shape)
 
     def _align(self, size: int) -> None:
-        self._position = _aligned(self._position, size)
+        self._position = _HEADER + _aligned(self._position - _HEADER, size)
 
     def _length(self) -> int:
-        self._align(4)
-        start = self._position + _HEADER
-        self._fixed.extend(range(start, start + 4))
-        try:
-            (length,) = _LENGTH.unpack_from(self._data, start)
-        except struct.error:
-            length = len(self._data)
-        self._position += 4
-        if self._position + _HEADER + length > len(self._data) + 3:
-            raise MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
+        self._align(_LENGTH.size)
+        start = self._position
+        self._position += _LENGTH.size
+        if self._position > len(self._data):
+            raise self._is_cut()
+        self._lengths.append(start)
+        (length,) = _LENGTH.unpack_from(self._data, start)
+        if self._position + length > len(self._data) + 3:
+            raise self._is_cut()
         return int(length)
 
-    def _text(self) -> tuple[int, int]:
-        length = self._length()
-        start = self._position + _HEADER
+    def _text(self) -> _Place:
+        length, start = self._length(), self._position
         self._position += length
         return start, max(length - 1, 0)  # without the closing zero
+
+    def _is_cut(self) -> MessageError:
+        return MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
 
 
 def _aligned(position: int, size: int) -> int:
@@ -348,14 +334,14 @@ def _store_records(
                 column[row] = value.copy()
         else:
             column[rows] = values
-    for name, place in layout.texts.items():
+    for name, places in layout.texts.items():
         texts = found.setdefault(name, np.empty(total, dtype=object))
-        texts[rows] = _texts(raw, place)
-    for name, places in layout.text_lists.items():
-        lists = found.setdefault(name, np.empty(total, dtype=object))
-        parts = [_texts(raw, place) for place in places]
-        for i, row in enumerate(rows):
-            lists[row] = [part[i] for part in parts]
+        if isinstance(places, list):
+            parts = [_texts(raw, place) for place in places]
+            for i, row in enumerate(rows):
+                texts[row] = [part[i] for part in parts]
+        else:
+            texts[rows] = _texts(raw, places)
 
 
 def _as_objects(column: np.ndarray) -> np.ndarray:
@@ -365,7 +351,7 @@ def _as_objects(column: np.ndarray) -> np.ndarray:
     return objects
 
 
-def _texts(raw: np.ndarray, place: tuple[int, int]) -> np.ndarray:
+def _texts(raw: np.ndarray, place: _Place) -> np.ndarray:
     start, length = place
     block = raw[:, start : start + length]
     texts = np.empty(len(raw), dtype=object)
@@ -375,8 +361,3 @@ def _texts(raw: np.ndarray, place: tuple[int, int]) -> np.ndarray:
         for i, row in enumerate(block):
             texts[i] = row.tobytes().decode("utf-8", errors="replace")
     return texts
-
-
-def _tidied(column: np.ndarray) -> np.ndarray:
-    column.flags.writeable = False
-    return column
