@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.messages import convert
+from capture_sim.messages import convert, topics
 from capture_sim.messages.cdr import Columns
 from capture_sim.messages.convert import (
     CHASER_FRAME,
@@ -28,34 +28,7 @@ from capture_sim.messages.convert import (
     Messages,
     RunDescription,
 )
-from capture_sim.messages.topics import (
-    BENCH_EVENT,
-    BENCH_STATE,
-    BUFFER_STATE,
-    CAPTURE_CRITERIA,
-    CAPTURE_DETECTOR,
-    CAPTURE_STATUS,
-    CHASER_ODOMETRY,
-    CHASER_POSE,
-    CLOCK,
-    CONTACT_STATE,
-    CONTACT_TRACE,
-    CONTACT_WRENCH,
-    JOINT_STATES,
-    LAUNCH_COMMAND,
-    LAUNCHER,
-    LAUNCHER_STATE,
-    LOAD_CELL,
-    RUN_INFO,
-    SIMULATOR,
-    STREAM_COUNTS,
-    STRING_STATE,
-    TARGET_ODOMETRY,
-    TARGET_POSE,
-    Stamp,
-    Topic,
-    topics_of,
-)
+from capture_sim.messages.topics import Stamp, Topic
 from capture_sim.samples import SAMPLE, Event, EventKind
 from capture_sim.sensors import Sensors
 
@@ -143,7 +116,9 @@ class _Stream:
         self._run_id = run_id
         #: Messages made so far, by topic.
         self.by_topic = {
-            topic: 0 for topic in topics_of(self.publisher) if topic is not STREAM_COUNTS
+            topic: 0
+            for topic in topics.topics_of(self.publisher)
+            if topic is not topics.STREAM_COUNTS
         }
 
     @property
@@ -156,7 +131,7 @@ class _Stream:
         counts = self._messages.stream_counts(
             self.publisher, self._run_id, self.counts, complete=complete, reason=reason
         )
-        return Sent(STREAM_COUNTS, None, self._messages.serialise(counts))
+        return Sent(topics.STREAM_COUNTS, None, self._messages.serialise(counts))
 
     def _one(self, topic: Topic, t: float, frame: str, fields: Mapping[str, Any]) -> Sent:
         """Return one message, stamped t, s since the release."""
@@ -208,9 +183,9 @@ class BenchTelemetry(_Stream):
         The run's description; its rates are used.
     """
 
-    publisher = SIMULATOR
+    publisher = topics.SIMULATOR
     #: The topic that ends the set of periodic messages of a sample.
-    LAST_PERIODIC = JOINT_STATES
+    LAST_PERIODIC = topics.JOINT_STATES
 
     def __init__(self, messages: Messages, scene: Scene, run: RunDescription) -> None:
         super().__init__(messages, run.run_id)
@@ -224,9 +199,9 @@ class BenchTelemetry(_Stream):
 
     def begin(self) -> Sent:
         """Return what comes before the first sample."""
-        self.by_topic[RUN_INFO] += 1
+        self.by_topic[topics.RUN_INFO] += 1
         info = self._messages.run_info(self._run)
-        return Sent(RUN_INFO, convert.stamp_ns(0.0), self._messages.serialise(info))
+        return Sent(topics.RUN_INFO, convert.stamp_ns(0.0), self._messages.serialise(info))
 
     def block(
         self,
@@ -251,10 +226,12 @@ class BenchTelemetry(_Stream):
             self._trace = np.concatenate([self._trace, trace])
         times = samples["t"].tolist()
         before = self._events_before(times)
-        periodic = range(-self.by_topic[BENCH_STATE] % self._every, len(samples), self._every)
+        periodic = range(
+            -self.by_topic[topics.BENCH_STATE] % self._every, len(samples), self._every
+        )
         sets = self._periodic(samples[periodic], self._since_last(samples, before, periodic))
         sensed = self._sensed(samples)
-        states = self._many(BENCH_STATE, samples["t"], WORLD, convert.bench_states(samples))
+        states = self._many(topics.BENCH_STATE, samples["t"], WORLD, convert.bench_states(samples))
         for i, (t, state) in enumerate(zip(times, states, strict=True)):
             for event in before.get(i, ()):
                 yield self._event(event)
@@ -320,13 +297,13 @@ class BenchTelemetry(_Stream):
         return {"peak_force": peaks, "impulse": sums, "touches": begun.astype(int)}
 
     def _event(self, event: Event) -> Sent:
-        return self._one(BENCH_EVENT, event.t, WORLD, convert.bench_event(event))
+        return self._one(topics.BENCH_EVENT, event.t, WORLD, convert.bench_event(event))
 
     def _traced(self, t: float, count: int) -> Iterator[Sent]:
         """Yield the first ``count`` points that wait, stamped ``t``."""
         if count:
             points, self._trace = self._trace[:count], self._trace[count:]
-            yield self._one(CONTACT_TRACE, t, CONE_FRAME, convert.contact_trace(points))
+            yield self._one(topics.CONTACT_TRACE, t, CONE_FRAME, convert.contact_trace(points))
 
     def _periodic(self, samples: np.ndarray, since: Columns) -> Iterator[tuple[Sent, ...]]:
         t, q, v = samples["t"], samples["q"], samples["v"]
@@ -337,14 +314,14 @@ class BenchTelemetry(_Stream):
             return self._many(topic, t, WORLD, columns, child_frame_id=frame)
 
         return zip(
-            self._many(CLOCK, t, "", {}),
-            self._many(BUFFER_STATE, t, CHASER_FRAME, convert.buffer_states(samples)),
-            self._many(CONTACT_STATE, t, CONE_FRAME, convert.contact_states(samples, since)),
-            self._many(STRING_STATE, t, WORLD, convert.string_states(samples, self._scene)),
-            of_body(CHASER_ODOMETRY, CHASER_FRAME, convert.CHASER),
-            of_body(TARGET_ODOMETRY, TARGET_FRAME, convert.TARGET),
-            self._many(CONTACT_WRENCH, t, TIP_FRAME, convert.contact_wrenches(samples)),
-            self._many(JOINT_STATES, t, "", convert.joint_states(samples), **joints),
+            self._many(topics.CLOCK, t, "", {}),
+            self._many(topics.BUFFER_STATE, t, CHASER_FRAME, convert.buffer_states(samples)),
+            self._many(topics.CONTACT_STATE, t, CONE_FRAME, convert.contact_states(samples, since)),
+            self._many(topics.STRING_STATE, t, WORLD, convert.string_states(samples, self._scene)),
+            of_body(topics.CHASER_ODOMETRY, CHASER_FRAME, convert.CHASER),
+            of_body(topics.TARGET_ODOMETRY, TARGET_FRAME, convert.TARGET),
+            self._many(topics.CONTACT_WRENCH, t, TIP_FRAME, convert.contact_wrenches(samples)),
+            self._many(topics.JOINT_STATES, t, "", convert.joint_states(samples), **joints),
             strict=True,
         )
 
@@ -355,14 +332,14 @@ class BenchTelemetry(_Stream):
         read = [self._sensors.read(sample) for sample in samples]
         streams = []
         for topic, name in (
-            (CHASER_POSE, "chaser"),
-            (TARGET_POSE, "target"),
-            (LOAD_CELL, "wrench"),
+            (topics.CHASER_POSE, "chaser"),
+            (topics.TARGET_POSE, "target"),
+            (topics.LOAD_CELL, "wrench"),
         ):
             due = [i for i, reading in enumerate(read) if getattr(reading, name) is not None]
             values = np.array([getattr(read[i], name) for i in due]).reshape(-1, 3)
             columns, frame = convert.sensed_poses(values), WORLD
-            if topic is LOAD_CELL:
+            if topic is topics.LOAD_CELL:
                 columns, frame = convert.wrenches(values), TARGET_FRAME
             streams.append((set(due), self._many(topic, samples["t"][due], frame, columns)))
         for i in range(len(samples)):
@@ -372,12 +349,12 @@ class BenchTelemetry(_Stream):
 class LauncherTelemetry(_Stream):
     """What the launcher sends: commands and its state."""
 
-    publisher = LAUNCHER
+    publisher = topics.LAUNCHER
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
         """Return a command that follows the plan, at a time since the release, s."""
         fields = convert.launch_command(self._run_id, action, plan)
-        return self._one(LAUNCH_COMMAND, t, WORLD, fields)
+        return self._one(topics.LAUNCH_COMMAND, t, WORLD, fields)
 
     def state(self, t: float, status: LauncherStatus) -> Sent:
         """Return the launcher's state at a time since the release, s."""
@@ -386,18 +363,18 @@ class LauncherTelemetry(_Stream):
     def states(self, known: Iterable[tuple[float, LauncherStatus]]) -> Iterator[Sent]:
         """Yield the launcher's states at times since the release, s."""
         names = ("state", "hanging_mass", "drop_height", "wanted_speed", "landing_speed")
-        return self._by_reason(LAUNCHER_STATE, WORLD, known, *names, "measured_speed")
+        return self._by_reason(topics.LAUNCHER_STATE, WORLD, known, *names, "measured_speed")
 
 
 class DetectorTelemetry(_Stream):
     """What the capture detector sends: its limits, then its status at every instant."""
 
-    publisher = CAPTURE_DETECTOR
+    publisher = topics.CAPTURE_DETECTOR
 
     def begin(self, limits: Detector) -> Sent:
         """Return the detector's limits."""
         fields = convert.capture_criteria(self._run_id, limits)
-        return self._one(CAPTURE_CRITERIA, 0.0, CONE_FRAME, fields)
+        return self._one(topics.CAPTURE_CRITERIA, 0.0, CONE_FRAME, fields)
 
     def status(self, t: float, status: CaptureStatus) -> Sent:
         """Return the status of the sample at a time since the release, s."""
@@ -407,4 +384,4 @@ class DetectorTelemetry(_Stream):
         """Yield the statuses of the samples at times since the release, s."""
         names = ("state", "final", "distance", "axial_offset", "lateral_offset")
         more = ("relative_attitude", "relative_speed", "nearest_distance", "time_in_state")
-        return self._by_reason(CAPTURE_STATUS, CONE_FRAME, known, *names, *more)
+        return self._by_reason(topics.CAPTURE_STATUS, CONE_FRAME, known, *names, *more)

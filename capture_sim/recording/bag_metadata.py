@@ -17,7 +17,7 @@ _SafeDumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _UNLIMITED = {"sec": 9223372036, "nsec": 854775807}  # as rosbag2 writes it
 
 
-@dataclass(frozen=True)
+@dataclass
 class TopicEntry:
     """A topic of a bag: name, type, quality of service (rosbag2's list), hash, messages."""
 

@@ -12,14 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.messages.topics import (
-    BENCH_EVENT,
-    BENCH_STATE,
-    CAPTURE_STATUS,
-    CONTACT_STATE,
-    CONTACT_WRENCH,
-    LOAD_CELL,
-)
+from capture_sim.messages import topics
 from capture_sim.recording.measured import (
     first_contact_in,
     measured_sources,
@@ -77,7 +70,7 @@ class Comparable(NamedTuple):
     @property
     def contact_may_be_late(self) -> bool:
         """Whether it was met in a force between whose samples a touch may have come before."""
-        forces = (CONTACT_WRENCH.name, LOAD_CELL.name)
+        forces = (topics.CONTACT_WRENCH.name, topics.LOAD_CELL.name)
         return self.touches is None and self.contact_source in forces
 
     def measured(self, *, force: bool = False) -> Measurements:
@@ -142,9 +135,11 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
             ("touches", touches.size),
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
-            found[name] = Figure(float(value), BENCH_EVENT.name)
-    elif contact := of.run.columns(CONTACT_STATE):
-        found["largest force, N"] = Figure(float(contact["peak_force"].max()), CONTACT_STATE.name)
+            found[name] = Figure(float(value), topics.BENCH_EVENT.name)
+    elif contact := of.run.columns(topics.CONTACT_STATE):
+        found["largest force, N"] = Figure(
+            float(contact["peak_force"].max()), topics.CONTACT_STATE.name
+        )
     if sampled and "force" in of.series:
         largest = float(of.series["force"].values.max())
         found[SAMPLED_FORCE] = Figure(largest, of.sources["force"])
@@ -166,18 +161,18 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
     if samples.size:
         exact = dict(measured_in(samples).items())
         exact[DISTANCE] = Series(samples["t"], samples["tip_distance"])
-        found = {name: {BENCH_STATE.name: series} for name, series in exact.items()}
+        found = {name: {topics.BENCH_STATE.name: series} for name, series in exact.items()}
     release = release_of(run)
     for name, by_topic in measured_sources(run, release).items():
         found.setdefault(name, {}).update(by_topic)
-    if run.columns(LOAD_CELL):
-        t, force = wrench(run, LOAD_CELL, release)
-        found.setdefault("force", {})[LOAD_CELL.name] = Series(t, np.hypot(*force.T))
+    if run.columns(topics.LOAD_CELL):
+        t, force = wrench(run, topics.LOAD_CELL, release)
+        found.setdefault("force", {})[topics.LOAD_CELL.name] = Series(t, np.hypot(*force.T))
     # the detector's own path: the nearest place so far
     nearest = [(status.t, status.nearest_distance) for status in run.statuses]
     near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
     if near.size:
-        found.setdefault(DISTANCE, {})[CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])
+        found.setdefault(DISTANCE, {})[topics.CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])
     return {
         name: kept
         for name, by_topic in found.items()

@@ -13,23 +13,9 @@ import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.messages import topics
 from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, LaunchAction
-from capture_sim.messages.topics import (
-    BENCH_EVENT,
-    BENCH_STATE,
-    BUFFER_STATE,
-    CHASER_ODOMETRY,
-    CHASER_POSE,
-    CONTACT_STATE,
-    CONTACT_WRENCH,
-    JOINT_STATES,
-    LAUNCH_COMMAND,
-    LOAD_CELL,
-    RUN_INFO,
-    TARGET_ODOMETRY,
-    TARGET_POSE,
-    Topic,
-)
+from capture_sim.messages.topics import Topic
 from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
@@ -87,16 +73,21 @@ def release_of(run: Run, after: float | None = None) -> int:
 
 def release_recorded(run: Run) -> int | None:
     """Return the stamp of the release, ns, where the recording holds it; else None."""
-    commands = run.columns(LAUNCH_COMMAND)
+    commands = run.columns(topics.LAUNCH_COMMAND)
     if commands:
         released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
         if released.size:
             return int(stamps_of(commands)[released[0]])
-    return EPOCH_NS if run.columns(RUN_INFO) or run.columns(BENCH_STATE) else None
+    return EPOCH_NS if run.columns(topics.RUN_INFO) or run.columns(topics.BENCH_STATE) else None
 
 
 def _pose_stamps(run: Run) -> np.ndarray | None:
-    for topic in (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY):
+    for topic in (
+        topics.CHASER_POSE,
+        topics.CHASER_ODOMETRY,
+        topics.TARGET_POSE,
+        topics.TARGET_ODOMETRY,
+    ):
         if poses := run.columns(topic):
             return stamps_of(poses)
     return None
@@ -152,8 +143,8 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
     """
     found: dict[str, dict[str, Series]] = {}
     for name, pose, odometry in (
-        ("chaser", CHASER_POSE, CHASER_ODOMETRY),
-        ("target", TARGET_POSE, TARGET_ODOMETRY),
+        ("chaser", topics.CHASER_POSE, topics.CHASER_ODOMETRY),
+        ("target", topics.TARGET_POSE, topics.TARGET_ODOMETRY),
     ):
         for source, at in ((pose, "pose"), (odometry, "pose.pose")):
             if columns := run.columns(source):
@@ -164,9 +155,9 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
         for name in ("stroke", "torsion"):
             series = _series(run.columns(topic), release, buffer[name])
             found.setdefault(name, {})[topic.name] = series
-    if run.columns(CONTACT_WRENCH):
-        t, force = wrench(run, CONTACT_WRENCH, release)
-        found["force"] = {CONTACT_WRENCH.name: Series(t, np.hypot(*force.T))}
+    if run.columns(topics.CONTACT_WRENCH):
+        t, force = wrench(run, topics.CONTACT_WRENCH, release)
+        found["force"] = {topics.CONTACT_WRENCH.name: Series(t, np.hypot(*force.T))}
     return found
 
 
@@ -183,13 +174,13 @@ def first_contact_in(run: Run) -> tuple[float, Topic] | None:
     """
     for event in run.events:
         if event.kind is EventKind.TOUCH:
-            return event.t, BENCH_EVENT
-    columns = run.columns(CONTACT_STATE)
+            return event.t, topics.BENCH_EVENT
+    columns = run.columns(topics.CONTACT_STATE)
     if columns:
         met = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
         at = _since(columns, release_of(run))
-        return (float(at[met[0]]), CONTACT_STATE) if met.size else None
-    topic = CONTACT_WRENCH if run.columns(CONTACT_WRENCH) else LOAD_CELL
+        return (float(at[met[0]]), topics.CONTACT_STATE) if met.size else None
+    topic = topics.CONTACT_WRENCH if run.columns(topics.CONTACT_WRENCH) else topics.LOAD_CELL
     met_at = first_above(*wrench(run, topic, release_of(run)))
     return None if met_at is None else (met_at, topic)
 
@@ -214,26 +205,23 @@ def touches_of(
     release = release_of(run, released)
     if run.touches.size:
         found = located(run.touches)
-        return found.later((release_of(run) - release) / 1e9), BENCH_EVENT.name
-    topics = (CONTACT_STATE, CONTACT_WRENCH, *(() if scene else (LOAD_CELL,)))
+        return found.later((release_of(run) - release) / 1e9), topics.BENCH_EVENT.name
+    forces = (topics.CONTACT_STATE, topics.CONTACT_WRENCH, *(() if scene else (topics.LOAD_CELL,)))
     tried = []
-    for topic in sorted(topics, key=lambda topic: -len(run.raw(topic))):
+    for topic in sorted(forces, key=lambda topic: -len(run.raw(topic))):
         columns = run.columns(topic)
         if not columns:
             continue
-        touches: Touches | None
-        if topic is CONTACT_STATE:
+        if topic is topics.CONTACT_STATE:
             t = _since(columns, release)
             touches = in_messages(t, *(columns[n] for n in ("touches", "peak_force", "in_touch")))
-            limit = "as long as each message counts one"
-        elif scene is None:
-            t, force = wrench(run, topic, release)
-            touches = in_force(t, force)
         else:
             t, force = wrench(run, topic, release)
-            touches = in_force(t, force, _attitude(measurements(run, released), t), scene.cone)
+            seen = () if scene is None else (_attitude(measurements(run, released), t), scene.cone)
+            touches = in_force(t, force, *seen)
         interval = Series(t, t).interval
-        if topic is not CONTACT_STATE:
+        limit = "as long as each message counts one"
+        if topic is not topics.CONTACT_STATE:
             limit = f"which may miss those below {RESOLVED * interval * 1e3:.3g} ms"
         source = f"{topic.name}, {1.0 / interval:.4g} Hz" if interval else topic.name
         if touches is not None:
@@ -245,7 +233,7 @@ def touches_of(
 def launch_of(run: Run, scene: Scene) -> LaunchPlan:
     """Return the launch as it was commanded; as the scene plans it where none was recorded."""
     plan = plan_launch(scene)
-    columns = run.columns(LAUNCH_COMMAND)
+    columns = run.columns(topics.LAUNCH_COMMAND)
     if not columns or scene.string is None:
         return plan
     return replace(
@@ -271,27 +259,20 @@ def wrench(run: Run, topic: Topic, release: int) -> tuple[np.ndarray, np.ndarray
 
 def buffers_in(run: Run) -> dict[Topic, Columns]:
     """Return stroke (m), torsion (rad) and their rates, (n,) each, by the topics that hold them."""
+    names = ("stroke", "torsion", "stroke_rate", "torsion_rate")
     found: dict[Topic, Columns] = {}
-    if state := run.columns(BUFFER_STATE):
-        found[BUFFER_STATE] = {
-            "stroke": state["axial_stroke"],
-            "torsion": state["torsion"],
-            "stroke_rate": state["axial_rate"],
-            "torsion_rate": state["torsion_rate"],
-        }
-    joints = run.columns(JOINT_STATES)
-    names = list(joints["name"][0]) if joints else []
-    if {HINGE_JOINT, SLIDE_JOINT} <= set(names) and joints["position"].ndim == 2:
+    if state := run.columns(topics.BUFFER_STATE):
+        fields = ("axial_stroke", "torsion", "axial_rate", "torsion_rate")
+        found[topics.BUFFER_STATE] = {n: state[f] for n, f in zip(names, fields, strict=True)}
+    joints = run.columns(topics.JOINT_STATES)
+    known = list(joints["name"][0]) if joints else []
+    if {HINGE_JOINT, SLIDE_JOINT} <= set(known) and joints["position"].ndim == 2:
         position, velocity = joints["position"], joints["velocity"]
         if velocity.shape != position.shape:  # a bench may leave them empty
             velocity = np.gradient(position, stamps_of(joints) / 1e9, axis=0)
-        slide, hinge = names.index(SLIDE_JOINT), names.index(HINGE_JOINT)
-        found[JOINT_STATES] = {
-            "stroke": position[:, slide],
-            "torsion": position[:, hinge],
-            "stroke_rate": velocity[:, slide],
-            "torsion_rate": velocity[:, hinge],
-        }
+        both = [known.index(SLIDE_JOINT), known.index(HINGE_JOINT)]
+        values = (*position[:, both].T, *velocity[:, both].T)
+        found[topics.JOINT_STATES] = dict(zip(names, values, strict=True))
     return found
 
 

@@ -18,18 +18,9 @@ from capture_sim.detection.align import observed
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.messages import topics
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase
-from capture_sim.messages.topics import (
-    BUFFER_STATE,
-    CAPTURE_STATUS,
-    CHASER_ODOMETRY,
-    CONTACT_STATE,
-    CONTACT_WRENCH,
-    JOINT_STATES,
-    STRING_STATE,
-    TARGET_ODOMETRY,
-    Topic,
-)
+from capture_sim.messages.topics import Topic
 from capture_sim.recording.measured import buffers_in, poses_of, release_of, stamps_of
 from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
@@ -155,17 +146,12 @@ def measured_run(
     """
     samples = samples_of(scene, measured)
     touches = _touches(samples, measured)
-    events = [
-        Event(
-            kind=EventKind.TOUCH,
-            t=float(touch["start"]),
-            q=samples["q"][int(np.searchsorted(samples["t"], touch["start"]))],
-            v=samples["v"][max(int(np.searchsorted(samples["t"], touch["start"])) - 1, 0)],
-            wall=int(touch["wall"]),
-            detail="seen in the measurements",
-        )
-        for touch in touches
-    ]
+    events = []
+    for touch in touches:
+        first = int(np.searchsorted(samples["t"], touch["start"]))
+        q, v = samples["q"][first], samples["v"][max(first - 1, 0)]
+        wall, seen = int(touch["wall"]), "seen in the measurements"
+        events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, seen))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
 
 
@@ -244,11 +230,8 @@ def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
     """Return the scene with the run's name, and its vehicles where they were measured first."""
     q = samples["q"][0]
     scene = dataclasses.replace(scene, name=as_name(name), title=f"Measured; drawn as {scene.name}")
-    initial = dataclasses.replace(
-        scene.initial,
-        chaser=PlanarState(*(float(x) for x in q[:3])),
-        target=PlanarState(*(float(x) for x in q[5:])),
-    )
+    chaser, target = (PlanarState(*part.tolist()) for part in (q[:3], q[5:]))
+    initial = dataclasses.replace(scene.initial, chaser=chaser, target=target)
     try:
         return dataclasses.replace(scene, initial=initial)
     except SceneError:
@@ -274,7 +257,7 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     RecordingError
         A topic is missing, or the release lies outside the recording.
     """
-    chaser, target = _needed(run, CHASER_ODOMETRY), _needed(run, TARGET_ODOMETRY)
+    chaser, target = _needed(run, topics.CHASER_ODOMETRY), _needed(run, topics.TARGET_ODOMETRY)
     stamps, first = np.unique(stamps_of(chaser), return_index=True)
     release = release_of(run, released)
     t = (stamps - release) * 1e-9
@@ -282,9 +265,9 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     buffers = buffers_in(run)
     if not buffers:
         raise RecordingError(
-            f"{run.name}: holds neither {BUFFER_STATE.absolute_name} nor "
-            f"{JOINT_STATES.absolute_name} with {HINGE_JOINT} and {SLIDE_JOINT}: the place of the "
-            "tip is not known"
+            f"{run.name}: holds neither {topics.BUFFER_STATE.absolute_name} nor "
+            f"{topics.JOINT_STATES.absolute_name} with {HINGE_JOINT} and {SLIDE_JOINT}: the place "
+            "of the tip is not known"
         )
     topic, buffer = next(iter(buffers.items()))
     buffer_stamps = stamps_of(run.columns(topic))
@@ -313,7 +296,7 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     statuses: Sequence[CaptureStatus] = run.statuses
     if statuses:
         # a recording counts them from a stamp of 1 s, the run from the release
-        first_status = (stamps_of(run.columns(CAPTURE_STATUS))[0] - release) * 1e-9
+        first_status = (stamps_of(run.columns(topics.CAPTURE_STATUS))[0] - release) * 1e-9
         late = statuses[0].t - float(first_status)
         statuses = [status._replace(t=status.t - late) for status in statuses]
     else:
@@ -324,15 +307,9 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
 def _detect(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
     """Return what the capture detector makes of measurements."""
     detector = NoisyDetector(scene)
-    of_bodies = (
-        np.hstack(pair).tolist()
-        for pair in (
-            (measured.chaser, measured.chaser_rate),
-            (measured.target, measured.target_rate),
-            (measured.buffer, measured.buffer_rate),
-        )
-    )
-    rows = zip(measured.t.tolist(), *of_bodies, strict=True)
+    m = measured
+    pairs = ((m.chaser, m.chaser_rate), (m.target, m.target_rate), (m.buffer, m.buffer_rate))
+    rows = zip(m.t.tolist(), *(np.hstack(pair).tolist() for pair in pairs), strict=True)
     return [*(detector.update(observed(*row)) for row in rows), *detector.finish()]
 
 
@@ -361,19 +338,17 @@ def _stacked(columns: Columns, *names: str) -> np.ndarray:
 def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
     """Return what else was measured."""
     found: dict[str, np.ndarray] = {}
-    wrench = run.columns(CONTACT_WRENCH)
-    if wrench:
+    if wrench := run.columns(topics.CONTACT_WRENCH):
         force = _stacked(wrench, "wrench.force.x", "wrench.force.y")
         found["tip_force"] = at(stamps_of(wrench), force)
-    contact = run.columns(CONTACT_STATE)
-    if contact:
-        found["normal_force"] = at(stamps_of(contact), contact["normal_force"])
-        found["peak_force"] = at(stamps_of(contact), contact["peak_force"][:, None])[:, 0]
-        found["walls"] = held(stamps_of(contact), contact["walls"])
-        found["begun"] = held(stamps_of(contact), contact["touches"])
-    string = run.columns(STRING_STATE)
-    if string:
-        values = _stacked(string, "tension", "mass_height", "mass_speed")
-        phase = held(stamps_of(string), string["phase"])
-        found["string"] = np.column_stack([phase, at(stamps_of(string), values)])
+    if contact := run.columns(topics.CONTACT_STATE):
+        stamps = stamps_of(contact)
+        found["normal_force"] = at(stamps, contact["normal_force"])
+        found["peak_force"] = at(stamps, contact["peak_force"][:, None])[:, 0]
+        found["walls"] = held(stamps, contact["walls"])
+        found["begun"] = held(stamps, contact["touches"])
+    if string := run.columns(topics.STRING_STATE):
+        stamps = stamps_of(string)
+        values = at(stamps, _stacked(string, "tension", "mass_height", "mass_speed"))
+        found["string"] = np.column_stack([held(stamps, string["phase"]), values])
     return found
