@@ -14,7 +14,7 @@ import hashlib
 import math
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -164,20 +164,12 @@ class RunDescription:
         MessageError
             A rate is none.
         """
+        values: dict[str, Any] = {f.name: getattr(info, f.name) for f in fields(cls)}
         for name in ("state_rate", "rate"):
-            value = float(getattr(info, name))
+            values[name] = value = float(values[name])
             if not 0.0 < value < math.inf:
                 raise MessageError(f"RunInfo.{name} = {value:g} Hz: allowed is above 0")
-        return cls(
-            run_id=info.run_id,
-            name=info.name,
-            scene=info.scene,
-            software=tuple(info.software),
-            state_rate=float(info.state_rate),
-            rate=float(info.rate),
-            publishers=tuple(info.publishers),
-            consumers=tuple(info.consumers),
-        )
+        return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     @property
     def scene_sha256(self) -> str:

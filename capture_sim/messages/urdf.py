@@ -37,12 +37,12 @@ _HALF_WIDTH, _HEIGHT, _REAR = 0.11, 0.06, 0.13
 _CYLINDER_RADIUS = 0.012
 _PLATE = 0.002  # thickness of the cone's plates
 _PLATES = 16
-_CHASER, _TARGET, _STEEL, _CONE = (
-    "0.30 0.45 0.70 1",
-    "0.55 0.55 0.58 1",
-    "0.8 0.8 0.8 1",
-    ("0.85 0.65 0.25 0.6"),
-)
+_COLOURS = {
+    "chaser": "0.30 0.45 0.70 1",
+    "target": "0.55 0.55 0.58 1",
+    "steel": "0.8 0.8 0.8 1",
+    "cone": "0.85 0.65 0.25 0.6",
+}
 
 
 class Transform(NamedTuple):
@@ -72,12 +72,7 @@ def static_transforms(scene: Scene) -> Iterator[Transform]:
 def urdf(scene: Scene) -> str:
     """Return the robot description: XML text of both vehicles, buffer, probe and cone."""
     robot = ElementTree.Element("robot", name="capture_bench")
-    for name, colour in (
-        ("chaser", _CHASER),
-        ("target", _TARGET),
-        ("steel", _STEEL),
-        ("cone", _CONE),
-    ):
+    for name, colour in _COLOURS.items():
         material = ElementTree.SubElement(robot, "material", name=name)
         ElementTree.SubElement(material, "color", rgba=colour)
     ElementTree.SubElement(robot, "link", name=WORLD)
@@ -101,15 +96,8 @@ def urdf(scene: Scene) -> str:
 
     _joint(robot, "chaser", "planar", WORLD, CHASER_FRAME, axis="0 0 1")
     _joint(robot, "target", "planar", WORLD, TARGET_FRAME, axis="0 0 1")
-    hinge = _joint(
-        robot,
-        HINGE_JOINT,
-        "revolute",
-        CHASER_FRAME,
-        CYLINDER_FRAME,
-        scene.buffer.hinge_offset,
-        axis="0 0 1",
-    )
+    at = scene.buffer.hinge_offset
+    hinge = _joint(robot, HINGE_JOINT, "revolute", CHASER_FRAME, CYLINDER_FRAME, at, "0 0 1")
     _limit(hinge, -math.pi, math.pi)
     slide = _joint(robot, SLIDE_JOINT, "prismatic", CYLINDER_FRAME, PROBE_FRAME, axis="1 0 0")
     # the probe may go in up to its tip

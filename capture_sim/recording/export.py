@@ -154,10 +154,12 @@ def _paths(topics: Collection[str], folder: Path, suffix: str) -> dict[str, Path
 
 
 def _save_csv(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    # of numbers tolist gives floats, whose repr is the shortest that gives the same bits
+    cells = (_texts(c) if c.dtype == object else c.tolist() for c in columns.values())
     with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
-        writer.writerows(zip(*(_cells(c) for c in columns.values()), strict=True))
+        writer.writerows(zip(*cells, strict=True))
 
 
 def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
@@ -167,7 +169,7 @@ def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
     except ImportError as error:
         raise RecordingError(f"parquet needs pyarrow: {error}") from None
     arrays = {
-        name: pa.array([_plain(x) for x in column] if column.dtype == object else column)
+        name: pa.array(list(column) if column.dtype == object else column)
         for name, column in columns.items()
     }
     with whole_file(path) as part:
@@ -176,11 +178,9 @@ def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
 
 def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Path) -> None:
     arrays = {
-        f"{topic.strip('/')}/{name}": (
-            np.array([str(_cell(x)) for x in column]) if column.dtype == object else column
-        )
+        f"{topic.strip('/')}/{name}": np.array(_texts(c)) if c.dtype == object else c
         for topic, columns in tables.items()
-        for name, column in columns.items()
+        for name, c in columns.items()
     }
     if run.has_scene:
         arrays["scene"] = np.array(run.scene_text)
@@ -188,17 +188,7 @@ def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Pa
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
 
 
-def _cells(column: np.ndarray) -> list[object]:
-    if column.dtype == object:
-        return [_cell(value) for value in column]
-    return list(column.tolist())  # float's repr is the shortest that gives the same bits
-
-
-def _cell(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return " ".join(map(str, value.tolist()))
-    return " ".join(map(str, value)) if isinstance(value, list) else value
-
-
-def _plain(value: object) -> object:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+def _texts(column: np.ndarray) -> list[str]:
+    """Return texts as they are, and sequences as their items between spaces."""
+    lists = (x.tolist() if isinstance(x, np.ndarray) else x for x in column)
+    return [x if isinstance(x, str) else " ".join(map(str, x)) for x in lists]
