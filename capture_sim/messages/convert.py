@@ -169,7 +169,8 @@ class RunDescription:
             values[name] = value = float(values[name])
             if not 0.0 < value < math.inf:
                 raise MessageError(f"RunInfo.{name} = {value:g} Hz: allowed is above 0")
-        return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
+        values |= {n: tuple(values[n]) for n in ("software", "publishers", "consumers")}
+        return cls(**values)
 
     @property
     def scene_sha256(self) -> str:

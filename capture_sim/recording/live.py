@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -102,16 +103,15 @@ class RecordingFiles:
                 if split:
                     self.path.mkdir(parents=True)
                 self._writer = self._open()
-            except FileExistsError:
-                continue  # another recorder was faster
-            except OSError as error:
+                break
+            except (OSError, RecordingError) as error:
+                taken = isinstance(error.__cause__ or error, FileExistsError)
+                if taken and os.path.lexists(self.path):
+                    continue  # another recorder was faster
+                if isinstance(error, RecordingError):
+                    raise
                 reason = error.strerror or error
                 raise RecordingError(f"{self.path}: cannot write: {reason}") from None
-            except RecordingError as error:
-                if not isinstance(error.__cause__, FileExistsError):
-                    raise
-            else:
-                break
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
         """Write a serialised message, into a new file when it is time for one."""

@@ -29,6 +29,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.files import free_path
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import columns, sequence_of, stamp_of
 from capture_sim.messages.convert import Messages, RunDescription
@@ -692,13 +693,17 @@ def test_split_recording_is_one_run_and_a_bag(split, path, sent, tmp_path):
     assert again.path == tmp_path / f"{NAME}_2"
 
 
-def test_name_that_another_recorder_takes_first(path, sent, tmp_path):
-    # a link to nowhere is not there when looked for, and is when it is to be made
-    (tmp_path / f"{NAME}.mcap").symlink_to(tmp_path / "nowhere" / "at_all.mcap")
-    report = record(tmp_path, sent).close()
-    assert report.path == tmp_path / f"{NAME}_2.mcap"
+@pytest.mark.parametrize("split", [Split(), Split(folder=True)])
+def test_name_that_another_recorder_takes_first(split, sent, tmp_path, monkeypatch):
+    # between the look for a free name and the file
+    taken = tmp_path / (NAME if split else f"{NAME}.mcap")
+    taken.mkdir() if split else taken.write_text("another's")
+    looks = iter([taken])
+    monkeypatch.setattr(live_module, "free_path", lambda path: next(looks, None) or free_path(path))
+    report = record(tmp_path, sent, split=split).close()
+    assert report.path == taken.with_stem(f"{NAME}_2")
     assert report.complete
-    assert read_run(report.path).raw("bench/state") == read_run(path).raw("bench/state")
+    assert split or taken.read_text() == "another's"
 
 
 def test_whole_recording_as_a_bags_folder(path, sent, tmp_path):
