@@ -57,11 +57,8 @@ def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
     """
     if topic.stamp is Stamp.NONE:
         return None
-    try:
-        sec, nanosec = _TIME.unpack_from(data, _HEADER)
-    except struct.error:
-        raise MessageError(f"{topic.name}: message of {len(data)} bytes has no stamp") from None
-    return int(sec) * 1_000_000_000 + int(nanosec)
+    sec, nanosec = _unpacked(_TIME, topic, data, _HEADER)
+    return sec * 1_000_000_000 + nanosec
 
 
 def sequence_of(topic: Topic, data: bytes) -> int | None:
@@ -74,13 +71,18 @@ def sequence_of(topic: Topic, data: bytes) -> int | None:
     """
     if not topic.sequenced:
         return None
+    (length,) = _unpacked(_LENGTH, topic, data, _HEADER + _TIME.size)  # of header.frame_id
+    place = _HEADER + _aligned(_TIME.size + _LENGTH.size + length, _SEQUENCE.size)
+    return _unpacked(_SEQUENCE, topic, data, place)[0]
+
+
+def _unpacked(
+    kind: struct.Struct, topic: Topic, data: bytes | memoryview, place: int
+) -> tuple[int, ...]:
     try:
-        (length,) = _LENGTH.unpack_from(data, _HEADER + 8)  # of header.frame_id
-        position = _aligned(12 + length, 8)
-        (seq,) = _SEQUENCE.unpack_from(data, _HEADER + position)
+        return kind.unpack_from(data, place)
     except struct.error:
-        raise MessageError(f"{topic.name}: message of {len(data)} bytes has no seq") from None
-    return int(seq)
+        raise MessageError(f"{topic.name}: message of {len(data)} bytes is cut") from None
 
 
 def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:

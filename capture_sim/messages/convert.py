@@ -103,36 +103,16 @@ def software_versions() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class RunDescription:
-    """Everything needed to run a run again; the content of msg/RunInfo.msg.
+    """Everything needed to run a run again; the content of msg/RunInfo.msg."""
 
-    Attributes
-    ----------
-    run_id
-        Unique to this run.
-    name
-        Of the experiment.
-    scene
-        The resolved scene, YAML.
-    software
-        ``"name version"`` each.
-    state_rate
-        Of BenchState, Hz.
-    rate
-        Of all other periodic topics, Hz.
-    publishers
-        Nodes whose StreamCounts end the run.
-    consumers
-        Nodes that take part, and read what the others publish.
-    """
-
-    run_id: str
-    name: str
-    scene: str
-    software: tuple[str, ...]
-    state_rate: float
-    rate: float
-    publishers: tuple[str, ...]
-    consumers: tuple[str, ...] = ()
+    run_id: str  # unique to this run
+    name: str  # of the experiment
+    scene: str  # the resolved scene, YAML
+    software: tuple[str, ...]  # ``"name version"`` each
+    state_rate: float  # of BenchState, Hz
+    rate: float  # of all other periodic topics, Hz
+    publishers: tuple[str, ...]  # nodes whose StreamCounts end the run
+    consumers: tuple[str, ...] = ()  # nodes that take part, and read what the others publish
 
     @classmethod
     def of(

@@ -34,33 +34,18 @@ class Stamp(Enum):
 
 @dataclass(frozen=True, eq=False)  # each is one of a kind: compared and hashed by identity
 class Topic:
-    """One topic; all are reliable, and a stream keeps every message until it is read.
+    """One topic; all are reliable, and a stream keeps every message until it is read."""
 
-    Attributes
-    ----------
-    name
-        Relative to the namespace, but for ``/clock``.
-    type_name
-        Message type as ``package/msg/Name``.
-    publishers
-        Nodes that send it.
-    depth
-        Messages that are kept of a latched topic.
-    latched
-        Transient local: late subscribers get the last ``depth`` messages; of a periodic topic
-        the last change of its state.
-    sequenced
-        A ``uint64 seq`` follows the header and counts from 0 without gaps.
-    """
-
-    name: str
-    type_name: str
-    publishers: tuple[str, ...]
+    name: str  # relative to the namespace, but for ``/clock``
+    type_name: str  # message type as ``package/msg/Name``
+    publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
-    depth: int = 1000
+    depth: int = 1000  # messages that are kept of a latched topic
+    # transient local: late subscribers get the last ``depth`` messages; of a periodic topic the
+    # last change of its state
     latched: bool = False
     stamp: Stamp = Stamp.HEADER
-    sequenced: bool = False
+    sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
 
     @property
     def absolute_name(self) -> str:

@@ -39,33 +39,15 @@ class Figure(NamedTuple):
 
 
 class Comparable(NamedTuple):
-    """What of a run is held against another one's.
+    """What of a run is held against another one's."""
 
-    Attributes
-    ----------
-    run
-        The recording.
-    contact
-        First contact, s since the release.
-    contact_source
-        Topic that it was found in.
-    series
-        By quantity: the fields of Measurements, and DISTANCE.
-    sources
-        Topic and rate of each.
-    touches
-        One by one; None where they were not found.
-    touch_source
-        What they were found in; why there are none.
-    """
-
-    run: Run
-    contact: float
-    contact_source: str
-    series: Mapping[str, Series]
-    sources: Mapping[str, str]
-    touches: Touches | None
-    touch_source: str
+    run: Run  # the recording
+    contact: float  # first contact, s since the release
+    contact_source: str  # topic that it was found in
+    series: Mapping[str, Series]  # by quantity: the fields of Measurements, and DISTANCE
+    sources: Mapping[str, str]  # topic and rate of each
+    touches: Touches | None  # one by one; None where they were not found
+    touch_source: str  # what they were found in; why there are none
 
     @property
     def contact_may_be_late(self) -> bool:

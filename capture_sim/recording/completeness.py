@@ -10,34 +10,17 @@ from capture_sim.messages.topics import Topic, topic_named
 
 @dataclass
 class TopicCount:
-    """What is known of one stream.
+    """What is known of one stream."""
 
-    Attributes
-    ----------
-    seen
-        Messages that came.
-    written
-        Messages handed to the file; fewer than seen while a recorder is paused.
-    expected
-        Messages that were sent, as their publisher said at the end; None as
-        long as it has not.
-    next_seq
-        Sequence number that should come next.
-    gaps
-        First and last missing sequence numbers, at most :data:`MAX_GAPS` of them.
-    missing
-        Messages known to be missing from gaps in the sequence.
-    out_of_order
-        Messages whose number was lower than expected.
-    """
-
-    seen: int = 0
-    written: int = 0
+    seen: int = 0  # messages that came
+    written: int = 0  # messages handed to the file; fewer than seen while a recorder is paused
+    # messages that were sent, as their publisher said at the end; None as long as it has not
     expected: int | None = None
-    next_seq: int = 0
+    next_seq: int = 0  # sequence number that should come next
+    # first and last missing sequence numbers, at most :data:`MAX_GAPS` of them
     gaps: list[tuple[int, int]] = field(default_factory=list)
-    missing: int = 0
-    out_of_order: int = 0
+    missing: int = 0  # messages known to be missing from gaps in the sequence
+    out_of_order: int = 0  # messages whose number was lower than expected
 
 
 #: Gaps that are remembered of each topic; further ones are only counted.

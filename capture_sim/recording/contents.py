@@ -30,39 +30,20 @@ CDR = "cdr"
 
 @dataclass
 class Contents:
-    """All that is in the data section of a file.
+    """All that is in the data section of a file."""
 
-    Attributes
-    ----------
-    types
-        Message type by topic.
-    qos
-        Quality of service by topic, YAML as rosbag2 writes it; empty when not recorded.
-    schemas
-        Definition text by message type.
-    messages
-        Serialised messages by topic, in the order of their log times.
-    log_times
-        Their log times, ns, ascending.
-    attachments
-        By name.
-    metadata
-        By name.
-    left_out
-        Encoding by topic of messages that are not CDR and were left out.
-    damage
-        Why reading stopped early; empty for a whole file.
-    """
-
-    types: dict[str, str] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)  # message type by topic
+    # quality of service by topic, YAML as rosbag2 writes it; empty when not recorded
     qos: dict[str, str] = field(default_factory=dict)
-    schemas: dict[str, str] = field(default_factory=dict)
+    schemas: dict[str, str] = field(default_factory=dict)  # definition text by message type
+    # serialised messages by topic, in the order of their log times
     messages: dict[str, list[bytes]] = field(default_factory=dict)
-    log_times: dict[str, list[int]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    log_times: dict[str, list[int]] = field(default_factory=dict)  # their log times, ns, ascending
+    attachments: dict[str, bytes] = field(default_factory=dict)  # by name
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name
+    # encoding by topic of messages that are not CDR and were left out
     left_out: dict[str, str] = field(default_factory=dict)
-    damage: str = ""
+    damage: str = ""  # why reading stopped early; empty for a whole file
 
 
 def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:

@@ -42,20 +42,11 @@ STALL_LIMIT = 10.0
 
 @dataclass(frozen=True)
 class Split:
-    """When a new file is begun.
+    """When a new file is begun."""
 
-    Attributes
-    ----------
-    size
-        Bytes in the file; 0 for no bound.
-    time
-        s, from its first message to its last; 0 for no bound.
-    folder
-        Lay the recording out as a bag's folder, even if no new file is ever begun.
-    """
-
-    size: int = 0
-    time: float = 0.0
+    size: int = 0  # bytes in the file; 0 for no bound
+    time: float = 0.0  # s, from its first message to its last; 0 for no bound
+    # lay the recording out as a bag's folder, even if no new file is ever begun
     folder: bool = False
 
     def __bool__(self) -> bool:
@@ -158,25 +149,13 @@ class RecordingFiles:
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What came of a recording.
+    """What came of a recording."""
 
-    Attributes
-    ----------
-    path
-        The file, or the folder of files; None when no run was announced, so that nothing
-        was written.
-    complete
-        Every publisher has ended its streams and every message came.
-    topics
-        Messages seen, written, expected and missing, by topic name.
-    problems
-        One line for everything that is wrong; empty when complete.
-    """
-
+    # the file, or the folder of files; None when no run was announced, so that nothing was written
     path: Path | None
-    complete: bool
-    topics: Mapping[str, TopicCount]
-    problems: tuple[str, ...]
+    complete: bool  # every publisher has ended its streams and every message came
+    topics: Mapping[str, TopicCount]  # messages seen, written, expected and missing, by topic name
+    problems: tuple[str, ...]  # one line for everything that is wrong; empty when complete
 
 
 class LiveRecorder:

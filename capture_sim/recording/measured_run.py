@@ -32,46 +32,22 @@ _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
 
 @dataclass(frozen=True)
 class AlignedMeasurements:
-    """What was measured at n instants; None where there is no such sensor.
+    """What was measured at n instants; None where there is no such sensor."""
 
-    Attributes
-    ----------
-    t : ndarray (n,)
-        s since the release.
-    chaser, target : ndarray (n, 3)
-        x m, y m, theta rad in the world.
-    chaser_rate, target_rate : ndarray (n, 3)
-        m/s, m/s, rad/s in the world.
-    buffer : ndarray (n, 2)
-        Axial stroke m, torsion rad.
-    buffer_rate : ndarray (n, 2)
-        m/s, rad/s.
-    tip_force : ndarray (n, 2) or None
-        N, on the tip in its own frame.
-    normal_force : ndarray (n, 2) or None
-        N, of the +y and the -y wall.
-    walls : ndarray (n,) or None
-        Bits of the walls in touch, as in ContactState; else by the gaps.
-    begun : ndarray (n,) or None
-        Touches begun since the instant before.
-    peak_force : ndarray (n,) or None
-        N, largest since the instant before.
-    string : ndarray (n, 4) or None
-        Phase as in StringState, tension N, mass height m, mass speed m/s.
-    """
-
-    t: np.ndarray
-    chaser: np.ndarray
-    chaser_rate: np.ndarray
-    target: np.ndarray
-    target_rate: np.ndarray
-    buffer: np.ndarray
-    buffer_rate: np.ndarray
-    tip_force: np.ndarray | None = None
-    normal_force: np.ndarray | None = None
+    t: np.ndarray  # (n,): s since the release
+    chaser: np.ndarray  # (n, 3): x m, y m, theta rad in the world
+    chaser_rate: np.ndarray  # (n, 3): m/s, m/s, rad/s in the world
+    target: np.ndarray  # (n, 3): x m, y m, theta rad in the world
+    target_rate: np.ndarray  # (n, 3): m/s, m/s, rad/s in the world
+    buffer: np.ndarray  # (n, 2): axial stroke m, torsion rad
+    buffer_rate: np.ndarray  # (n, 2): m/s, rad/s
+    tip_force: np.ndarray | None = None  # (n, 2): N, on the tip in its own frame
+    normal_force: np.ndarray | None = None  # (n, 2): N, of the +y and the -y wall
+    # (n,): bits of the walls in touch, as in ContactState; else by the gaps
     walls: np.ndarray | None = None
-    begun: np.ndarray | None = None
-    peak_force: np.ndarray | None = None
+    begun: np.ndarray | None = None  # (n,): touches begun since the instant before
+    peak_force: np.ndarray | None = None  # (n,): N, largest since the instant before
+    # (n, 4): phase as in StringState, tension N, mass height m, mass speed m/s
     string: np.ndarray | None = None
 
 

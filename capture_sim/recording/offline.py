@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import numpy as np
-from mcap.records import Chunk, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Metadata
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, is_device, whole_file
@@ -31,6 +31,7 @@ from capture_sim.messages.telemetry import (
     samples_per_message,
 )
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.recording.scan import Damage, mapped, scan
 from capture_sim.recording.write import RUN_METADATA, RunWriter
 from capture_sim.results import extremes_to_text
 
@@ -98,15 +99,12 @@ def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
 
 def is_simulated(path: Path) -> bool:
     """Whether a file is a run that was simulated without ROS, and could be made again."""
-    try:
-        with path.open("rb") as file:
-            for record in StreamReader(file, emit_chunks=True, record_size_limit=1 << 24).records:
-                if isinstance(record, Metadata) and record.name == RUN_METADATA:
-                    return record.metadata.get("origin") == SIMULATED
-                if isinstance(record, Chunk):
-                    break
-    except Exception:  # whatever it is, it is no such file
-        return False
+    with suppress(Exception), mapped(path) as data:  # whatever it is, it is no such file
+        for found in scan(data, 1.0):
+            if isinstance(found, Damage) or found.messages:
+                break
+            if isinstance(found.record, Metadata) and found.record.name == RUN_METADATA:
+                return found.record.metadata.get("origin") == SIMULATED
     return False
 
 

@@ -21,18 +21,11 @@ from capture_sim.recording.contents import Contents, bag_files, read_contents
 
 @dataclass(frozen=True)
 class PlayedTopic:
-    """A topic of a recording.
+    """A topic of a recording."""
 
-    Attributes
-    ----------
-    name, type_name
-        As recorded, ``package/msg/Name``.
-    qos
-        The first recorded profile, as rosbag2 writes it; empty when none was recorded.
-    """
-
-    name: str
-    type_name: str
+    name: str  # as recorded, ``package/msg/Name``
+    type_name: str  # as recorded, ``package/msg/Name``
+    # the first recorded profile, as rosbag2 writes it; empty when none was recorded
     qos: dict[str, Any]
 
 

@@ -58,26 +58,13 @@ class NothingWholeError(RecordingError):
 
 @dataclass(frozen=True)
 class Recovery:
-    """What came of recovering a file.
+    """What came of recovering a file."""
 
-    Attributes
-    ----------
-    path
-        Of the new file.
-    chunks
-        How many were saved.
-    messages
-        How many were saved, by topic.
-    losses
-        A line for everything that was lost; empty if nothing was.
-    unconfirmed
-        A line for everything that was saved and that no checksum confirms.
-    """
-
-    path: Path
-    chunks: int
-    messages: dict[str, int]
-    losses: tuple[str, ...]
+    path: Path  # of the new file
+    chunks: int  # how many were saved
+    messages: dict[str, int]  # how many were saved, by topic
+    losses: tuple[str, ...]  # a line for everything that was lost; empty if nothing was
+    # a line for everything that was saved and that no checksum confirms
     unconfirmed: tuple[str, ...] = ()
 
 

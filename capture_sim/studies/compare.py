@@ -14,27 +14,15 @@ LEAST = 4
 
 
 class Gap(NamedTuple):
-    """By how much a measured number of two runs differs, second run less first.
+    """By how much a measured number of two runs differs, second run less first."""
 
-    Attributes
-    ----------
-    series, part
-        Of :class:`~.measurements.Measurements`, and of it.
-    rms, largest
-        SI units.
-    at
-        When it is largest, s after the first contact.
-    begin, end
-        First and last sample that was compared, s after the first contact.
-    """
-
-    series: str
-    part: Part
-    rms: float
-    largest: float
-    at: float
-    begin: float
-    end: float
+    series: str  # a field of Measurements
+    part: Part  # of it
+    rms: float  # SI units
+    largest: float  # SI units
+    at: float  # when it is largest, s after the first contact
+    begin: float  # first sample that was compared, s after the first contact
+    end: float  # last one
 
 
 def overlap(

@@ -25,30 +25,17 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True)
 class Agreement:
-    """What came of comparing a recording with its scene simulated again.
+    """What came of comparing a recording with its scene simulated again."""
 
-    Attributes
-    ----------
-    compared
-        Samples of the recording that the simulation has as well.
-    foreign
-        Samples of the recording at times that the simulation has none at, or has once more:
-        they are of another run.
-    missing
-        Samples of the simulation that the recording lacks, up to where it ends.
-    differences
-        Fields that differ.
-    same_events, same_trace
-        Both have the same events, and the same trace of the contact, up to where the recording
-        ends.
-    """
-
-    compared: int
+    compared: int  # samples of the recording that the simulation has as well
+    # samples of the recording at times that the simulation has none at, or has once more: they are
+    # of another run
     foreign: int
-    missing: int
-    differences: tuple[Difference, ...]
+    missing: int  # samples of the simulation that the recording lacks, up to where it ends
+    differences: tuple[Difference, ...]  # fields that differ
+    # up to where the recording ends
     same_events: bool
-    same_trace: bool
+    same_trace: bool  # of the contact
 
     @property
     def identical(self) -> bool:
