@@ -156,8 +156,8 @@ def scan(data: mmap.mmap, ratio: float) -> Iterator[Whole | Damage]:
                 if isinstance(found.record, DataEnd):
                     return
         except _DAMAGE as error:
-            head = data[position : position + _HEAD.size]
-            cut = len(head) < _HEAD.size or position + _HEAD.unpack(head)[1] >= len(data)
+            short = len(data) - position - _HEAD.size
+            cut = short < 0 or _HEAD.unpack_from(data, position)[1] > short
             yield Damage(position, _in_words(error), cut)
         for match in _CHUNK_HEAD.finditer(data, sure):
             with suppress(*_DAMAGE):
