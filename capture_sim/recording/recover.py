@@ -103,7 +103,7 @@ def recover(
                     if len(files) == 1:
                         raise
                     rescue.lost.append(f"all of {error}")
-            if not rescue.by_topic:
+            if not rescue.by_topic.total():
                 raise NothingWholeError(f"{path}: nothing to recover: no whole chunk in it")
             return rescue.finish(target, several=len(files) > 1)
     except FileExistsError:
@@ -223,6 +223,8 @@ class _Rescue:
                 self._take(part, found)
                 if isinstance(found.record, DataEnd):
                     part.verified = data_fit(data, found)
+            for number in sorted(part.channels):  # those without a message too
+                self._channel(part, number)
             if gap is None:
                 if index is None:
                     part.lose(end, part.size, "index and end mark damaged")
@@ -315,6 +317,7 @@ class _Rescue:
                 known.topic, known.message_encoding, schema_id, known.metadata
             )
             self._channels[key] = made
+            self.by_topic.setdefault(known.topic, 0)
             qos = None
             with suppress(yaml.YAMLError, ValueError, RecursionError):
                 qos = yaml.safe_load(known.metadata.get("offered_qos_profiles", ""))
