@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import yaml
 
@@ -98,6 +100,15 @@ def qos_profile(topic: Topic) -> dict[str, object]:
         "liveliness_lease_duration": _UNLIMITED,
         "avoid_ros_namespace_conventions": False,
     }
+
+
+def profiles_in(text: str) -> list[Any]:
+    """Return the qualities of service that a topic was recorded with; empty if that is no list."""
+    with suppress(yaml.YAMLError, ValueError, RecursionError):
+        found = yaml.safe_load(text)
+        if isinstance(found, list):
+            return found
+    return []
 
 
 def dump(data: object) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, repeat
 from operator import itemgetter
@@ -11,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import decoded, typestore
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
+from capture_sim.recording.bag_metadata import profiles_in
 from capture_sim.recording.contents import Contents, bag_files, read_contents
 
 
@@ -186,9 +185,5 @@ def _rank(name: str, place: int) -> int:
 
 
 def _profile(text: str) -> dict[str, Any]:
-    found: Any = None
-    with suppress(yaml.YAMLError):
-        found = yaml.safe_load(text)
-    if isinstance(found, list) and found and isinstance(found[0], dict):
-        return dict(found[0])
-    return {}
+    first = next(iter(profiles_in(text)), None)
+    return dict(first) if isinstance(first, dict) else {}

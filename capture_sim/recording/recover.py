@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from mmap import mmap
 from pathlib import Path
 
-import yaml
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
@@ -24,7 +23,7 @@ from capture_sim.messages.topics import (
     Topic,
     topic_named,
 )
-from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata
+from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata, profiles_in
 from capture_sim.recording.contents import bag_files
 from capture_sim.recording.scan import (
     UNPACKED_RATIO,
@@ -318,13 +317,9 @@ class _Rescue:
             )
             self._channels[key] = made
             self.by_topic.setdefault(known.topic, 0)
-            qos = None
-            with suppress(yaml.YAMLError, ValueError, RecursionError):
-                qos = yaml.safe_load(known.metadata.get("offered_qos_profiles", ""))
-            profiles, hash_ = qos if isinstance(qos, list) else [], known.metadata
-            self._entries[made] = TopicEntry(
-                known.topic, type_name, profiles, hash_.get("topic_type_hash", ""), 0
-            )
+            profiles = profiles_in(known.metadata.get("offered_qos_profiles", ""))
+            type_hash = known.metadata.get("topic_type_hash", "")
+            self._entries[made] = TopicEntry(known.topic, type_name, profiles, type_hash, 0)
             topic = topic_named(known.topic)
             if topic in (RUN_INFO, LAUNCH_COMMAND, BENCH_STATE) and topic.type_name == type_name:
                 self._telling[made] = topic
