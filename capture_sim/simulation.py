@@ -268,9 +268,9 @@ def simulate(
         times = np.union1d(grid, wanted)
     pieces = list(drive(bench, times))
     failure = pieces[-1].failure
-    samples = pieces[0].samples
-    if len(pieces) > 1:
-        samples = np.concatenate([piece.samples for piece in pieces])
+    # in a row as bytes: field by field NumPy takes eight times as long
+    raw = [piece.samples.view(f"V{SAMPLE.itemsize}") for piece in pieces]
+    samples = np.concatenate(raw).view(SAMPLE)
     result = Result(
         scene=scene,
         plan=bench.plan,
