@@ -133,12 +133,15 @@ def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
 
 
 def test_gaps_of_known_series():
-    t = np.linspace(0.0, 3.0, 301)
+    """Each run counts from its own contact, and what both hold is compared, by the coarser one."""
+    t, coarse = np.linspace(0.0, 3.0, 301), np.linspace(0.5, 1.98, 75)
     a = Measurements(stroke=Series(t, np.sin(t)))
-    b = Measurements(stroke=Series(t + 0.25, np.sin(t) + 0.1))  # later, and 0.1 larger
-    (gap,) = gaps(a, b, 1.0, 1.25, 1.5)
-    assert gap.rms == pytest.approx(0.1)
-    assert gap.largest == pytest.approx(0.1)  # second less first, as in the table
+    b = Measurements(stroke=Series(coarse + 0.25, np.sin(coarse) + 0.1))  # later, and 0.1 larger
+    for one, other, sign in ((a, b, 1.0), (b, a, -1.0)):
+        (gap,) = gaps(one, other, *((1.0, 1.25) if sign > 0.0 else (1.25, 1.0)), 1.5)
+        assert gap.rms == pytest.approx(0.1)
+        assert gap.largest == pytest.approx(sign * 0.1)  # second less first, as in the table
+        assert (gap.begin, gap.end) == pytest.approx((0.0, 0.98))
 
 
 def test_compare_command(path, other, bench_bag, tmp_path, capsys):
