@@ -2,31 +2,34 @@
 
 A block of code is a fence, and runs in a folder that has `.venv` and the recordings of `make run`:
 
-- `sh`: its lines, as a script; `console`: its lines behind `$`, one by one.  Lines beneath a
-  command are what it prints, `...` for what differs from run to run.
-- `python`: together with the blocks before it on the page; `# ->` is what it prints.
+- `sh`: its lines; `console`: its lines behind `$`.  Lines beneath a command are what it prints,
+  `...` for what differs from run to run.
+- `python`: behind the blocks before it on the page; `# ->` is what it prints.
 - `yaml` with a title is a file of that name; without, it is laid over tilt_0.
 - What cannot run here bears a class, and is counted: `{.ros2}` needs ROS's command-line tools,
-  `{.terminals}` several terminals, `{.minutes}` takes some, `{.make}` is what runs these tests.
+  `{.terminals}` several terminals, `{.minutes}` takes long and is parsed only, `{.make}` is what
+  runs these tests.
 """
 
-import importlib.util
+import contextlib
 import json
-import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
 import yaml
 
 import capture_sim
-from capture_sim.cli import command_parser
+from capture_sim.cli import command_parser, main
+from capture_sim.recording.offline import write_run
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -37,7 +40,7 @@ FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`(?:\.venv/bin/)?capture-sim ([a-z][^`\n]*)`")
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 #: Blocks that are not run, by why.
-LEFT_OUT = {"ros2": 5, "terminals": 3, "minutes": 2, "make": 2}
+LEFT_OUT = {"ros2": 5, "terminals": 3, "minutes": 4, "make": 2}
 
 
 class Block(NamedTuple):
@@ -58,18 +61,29 @@ def blocks(page):
     return [Block(*found) for found in FENCE.findall((ROOT / page).read_text())]
 
 
-def environment():
-    binaries = str(Path(sys.executable).parent)
-    path = binaries + os.pathsep + os.environ["PATH"]
-    return {**os.environ, "PATH": path, "MPLBACKEND": "agg"}
+@pytest.fixture
+def run(monkeypatch, capfd):
+    """A function that runs something in a folder, in this process, and returns what it prints.
 
+    ``capture-sim`` with its arguments, other lines of a shell, or a script of Python with its own.
+    """
+    monkeypatch.setenv("MPLBACKEND", "agg")
 
-def run(command, folder, **how):
-    done = subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, **how
-    )
-    assert done.returncode == 0, f"{command}: {done.stdout[-500:]}{done.stderr[-2000:]}"
-    return done.stdout
+    def run_in(folder, command):
+        monkeypatch.chdir(folder)
+        capfd.readouterr()
+        program, *words = shlex.split(command, comments=True) or ["true"]
+        if Path(program).name == "capture-sim":
+            found = [sorted(map(str, Path().glob(w))) if "*" in w else [w] for w in words]
+            assert main([word for words in found for word in words]) == 0, command
+        elif program.endswith(".py"):
+            monkeypatch.setattr(sys, "argv", [program, *words])
+            runpy.run_path(program, run_name="__main__")
+        else:
+            subprocess.run(["bash", "-euc", command], check=True)
+        return capfd.readouterr().out
+
+    return run_in
 
 
 def assert_printed(stated, printed, command):
@@ -81,19 +95,27 @@ def assert_printed(stated, printed, command):
         assert found, f"{command} is to print {line!r}; it printed:\n{printed}"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
-    """The folder of the recordings that `make run` leaves."""
-    folder = tmp_path_factory.mktemp("recordings")
-    run(["capture-sim", "run", *EXPERIMENTS, "--out", "runs"], folder)
-    return folder / "runs"
+    """The folder of the recordings that `make run` leaves, and of its results."""
+    folder = tmp_path_factory.mktemp("recordings") / "runs"
+    assert main(["run", *EXPERIMENTS, "--no-record", "--out", str(folder)]) == 0
+    for name in EXPERIMENTS:
+        write_run(capture_sim.simulate(name), folder / f"{name}.mcap")
+    return folder
 
 
 @pytest.fixture
-def folder(tmp_path, recordings):
-    """A folder as after `make run`, with the bag of a bench that tutorials call trial.mcap."""
+def folder(tmp_path, recordings, page):
+    """A folder as after `make run`, with the bag of a bench that tutorials call trial.mcap.
+
+    Of the recordings it holds those that the page names: all would be drawn again and again.
+    """
     (tmp_path / ".venv").symlink_to(sys.prefix)
-    shutil.copytree(recordings, tmp_path / "runs")
+    (tmp_path / "runs").mkdir()
+    for name in EXPERIMENTS:
+        if name in (ROOT / page).read_text():
+            shutil.copy(recordings / f"{name}.mcap", tmp_path / "runs")
     shutil.copy(recordings / "tilt_0.mcap", tmp_path / "trial.mcap")
     return tmp_path
 
@@ -126,10 +148,12 @@ def test_commands_between_the_lines_are_understood(page):
             parser.parse_args(arguments)
 
 
-def commands_of(text):
-    """Return each command of a console block, and the lines that it is to print."""
+def commands_of(block):
+    """Return each command of a block, and the lines that it is to print."""
+    if block.language == "sh":
+        return [(line, []) for line in block.text.splitlines()]
     found = []
-    for line in text.splitlines():
+    for line in block.text.splitlines():
         if line.startswith("$ "):
             found.append((line[2:], []))
         else:
@@ -140,8 +164,8 @@ def commands_of(text):
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any(not b.left_out for b in blocks(page))]
 )
-def test_blocks_run_and_print_what_they_say(page, folder):
-    python, printed = "", ""
+def test_blocks_run_and_print_what_they_say(page, folder, run, capfd):
+    names = {}
     for block in blocks(page):
         if block.left_out or block.language == "text":
             continue
@@ -150,22 +174,17 @@ def test_blocks_run_and_print_what_they_say(page, folder):
             path = folder / (title[1] if title else "part.yaml")
             path.write_text(block.text if title else "extends: tilt_0\n" + block.text)
             scene = capture_sim.load_scene(path)
-            assert all(
-                getattr(scene, part) is not None
-                for part in yaml.safe_load(block.text)
-                if part != "extends"
-            )
-        elif block.language == "sh":
-            run(["bash", "-euc", block.text], folder)
-        elif block.language == "console":
-            for command, stated in commands_of(block.text):
-                assert_printed(stated, run(["bash", "-euc", command], folder), command)
-        else:
-            python += block.text
-            (folder / "page.py").write_text(python)
-            before, printed = printed, run([sys.executable, "page.py"], folder)
+            parts = set(yaml.safe_load(block.text)) - {"extends"}
+            assert all(getattr(scene, part) is not None for part in parts)
+        elif block.language == "python":
+            capfd.readouterr()
+            with contextlib.chdir(folder):
+                exec(block.text, names)
             stated = re.findall(r"^# -> (.*)$", block.text, re.MULTILINE)
-            assert_printed(stated, printed.removeprefix(before), "the block")
+            assert_printed(stated, capfd.readouterr().out, "the block")
+        else:
+            for command, stated in commands_of(block):
+                assert_printed(stated, run(folder, command), command)
 
 
 def test_the_table_of_the_readme_holds(recordings):
@@ -204,20 +223,15 @@ def test_every_figure_of_the_reproduction_has_its_command():
         assert f"`.venv/bin/capture-sim reproduce --only {figure} --out runs`" in text
 
 
-def test_sweep_finds_what_captures(tmp_path):
-    out = run([sys.executable, str(ROOT / "examples/sweep_damping.py")], tmp_path)
-    captured, of = map(int, re.fullmatch(r"captured (\d+) of (\d+)\n", out).groups())
+def test_sweep_finds_what_captures(tmp_path, run):
+    captured, of = map(int, re.findall(r"\d+", run(tmp_path, f"{ROOT}/examples/sweep_damping.py")))
     assert 0 < captured < of
     assert (tmp_path / "sweep_damping.png").stat().st_size > 5000
 
 
 @pytest.fixture
 def own_contact_law():
-    path = ROOT / "examples/own_contact_law.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "examples/own_contact_law.py")))
 
 
 def test_own_factor_is_the_law_of_that_factor(own_contact_law):
@@ -238,28 +252,27 @@ def test_own_force_meets_the_wall_as_the_packages_does(own_contact_law):
     assert found == pytest.approx(peak, rel=1e-3)
 
 
-def test_own_contact_law_runs(tmp_path):
-    out = run([sys.executable, str(ROOT / "examples/own_contact_law.py")], tmp_path)
-    first, *peaks = out.splitlines()
+def test_own_contact_law_runs(tmp_path, run):
+    first, *peaks = run(tmp_path, f"{ROOT}/examples/own_contact_law.py").splitlines()
     assert first.startswith("Safaeifar: captured")
     rough, fine = (float(line.split()[-2]) for line in peaks)
     assert rough == pytest.approx(fine, rel=5e-3)
 
 
-def test_the_notebook_runs_from_top_to_bottom(tmp_path):
+def test_the_notebook_runs_from_top_to_bottom(tmp_path, run):
     notebook = json.loads((ROOT / "examples/capture.ipynb").read_text())
     cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
     (tmp_path / "notebook.py").write_text("\n".join(cells))
-    run([sys.executable, "notebook.py"], tmp_path)
+    run(tmp_path, "notebook.py")
 
 
-def test_a_recording_is_read_by_others(recordings, tmp_path):
-    example = str(ROOT / "examples/bag_to_pandas.py")
-    out = run([sys.executable, example, str(recordings / "tilt_0.mcap")], tmp_path)
+def test_a_recording_is_read_by_others(recordings, tmp_path, run):
+    out = run(tmp_path, f"{ROOT}/examples/bag_to_pandas.py {recordings / 'tilt_0.mcap'}")
     assert "mean" in out
 
 
 def test_site_builds_without_a_warning(tmp_path):
-    run([sys.executable, "-m", "mkdocs", "build", "-q", "-d", str(tmp_path / "site")], ROOT)
+    build = [sys.executable, "-m", "mkdocs", "build", "-q", "-d", str(tmp_path / "site")]
+    subprocess.run(build, cwd=ROOT, check=True)
     reference = (tmp_path / "site" / "scene_reference" / "index.html").read_text()
     assert "buffer.k_A" in reference
