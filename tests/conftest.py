@@ -8,6 +8,11 @@ import tempfile
 from pathlib import Path
 
 import hypothesis
+import pytest
+
+from capture_sim import load_scene
+from capture_sim.commands.compiling import compile_first
+from capture_sim.hardware.in_the_loop import LoopStage
 
 
 def _claim_domain():
@@ -41,6 +46,14 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
     Path(__file__).resolve().parent.parent / "config" / "fast_dds_loopback.xml"
 )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session):
+    """Compile the kernels once, and in no test's time: each worker would do it for itself."""
+    if not session.config.option.collectonly and "PYTEST_XDIST_WORKER" not in os.environ:
+        compile_first()
+        LoopStage(load_scene("_loop"))
 
 
 def pytest_unconfigure():
