@@ -5,6 +5,8 @@ engine at rtol 1e-12; the order-5 pair at 1e-12 confirms that reference, and
 test_second_formulation.py the equations.
 """
 
+import os
+
 import numpy as np
 import pytest
 from random_accuracy import GRID, difference, measure, residual, residual_ratios, run, sequence
@@ -12,7 +14,8 @@ from random_scenes import random_scenes
 
 from capture_sim import load_scene, scene_names, simulate
 
-SCENES = 200
+#: CAPTURE_SIM_EXAMPLES=200 tries more.
+SCENES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "80"))
 #: m: what the default promises, up to 0.35 s after the first touch (measured: 2e-8).
 PROMISED = 1e-6
 #: The check, a run at rtol / 100, tells the error to this factor (docs/random_scenes.md), down
@@ -72,18 +75,6 @@ def test_both_pairs_converge_to_the_same_run():
         one, other = (run(scene, times, 1e-12, method) for method in ("dop853", "dopri5"))
         assert sequence(one) == sequence(other)
         assert difference(one, other).max() < (FLOOR if scene.supports else 1e-11)
-
-
-@pytest.mark.parametrize("method", ["dop853", "dopri5"])
-def test_energy_residual_tracks_the_error(method):
-    """|residual| / E_0 is about a third of the position error in tip radii, over tolerances."""
-    scene = load_scene("paper_designed")
-    times = 1e-3 + np.arange(0.0, 0.35, 1e-3)
-    exact = run(scene, times, 1e-13)
-    for rtol in np.logspace(-5, -11, 7):
-        found = run(scene, times, float(rtol), method)
-        error = difference(found, exact).max() / scene.probe.tip_radius
-        assert 0.01 < 3.0 * residual(found) / error < 100.0
 
 
 def test_energy_residual_tracks_the_error_of_random_benches():

@@ -2,25 +2,13 @@
 
 import numpy as np
 import pytest
-from independent_model import (
-    bias,
-    buffer_forces,
-    kinetic,
-    mass_matrix,
-    momentum,
-    tip,
-)
+from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
 from capture_sim import load_scene, simulate
 from capture_sim.engine import loop
 from capture_sim.launch.plan import plan_launch
 from capture_sim.model.equations import N_TOTAL, make_system
 from capture_sim.model.parameters import pack
-
-
-@pytest.fixture
-def scene():
-    return load_scene("paper_designed", ["buffer.c_T=0.7"])
 
 
 def system_of(scene):
@@ -44,7 +32,9 @@ def accelerations(scene, q, v):
     return f[8:16]
 
 
-def test_free_accelerations_agree_with_bodies_one_by_one(scene):
+@pytest.mark.parametrize("cylinder", [1.0, 0.0])
+def test_free_accelerations_agree_with_bodies_one_by_one(cylinder):
+    scene = load_scene("paper_designed", [f"cylinder.mass={cylinder}", "buffer.c_T=0.7"])
     for q, v in random_states(scene, 50):
         expected = np.linalg.solve(
             mass_matrix(scene, q), buffer_forces(scene, q, v) - bias(scene, q, v)
@@ -53,19 +43,9 @@ def test_free_accelerations_agree_with_bodies_one_by_one(scene):
         assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * np.abs(expected).max())
 
 
-def test_massless_cylinder_agrees_too():
-    scene = load_scene("paper_designed", ["cylinder.mass=0"])
-    for q, v in random_states(scene, 10):
-        expected = np.linalg.solve(
-            mass_matrix(scene, q), buffer_forces(scene, q, v) - bias(scene, q, v)
-        )
-        assert accelerations(scene, q, v) == pytest.approx(
-            expected, rel=1e-7, abs=1e-7 * np.abs(expected).max()
-        )
-
-
-def test_contact_force_acts_as_a_force_on_both_bodies(scene):
+def test_contact_force_acts_as_a_force_on_both_bodies():
     """In contact, M q'' + b - Q is J^T F of one force at one point, opposite on the target."""
+    scene = load_scene("paper_designed", ["buffer.c_T=0.7"])
     result = simulate(scene, t_end=0.3, t_eval=np.linspace(0.001, 0.3, 4001))
     touching = result.samples[result.samples["walls"] > 0]
     assert touching.size > 1000
@@ -107,6 +87,7 @@ def test_momentum_is_conserved(name):
     scale = np.abs(start).max()
     assert result.touches.size > 10
     assert np.abs(found - start).max() <= 1e-10 * scale
+    assert result.samples["normal_force"].min() == 0.0  # a wall never pulls
 
 
 @pytest.mark.parametrize("name", ["paper_undamped", "paper_designed", "tilt_p10", "tilt_m10"])
@@ -115,7 +96,6 @@ def test_energy_ledger_closes(name):
     result = simulate(scene)
     approach = 0.5 * scene.chaser_total_mass * 0.1**2
     assert np.abs(result.energy["energy_residual"]).max() <= 1e-6 * approach
-    # the ledger's kinetic energy against the bodies one by one
     free = result.samples[result.samples["phase"] >= 3]
     for sample in free[::500]:
         assert sample["kinetic"] == pytest.approx(
@@ -124,13 +104,3 @@ def test_energy_ledger_closes(name):
     for name_, values in result.energy.items():
         if name_.startswith("dissipated"):
             assert np.all(np.diff(values) >= -1e-12), name_
-
-
-def test_impulse_of_the_touches_is_the_change_of_momentum():
-    scene = load_scene("paper_designed", ["friction.mu=0"])
-    result = simulate(scene, t_end=1.0)
-    first = result.events[1]
-    lift = next(e for e in result.events if e.kind.label == "lift_off")
-    # without friction the force on the target has the direction of the wall's normal
-    change = scene.target.mass * np.hypot(*(lift.v[5:7] - first.v[5:7]))
-    assert result.touches[0]["impulse"] == pytest.approx(change, rel=1e-7)

@@ -4,14 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import RK45, solve_ivp
+from scipy.integrate import solve_ivp
 
-from capture_sim import Bench, load_scene, simulate
-from capture_sim.engine import loop
+from capture_sim import load_scene, simulate
 from capture_sim.kernels import entry_kernel, kernel, plain
-from capture_sim.launch.plan import plan_launch
-from capture_sim.model.equations import N_TOTAL, make_system
-from capture_sim.model.parameters import pack
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.roots import cubic_minimum, may_cross
 from capture_sim.solver.runge_kutta import dense, make_stepper, set_pair, stepper_type
@@ -88,14 +84,6 @@ def test_dense_output_between_steps(name, n, error, reference):
         assert y == pytest.approx(reference.sol(t), abs=error)
 
 
-def test_dopri5_is_the_pair_that_scipy_has():
-    solver = RK45(lambda t, y: [y[1], -math.sin(y[0])], 0, [1.0, 0.0], 1, first_step=0.1)
-    solver.step()
-    assert solver.h_previous == pytest.approx(0.1)
-    pair = PAIRS["dopri5"]()
-    assert pair.A[pair.stages, : pair.stages] == pytest.approx(solver.B)
-
-
 def test_kernels_for_kernels_are_refused_to_python():
     with pytest.raises(TypeError):
         cubic_minimum(1.0, -6.0, 1.0, 6.0)
@@ -122,76 +110,6 @@ def test_state_converges_with_the_tolerance(method):
     assert errors[0] < 1e-6
     assert errors[1] < 1e-8
     assert errors[2] < 1e-9
-
-
-def test_first_touches_agree_with_scipy_touch_by_touch():
-    """SciPy's DOP853 on the same equations, its events located one after the other."""
-    scene = load_scene("paper_designed", ["run.rtol=1e-11"])
-    result = simulate(scene, t_end=0.05)
-    plan = plan_launch(scene)
-    system = make_system(pack(scene, plan.hanging_mass, plan.drop_height))
-    f, mode = np.zeros(N_TOTAL), system["mode"]
-    q, v = scene.initial_coordinates()
-    y = np.concatenate([q, v, np.zeros(N_TOTAL - 16)])
-    cone, R = scene.cone, scene.probe.tip_radius
-
-    def motion(t, y):
-        loop.evaluate(system, np.ascontiguousarray(y), f)
-        return f.copy()
-
-    def gap(t, y):
-        # distance of the tip's centre to the -y wall as a segment, from its two ends
-        tip = y[0:2] + scene.buffer.hinge_offset * np.array([math.cos(y[2]), math.sin(y[2])])
-        tip = tip + y[4] * np.array([math.cos(y[3]), math.sin(y[3])])
-        c, s = math.cos(y[7]), math.sin(y[7])
-        turn = np.array([[c, -s], [s, c]])
-        inner = y[5:7] + turn @ [-cone.L_T, -cone.R_c]
-        along = turn @ [-math.cos(cone.half_angle), -math.sin(cone.half_angle)]
-        x = min(max((tip - inner) @ along, 0.0), cone.L_c)
-        return float(np.hypot(*(tip - inner - x * along)) - R)
-
-    par = system[0]["par"]
-    t, touching, times = 0.0, False, []
-    while len(times) < 8:
-        gap.terminal, gap.direction = True, 1 if touching else -1
-        # a start on the wall must be left before the next crossing is looked for
-        ahead = solve_ivp(motion, (t, t + 2e-6), y, method="DOP853", rtol=1e-12, atol=1e-15)
-        piece = solve_ivp(
-            motion,
-            (t + 2e-6, 0.05),
-            ahead.y[:, -1],
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-15,
-            events=gap,
-            max_step=5e-4,
-        )
-        t, y = piece.t_events[0][0], piece.y_events[0][0]
-        times.append(t)
-        touching = not touching
-        if touching:
-            before, after = gap(t, y - 1e-7 * motion(t, y)), gap(t, y + 1e-7 * motion(t, y))
-            mode["touching"][0][1] = 1
-            mode["chi"][0][1] = par["hysteresis"] * par["K"] / ((before - after) / 2e-7)
-        else:
-            mode["touching"][0][1] = 0
-    found = np.array([[touch["start"], touch["end"]] for touch in result.touches]).ravel()[:8]
-    assert found == pytest.approx(times, abs=2e-9)
-
-
-def test_any_cutting_of_the_sample_times_gives_the_same_bits():
-    scene = load_scene("tilt_m10")
-    whole = simulate(scene)
-    bench = Bench(scene)
-    rng = np.random.default_rng(5)
-    parts, first = [], 0
-    while not bench.done:
-        count = int(rng.integers(1, 700))
-        parts.append(bench.advance(bench.times(first, count)))
-        first += count
-    assert np.concatenate(parts).tobytes() == whole.samples.tobytes()
-    assert [(e.kind, e.t) for e in bench.events] == [(e.kind, e.t) for e in whole.events]
-    assert bench.touches.tobytes() == whole.touches.tobytes()
 
 
 def test_extra_sample_times_change_nothing_and_are_met():

@@ -8,9 +8,9 @@ from capture_sim.bench import Bench, drive
 
 
 def test_pieces_add_up_to_the_run_whatever_their_size():
-    scene = load_scene("paper_designed", ["run.t_end=0.4", "run.trace=true"])
+    scene = load_scene("tilt_m10", ["run.trace=true"])
     whole = simulate(scene)
-    sizes = iter([1, 7, 100, *[50] * 20])
+    sizes = iter([1, 7, 100, *[50] * 500])
     bench = Bench(scene)
     pieces = list(drive(bench, block=lambda: next(sizes)))
     assert [piece.samples.size for piece in pieces[:3]] == [1, 7, 100]

@@ -100,7 +100,7 @@ def test_order_on_a_smooth_scene(method):
 def test_order_across_located_events(method):
     """The probe hits a stroke stop and leaves it: the force is smooth on each side."""
     stops = "stops={compression: 0.01, extension: 0.0006, stiffness: 2000, damping: 0}"
-    scenes = list(spinning(24, [stops]))
+    scenes = list(spinning(12, [stops]))
     for scene in scenes:
         _, bench = run(scene, np.array([0.5]), rtol=1e-8)
         assert len(bench.events) in (3, 5)  # release, then the stop hit and left, once or twice

@@ -1,14 +1,9 @@
 """Largest forces, strokes and depths against dense sampling of the same run."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from random_scenes import random_scenes
 
 from capture_sim import Bench, load_scene

@@ -33,12 +33,6 @@ def test_probe_that_slides_freely_to_its_stop_is_not_taken_for_one_in_its_hinge(
     assert np.abs(samples["energy_residual"]).max() < 1e-6 * samples["kinetic"].max()
 
 
-def test_run_that_is_too_stiff_names_what_makes_it_so():
-    scene = load_scene("paper_designed", ["probe.density=1e-9", "run.max_steps=20000"])
-    with pytest.raises(SimulationError, match=r"max_steps.*stiffest is .*probe\.density.* s"):
-        Bench(scene).advance(np.array([]))
-
-
 @pytest.mark.parametrize(
     "override, part",
     [
@@ -84,7 +78,7 @@ def test_ctrl_c_ends_a_slow_run():
     assert run.stdout.readline() == "ready\n"
     time.sleep(0.3)
     run.send_signal(signal.SIGINT)
-    out, _ = run.communicate(timeout=120)
+    out, _ = run.communicate(timeout=600)
     assert out == "interrupted True\n"
 
 
@@ -123,27 +117,6 @@ def test_unwritable_cache_falls_back_in_a_line(tmp_path):
     assert run.stdout.startswith(str(tmp_path))
 
 
-def test_cost_does_not_depend_on_how_the_launch_is_written():
-    """Impact speed wanted, or the mass and height that give it: the same physics."""
-    wanted = Bench(load_scene("tilt_0", ["string.impact_speed=0.05"]))
-    plan = wanted.plan
-    given = Bench(
-        load_scene(
-            "tilt_0",
-            {
-                "string.impact_speed": None,
-                "string.hanging_mass": plan.hanging_mass,
-                "string.drop_height": plan.drop_height,
-            },
-        )
-    )
-    for bench in (wanted, given):
-        bench.advance(np.zeros(0))
-    assert len(wanted.touches) == len(given.touches) > 0
-    cost = wanted.statistics.evaluations
-    assert given.statistics.evaluations == pytest.approx(cost, rel=0.02)
-
-
 def test_spin_counts_in_the_error_scale():
     """Nothing moves but the target, which turns: the cost of a run of its own speed."""
     steps = []
@@ -164,20 +137,3 @@ def test_ledger_closes_at_the_slowest_approach(speed, t_end):
     assert len(bench.touches) > 0
     # 9e-9 and 1.5e-6 of the energy; with the floor 9.5 % at 1e-7 m/s
     assert np.abs(samples["energy_residual"]).max() < 1e-5 * samples["kinetic"].max()
-
-
-@pytest.mark.parametrize("shift", [0.0, 1e-16, 2e-16])
-def test_start_at_contact_is_a_start_at_contact(shift):
-    """The tip stands at the wall but for the rounding of its place."""
-    scene = load_scene("paper_designed")
-    bench = Bench(scene)
-    touch = None
-    while touch is None:
-        bench.advance(np.array([0.1]))
-        touch = next(e for e in bench.events if e.kind.label == "touch")
-    x = float(touch.q[0]) + shift
-    moved = load_scene("paper_designed", {"initial.chaser.x": x})
-    again = Bench(moved)
-    again.advance(np.array([0.01]))
-    assert [e.kind.label for e in again.events][1] == "touch"
-    assert again.events[1].t < 1e-12

@@ -185,9 +185,8 @@ def test_throat_touched_by_less_than_a_nanometre(offset):
     assert result.verdict.label == "captured"
 
 
-@pytest.mark.parametrize("method, exactness", [("dop853", 1e-9), ("dopri5", 1e-9)])
-@pytest.mark.parametrize("offset", [1e-6, 1e-4, 1e-3])
-def test_tip_wedged_in_the_throat_never_touches_both_walls(offset, method, exactness):
+@pytest.mark.parametrize("offset, method", [(1e-6, "dopri5"), (1e-4, "dop853"), (1e-3, "dopri5")])
+def test_tip_wedged_in_the_throat_never_touches_both_walls(offset, method):
     """An elastic tip runs into the throat off centre and hits both edges in turn, often.
 
     Exact: it can not be pressed on both walls at once.  From one wall to the other through
@@ -211,8 +210,8 @@ def test_tip_wedged_in_the_throat_never_touches_both_walls(offset, method, exact
     assert np.all(result.samples["normal_force"].min(axis=1) == 0.0)
     before = momentum(scene, result.q[0], result.v[0])
     after = momentum(scene, result.q[-1], result.v[-1])
-    assert after == pytest.approx(before, abs=exactness)
-    assert residual(result) < exactness * result.samples["kinetic"][0]
+    assert after == pytest.approx(before, abs=1e-9)
+    assert residual(result) < 1e-9 * result.samples["kinetic"][0]
 
 
 @pytest.mark.parametrize("law", ["lankarani_nikravesh", "exact"])

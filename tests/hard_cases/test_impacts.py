@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from maximal_model import damping_factor
 from scipy.special import gamma
 from set_ups import ADAPTIVE, METHODS, altered, anvil, first, free_impact, run
 
 from capture_sim import SceneError, load_scene
 from capture_sim.model.contact import exact_factor, returned_restitution
+from capture_sim.scene.parts import CONTACT_LAWS
 
 #: Allowed error of the restitution at the default tolerance (rk4: at steps of 1e-6 s).
 RESTITUTION_ERROR = 1e-6
@@ -50,6 +52,31 @@ def test_exact_law_returns_the_restitution_that_is_put_in(e, method):
     )
 
 
+@pytest.mark.parametrize("e, expected", [(0.1, 0.665), (0.5, 0.725), (0.7, 0.796), (0.9, 0.913)])
+def test_lankarani_nikravesh_returns_the_published_restitution(e, expected):
+    law = {"contact.law": "lankarani_nikravesh", "run.t_end": 0.01}
+    found, _ = returned(free_impact(1e-4, 0.1, e, law))
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("law", CONTACT_LAWS)
+@pytest.mark.parametrize("e", [0.1, 0.5, 0.9])
+def test_every_law_returns_and_loses_what_its_published_factor_says(law, e):
+    scene = free_impact(1e-4, 0.1, e, {"contact.law": law, "run.rtol": 1e-10, "run.t_end": 0.01})
+    found, result = returned(scene)
+    assert found == pytest.approx(returned_restitution(damping_factor(law, e)), abs=1e-6)
+    lost = 0.5 * reduced_mass(scene) * 0.1**2 * (1 - found**2)
+    assert result.touches[0]["dissipated"] == pytest.approx(lost, rel=1e-6)
+
+
+@pytest.mark.parametrize("e", [0.01, 0.1, 0.5, 0.9, 0.99, 1.0])
+def test_exact_factor_and_returned_restitution_are_inverse(e):
+    a = exact_factor(e)
+    assert returned_restitution(a) == pytest.approx(e, abs=1e-9)
+    if 0.05 < e < 1.0:
+        assert a * (1 + e) == pytest.approx(math.log((1 + a) / (1 - a * e)), rel=1e-9)
+
+
 @pytest.mark.parametrize("e", [1e-6, 1e-4, 1e-3, 1 - 1e-5, 1 - 1e-9])
 def test_exact_law_at_the_ends_of_its_range(e):
     """Exact: e itself, 1e-9 of it where the body nearly stops dead; e = 0 is refused."""
@@ -72,6 +99,8 @@ def test_hertz_impact_from_a_millimetre_to_ten_metres_per_second(speed, method):
     assert found == pytest.approx(1.0, abs=1e-8)
     assert touch["start"] == pytest.approx(1e-3, rel=1e-9)
     assert touch["end"] - touch["start"] == pytest.approx(duration, rel=1e-8)
+    assert touch["peak_time"] - touch["start"] == pytest.approx(duration / 2, rel=1e-3)
+    assert touch["approach_speed"] == pytest.approx(speed, rel=1e-12)
     assert touch["peak_force"] == pytest.approx(scene.contact_stiffness * depth**1.5, rel=1e-8)
     assert touch["impulse"] == pytest.approx(2 * reduced_mass(scene) * speed, rel=1e-8)
 
@@ -124,6 +153,10 @@ def test_grazing_approach_down_to_a_nanometre_per_second(speed, e):
     assert found * speed == pytest.approx(expected * speed, abs=1e-11)
     if e == 1.0:
         assert touch["end"] - touch["start"] == pytest.approx(duration, rel=1e-3)
+
+
+def test_stiffness_is_that_of_aluminium():
+    assert load_scene("paper_designed").contact_stiffness == pytest.approx(6.43e9, rel=1e-3)
 
 
 def test_gliding_along_the_wall_without_nearing_it_never_touches():

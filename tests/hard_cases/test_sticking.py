@@ -63,8 +63,10 @@ def degrees_at(share):
     return math.degrees(math.atan(share * MU))
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("share", [0.0, 0.5, -0.9, 0.99])
+@pytest.mark.parametrize(
+    "share, method",
+    [(0.0, "dop853"), (0.5, "dopri5"), (-0.9, "dop853"), (0.99, "dopri5"), (0.99, "rk4")],
+)
 def test_coulomb_holds_a_block_below_the_limit_where_it_is(share, method):
     """Exact: it does not move.  Allowed is rounding's creep, 1e-12 m/s, once it sticks.
 

@@ -1,18 +1,15 @@
 """The paper's numerical cases and the three experiments, against its figures."""
 
-import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.results import first_cluster, table
+from capture_sim.results import first_cluster
 
 
 @pytest.fixture(scope="module")
 def runs():
-    names = [
-        f"paper_{n}" for n in ("undamped", "designed", "case_1", "case_2", "case_3", "clamped")
-    ]
-    return {name: simulate(load_scene(name)) for name in names}
+    names = ("undamped", "designed", "case_1", "case_2", "case_3", "clamped")
+    return {f"paper_{name}": simulate(load_scene(f"paper_{name}")) for name in names}
 
 
 def test_undamped_first_contact_rebound_and_second_wall(runs):
@@ -22,36 +19,26 @@ def test_undamped_first_contact_rebound_and_second_wall(runs):
     assert {int(w) for w in first["wall"]} == {-1}
     later = run.touches[run.touches["start"] > first["end"].max()]
     assert 1 in later["wall"], "the second hit is on the other wall"
-    assert run.verdict.label == "rebound"
-
-
-def test_designed_buffer_brings_the_tip_to_be(runs):
-    run = runs["paper_designed"]
-    assert run.summary["nearest_distance"] < 0.005
-    assert run.verdict.label == "captured"
-
-
-def test_case_1_rebounds(runs):
-    assert runs["paper_case_1"].verdict.label == "rebound"
 
 
 @pytest.mark.parametrize(
-    "name, nearest, at",
+    "name, nearest, at, verdict",
     [
-        ("paper_undamped", 9.6e-3, 0.75),
-        ("paper_designed", 3.9e-3, 1.25),
-        ("paper_case_1", 13.6e-3, 0.69),
-        ("paper_case_2", 2.9e-3, 1.23),
-        ("paper_case_3", 5.6e-3, 0.78),
+        ("paper_undamped", 9.6e-3, 0.75, "rebound"),
+        ("paper_designed", 3.9e-3, 1.25, "captured"),
+        ("paper_case_1", 13.6e-3, 0.69, "rebound"),
+        ("paper_case_2", 2.9e-3, 1.23, "captured"),
+        ("paper_case_3", 5.6e-3, 0.78, "rebound"),
     ],
 )
-def test_nearest_approach_is_that_of_the_independent_model(runs, name, nearest, at):
+def test_nearest_approach_is_that_of_the_independent_model(runs, name, nearest, at, verdict):
     """Figures of an implementation of the paper made independently of this one."""
     run = runs[name]
     early = run.samples[run.t < 1.5]
     k = int(early["tip_distance"].argmin())
     assert early["tip_distance"][k] == pytest.approx(nearest, abs=0.1e-3)
     assert early["t"][k] == pytest.approx(at, abs=0.01)
+    assert run.verdict.label == verdict
 
 
 def test_buffer_against_clamped_probe(runs):
@@ -90,29 +77,6 @@ def test_experiments_differ_by_the_attitude_alone():
     for scene in scenes:
         del scene["name"], scene["title"], scene["initial"]["target"]["theta"]
     assert scenes[0] == scenes[1] == scenes[2]
-
-
-def test_mirrored_experiment_gives_the_mirrored_run():
-    """+10 degrees and an offset to the left is -10 degrees and an offset to the right."""
-    left = simulate(load_scene("tilt_p10"), t_end=3.5)
-    right = simulate(load_scene("tilt_m10", ["initial.chaser.y=-0.005"]), t_end=3.5)
-    sign = np.array([1, -1, -1, -1, 1, 1, -1, -1])
-    n = min(left.t.size, right.t.size)
-    before = left.t[:n] < left.events[-2].t - 0.05
-    assert left.q[:n][before] == pytest.approx(right.q[:n][before] * sign, abs=1e-7)
-    assert left.summary["peak_force"] == pytest.approx(right.summary["peak_force"], rel=1e-5)
-
-
-def test_table_has_a_row_for_each_run(runs):
-    text = table([run.summary for run in runs.values()])
-    lines = text.splitlines()
-    start = next(i for i, line in enumerate(lines) if set(line) == {"-"}) + 1
-    assert [line.split()[0] for line in lines[start : start + len(runs)]] == list(runs)
-    assert lines[start + len(runs)] == ""
-    assert "m/s" in lines[start - 2]
-    row = next(line for line in lines if line.startswith("paper_undamped"))
-    assert " rebound " in row
-    assert " 272.8 " in row
 
 
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])

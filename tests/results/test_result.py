@@ -97,26 +97,6 @@ def test_a_finished_run_is_kept_where_the_finer_one_fails():
     assert np.all(run.check.error[~known] == np.inf)
 
 
-def test_strokes_in_contact_and_after_the_latch_are_apart():
-    """The latch pulls the probe out: 10 mm, where the contact pushed it in by 5.7 mm."""
-    run = simulate("tilt_0")
-    closed = next(e.t for e in run.events if e.kind is capture_sim.EventKind.LATCHED)
-    before, after = run.samples[run.t < closed], run.samples[run.t >= closed]
-    for name, part in (("max_axial_stroke", before), ("max_axial_stroke_latched", after)):
-        sampled = np.abs(part["axial_stroke"]).max()
-        assert sampled <= run.summary[name] <= 1.001 * sampled
-    assert run.summary["max_axial_stroke"] == pytest.approx(5.7e-3, abs=0.05e-3)
-    assert simulate("paper_designed", t_end=0.1).summary["max_torsion_latched"] is None
-
-
-@pytest.mark.parametrize("name", ["paper_clamped", "tilt_p10"])
-def test_extremes_do_not_hang_on_the_samples(name):
-    coarse = simulate(name, {"run.state_rate": 10, "run.rate": 10}).summary
-    fine = simulate(name, {"run.state_rate": 10_000}).summary
-    for key in ("max_axial_stroke", "max_torsion", "max_penetration", "nearest_distance"):
-        assert coarse[key] == pytest.approx(fine[key], rel=1e-6), key
-
-
 def test_extremes_of_samples_are_those_of_fine_ones():
     run = simulate("tilt_p10", {"run.state_rate": 20_000})
     sampled = extremes_in(run.samples, run.events)
