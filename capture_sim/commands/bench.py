@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
@@ -11,6 +12,7 @@ from capture_sim.commands.output import draw, report, warn
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.read import read_run
+from capture_sim.scene.quantities import shown
 from capture_sim.viewing.source import summary_of
 
 DESCRIPTION = (
@@ -30,6 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FACTOR",
         help="real-time factor, up to 1000; 0 runs as fast as it goes (default: 0)",
     )
+    parser.add_argument(
+        "--namespace",
+        type=_namespace,
+        default="",
+        metavar="NAME",
+        help="of all nodes and topics, beside another suite in one ROS_DOMAIN_ID (default: none)",
+    )
+
+
+def _namespace(text: str) -> str:
+    if not re.fullmatch(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", text, re.ASCII):
+        raise argparse.ArgumentTypeError(
+            f"{shown(text)}: allowed is a ROS name such as lab: letters, digits, _ and /"
+        )
+    return text
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     before = set(options.out.glob("*.mcap"))
-    status = run_suite(scenes, options.out, rtf=options.rtf)
+    status = run_suite(scenes, options.out, rtf=options.rtf, namespace=options.namespace)
     # an earlier recording is never overwritten: what is new may have a number behind its name
     fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
     runs = [run for run in map(read_run, fresh) if run.samples.size]

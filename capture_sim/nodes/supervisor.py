@@ -174,7 +174,7 @@ def _claimed(namespace: str) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise CaptureSimError(
-                f"another suite runs on ROS_DOMAIN_ID {_domain()}: set another, or give a namespace"
+                f"another suite runs on ROS_DOMAIN_ID {_domain()}: set another, or a namespace"
             ) from None
         yield
 
