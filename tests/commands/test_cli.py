@@ -137,6 +137,12 @@ def test_factor_that_a_node_would_refuse_is_refused_at_once(command, value, caps
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["a b", "1x", "", "lab//two", "lab/"])
+def test_namespace_that_ros_would_refuse_is_refused_at_once(name, capsys):
+    assert main(["bench", "tilt_0", "--namespace", name]) == 2
+    assert "allowed is a ROS name such as lab" in capsys.readouterr().err
+
+
 def test_unwritable_folder_is_refused_before_anything_runs(tmp_path, capsys):
     blocked = tmp_path / "file"
     blocked.write_text("in the way", encoding="utf-8")
