@@ -59,9 +59,7 @@ class LiveView:
         stream = RunStream(self._recording, name)
         self._bench = BenchLog(stream, scene, style.BLUE)
         self._plots = PlotLog(stream, style.BLUE)
-        self._bench.shapes()
-        self._plots.styles()
-        stream.document(f"{name}/scene", f"# {title}\n\n```yaml\n{scene.to_yaml()}\n```\n")
+        stream.scene(title, scene)
         self._pending: list[np.ndarray] = []
         self._last_row: np.ndarray | None = None  # of what is shown
         self._last_logged = time.monotonic()

@@ -83,9 +83,7 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
         dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         _draw_trajectory(cone, run, colour)
-        cone.set_title(
-            "The tip in the cone", fontsize=_FONT + 1, y=1.0
-        )  # as wide as the column allows
+        cone.set_title("The tip in the cone", fontsize=_FONT + 1, y=1.0)
         _draw_force(force, run, colour)
         _draw_distance(distance, run, colour, "zone:")
         _finish_time_axes(run, force, distance)
@@ -177,13 +175,8 @@ def _draw_distance(
     decided = decided_at(run)
     # of a run that is cut, it may lie outside
     if decided is not None and start <= decided <= end:
-        look = _verdict_colour(run)
-        _mark(axes, run, decided, verdict(run), look, 0.72)
-
-
-def _verdict_colour(run: ViewableRun) -> str:
-    look = style.VERDICTS.get(run.statuses[-1].state)
-    return style.BLACK if look is None else look.colour
+        look = style.VERDICTS.get(run.statuses[-1].state)
+        _mark(axes, run, decided, verdict(run), look.colour if look else style.BLACK, 0.72)
 
 
 def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray, colour: str) -> np.ndarray:

@@ -55,9 +55,6 @@ class BenchLog:
         target, chaser = scene.initial.target, scene.initial.chaser
         height = _BODY_TOP - _BODY_HEIGHT / 2
         self._pulley = np.array([target.x + _PULLEY_BEHIND, chaser.y + _STRING_Y, height])
-
-    def shapes(self) -> None:
-        """Log all that does not change."""
         self._log_bodies()
         self._log_buffer()
         self._log_surroundings()

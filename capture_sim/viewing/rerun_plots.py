@@ -60,8 +60,9 @@ class PlotLog:
     def __init__(self, stream: RunStream, colour: str) -> None:
         self._stream, self._colour = stream, style.rgb(colour)
         self._touches = f"{self._path('contact_force')}/touches"
+        self._log_styles()
 
-    def styles(self) -> None:
+    def _log_styles(self) -> None:
         """Log colours, widths and names of the curves."""
         static, name, colour = self._stream.static, self._stream.name, self._colour
         for plot in PLOTS:

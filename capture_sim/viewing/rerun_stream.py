@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing.source import ViewableRun, contacts, decided_at, first_touch
 
 SIM_TIME = "sim_time"
@@ -83,9 +84,11 @@ class RunStream:
         """Log one curve (n,), or several of one entity (n, k)."""
         self.columns(path, t, rr.Scalars if values.ndim == 1 else _SeveralScalars, scalars=values)
 
-    def document(self, path: str, text: str) -> None:
-        """Log a text in Markdown."""
-        self.static(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    def scene(self, title: str, scene: Scene) -> None:
+        """Log the scene under a title, as a text in Markdown."""
+        text = f"# {title}\n\n```yaml\n{scene.to_yaml()}\n```\n"
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self.static(f"{self.name}/scene", document)
 
     def property(self, **values: Any) -> None:
         """Log properties of the run."""

@@ -80,23 +80,20 @@ def save_rrd(
 def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> None:
     touching = in_contact(run)
     bench = BenchLog(stream, run.scene, colour)
-    bench.shapes()
     bench.motion(run.samples, touching)
     bench.trail(run.samples, touching)
     plots = PlotLog(stream, colour)
-    plots.styles()
     plots.curves(run.samples, force=False)
     plots.touches(run)
     plots.states("phase", *phases(run))
     plots.states("verdict", *verdicts(run))
     plots.events(run)
-    text = run.scene.to_yaml()
-    stream.document(f"{stream.name}/scene", f"# {title}\n\n```yaml\n{text}\n```\n")
+    stream.scene(title, run.scene)
     stream.property(
         title=run.scene.title,
         verdict=verdict(run),
         impact_speed=impact_speed(run.events),
-        scene=text,
+        scene=run.scene.to_yaml(),
     )
 
 
