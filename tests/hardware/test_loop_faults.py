@@ -1,6 +1,7 @@
 """Faults of a rig: the vehicles are stopped before they have been given more than a bound."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ WAYS = (
     "model+passivity",
     "prediction2+passivity",
 )
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "48"))
 FAULTS = ("frozen", "doubled", "wrong sign", "saturated", "stamped ahead", "late by a jump")
 
 
@@ -57,13 +59,13 @@ def faulty(channel, hold, kind, start, size):
     return sends
 
 
-@pytest.mark.parametrize("group", range(8))
-def test_no_fault_gives_the_vehicles_more_than_the_bound(group):
+def test_no_fault_gives_the_vehicles_more_than_the_bound():
+    """Every way with every fault; CAPTURE_SIM_EXAMPLES=200 tries more."""
     scene = load_scene("_loop")
     mass = plate_mass(scene)
-    for seed in range(25 * group, 25 * group + 25):
+    for seed in range(CASES):
         rng = np.random.default_rng(seed)
-        way, kind = WAYS[seed % len(WAYS)], FAULTS[seed % len(FAULTS)]
+        way, kind = WAYS[seed % len(WAYS)], FAULTS[seed // len(WAYS) % len(FAULTS)]
         lag, start, size = int(rng.integers(8)), int(rng.integers(20, 320)), rng.uniform(0.5, 8.0)
         chosen = compensation(way)
         law = WallLaw(PLATE * rng.uniform(0.5, 2.0))
