@@ -67,6 +67,25 @@ def interrupted(runs):
     )
 
 
+@pytest.fixture(scope="module")
+def drawn(runs, papers, interrupted):
+    """Each run and its picture."""
+    return [(run, laid_out(plots.draw_run(run))) for run in (*runs, *papers, interrupted)]
+
+
+@pytest.fixture(scope="module")
+def overviews(runs, papers):
+    """Runs and their overview, with names as long as they get."""
+    groups = (runs, papers)
+    names = [[f"{run.scene.name}_12" for run in group] for group in groups]
+    return [(g, laid_out(plots.draw_overview(g, n))) for g, n in zip(groups, names, strict=True)]
+
+
+def laid_out(figure):
+    figure.draw_without_rendering()
+    return figure
+
+
 # shapes
 
 
@@ -155,18 +174,6 @@ def test_verdict_is_marked_when_it_fell(runs):
 # figures
 
 
-def test_figure_shows_walls_zone_and_forces(runs, tmp_path):
-    for run in runs:
-        path = save(plots.draw_run(run), tmp_path / "new" / f"{run.scene.name}.png")
-        image = imread(path)[..., :3]
-        assert image.shape[1] >= 1500
-        sides = set(run.touches["wall"].tolist())
-        assert area(image, style.DARK) > 4000  # walls
-        assert area(image, style.ZONE) > 300
-        assert area(image, style.BLUE) > 4000  # the run
-        assert sides  # each experiment touches before it is captured
-
-
 def area(image, colour):
     """Return how many pixels have a colour, as near as the edges' smoothing lets them."""
     return int((np.abs(image - np.array(to_rgb(colour))).max(axis=-1) < 0.03).sum())
@@ -179,8 +186,8 @@ def test_figure_is_the_same_from_the_run_and_from_its_recording(runs, tmp_path):
     assert save(plots.draw_run(recorded), tmp_path / "b.png").read_bytes() == first
 
 
-def test_plotted_forces_are_the_recorded_ones(rebound):
-    figure = plots.draw_run(rebound)
+def test_plotted_forces_are_the_recorded_ones(rebound, drawn):
+    figure = next(figure for run, figure in drawn if run is rebound)
     force = next(axes for axes in figure.axes if "normal force" in axes.get_ylabel())
     peaks = np.concatenate(
         [line.get_ydata() for line in force.get_lines() if "touches" in str(line.get_label())]
@@ -191,8 +198,8 @@ def test_plotted_forces_are_the_recorded_ones(rebound):
     assert force.get_yscale() == "log"
 
 
-def test_every_axis_has_its_unit(runs, rebound):
-    for figure in (plots.draw_run(rebound), plots.draw_overview(runs)):
+def test_every_axis_has_its_unit(drawn, overviews):
+    for _, figure in (*drawn, *overviews):
         for axes in figure.axes:
             assert "[" in axes.get_ylabel()
             shared = not axes.xaxis.get_tick_params()["labelbottom"] or not axes.get_xlabel()
@@ -219,11 +226,9 @@ def test_target_is_drawn_turned_the_right_way(runs):
         assert turned == pytest.approx(degrees, abs=0.1)
 
 
-def test_no_name_lies_under_a_box_or_another(runs, papers, interrupted):
+def test_no_name_lies_under_a_box_or_another(drawn, overviews):
     """Names of the walls and letters of the moments against legend and list of moments."""
-    drawn = [plots.draw_overview(runs), plots.draw_overview(papers)]
-    for figure in (*drawn, *map(plots.draw_run, [*papers, interrupted])):
-        figure.draw_without_rendering()
+    for _, figure in (*drawn, *overviews):
         for axes in figure.axes:
             if "cone's frame" not in axes.get_ylabel():
                 continue
@@ -245,11 +250,9 @@ def extent(text):
     return Text.get_window_extent(text)
 
 
-def test_headings_stay_within_their_panels_and_columns(runs, papers):
-    for drawn in (runs, papers):
-        figure = plots.draw_overview(drawn, [f"{run.scene.name}_12" for run in drawn])
-        figure.draw_without_rendering()
-        column = figure.bbox.width / len(drawn)
+def test_headings_stay_within_their_panels_and_columns(overviews):
+    for runs, figure in overviews:
+        column = figure.bbox.width / len(runs)
         for i, axes in enumerate(figure.axes):
             heading = axes.title.get_window_extent()
             if "impact" in axes.get_title():  # of the whole column
@@ -260,10 +263,8 @@ def test_headings_stay_within_their_panels_and_columns(runs, papers):
                 assert heading.x1 <= axes.bbox.x1
 
 
-def test_no_line_runs_through_a_text(runs, papers):
-    for run in (*runs, *papers):
-        figure = plots.draw_run(run)
-        figure.draw_without_rendering()
+def test_no_line_runs_through_a_text(drawn):
+    for _, figure in drawn:
         axes = figure.axes[-1]
         assert "capture zone, 5 mm" in axes.get_title()
         for line in axes.get_lines():
@@ -273,13 +274,13 @@ def test_no_line_runs_through_a_text(runs, papers):
                 assert not any(extent(text).x0 <= at <= extent(text).x1 for text in axes.texts)
 
 
-def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted):
+def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted, drawn):
     last = interrupted.samples["t"][-1]
     begun = runs[0].touches["start"][runs[0].touches["start"] < last].max()
     assert open_touches(interrupted) == [(begun, 1)]
     assert contacts(interrupted)[-1] == (begun, last)
     assert time_window(interrupted)[1] == last
-    figure = plots.draw_run(interrupted)
+    figure = drawn[-1][1]
     force, stroke = figure.axes[2:4]
     shaded = force.collections[-1].get_paths()[-1].get_extents()
     assert (shaded.x0, shaded.x1) == pytest.approx((begun, last))
@@ -305,7 +306,11 @@ def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):
 
 
 def test_overview_has_a_column_for_each_run(runs, tmp_path):
-    image = imread(save(plots.draw_overview(runs), tmp_path / "overview.png"))[..., :3]
+    """Each in its own colour alone; walls and zone in theirs."""
+    path = save(plots.draw_overview(runs), tmp_path / "new" / "overview.png")
+    image = imread(path)[..., :3]
+    assert area(image, style.DARK) > 4000
+    assert area(image, style.ZONE) > 300
     width = image.shape[1] // len(runs)
     for i in range(len(runs)):
         column = image[:, i * width : (i + 1) * width]
