@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 
@@ -17,11 +18,14 @@ from rosbags.rosbag2 import Reader
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.messages.topics import topic_named
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
 
+#: Cuts and flipped bytes; docs/recording.md has 50 of each.
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "6"))
 #: How the stretch is told that lost messages may have been in.
 TIMES = r"any messages between ([\d.]+) s and ([\d.]+) s since the release"
 
@@ -62,15 +66,13 @@ def test_whole_file_is_saved_whole(path, tmp_path):
     assert two.wall_time == one.wall_time
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_cut_files(path, chunks, tmp_path, seed):
-    for data, at in cuts(path, 5, seed):
+def test_cut_files(path, chunks, tmp_path):
+    for data, at in cuts(path, CASES, 0):
         assert saved_rightly(damaged(tmp_path, data), chunks, cut=at)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_flipped_bytes(path, chunks, tmp_path, seed):
-    for data, at in flips(path, 5, seed):
+def test_flipped_bytes(path, chunks, tmp_path):
+    for data, at in flips(path, CASES, 0):
         assert saved_rightly(damaged(tmp_path, data), chunks, flipped=at)
 
 
@@ -125,40 +127,42 @@ def test_metadata_without_checksum_is_marked(path, tmp_path):
     assert read_run(saved.path).wall_time is None
 
 
-def test_others_files_are_saved_too(path, tmp_path):
-    # another writer: LZ4, its own chunk size, definitions only where first needed
-    foreign = tmp_path / "foreign.mcap"
-    source = read_run(path)
-    with foreign.open("wb") as file:
-        writer = Writer(file, chunk_size=30_000, compression=CompressionType.LZ4)
+def foreign(file, messages, encodings=("cdr",), **how):
+    """A file of another writer, of one topic; ``how`` is the writer's."""
+    with file.open("wb") as stream:
+        writer = Writer(stream, **how)
         writer.start(profile="ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/hello", "cdr", schema)
-        for i, data in enumerate(source.raw("bench/state")[:500]):
-            writer.add_message(channel, 10 + i, data, 10 + i, i)
+        for encoding in encodings:
+            channel = writer.register_channel("/hello", encoding, schema)
+            for i, data in enumerate(messages):
+                writer.add_message(channel, 10 + i, data, 10 + i, i)
         writer.finish()
-    data = foreign.read_bytes()
+    return file
+
+
+def half_of(file, tmp_path, messages):
+    """Save the first half of a foreign file: what is saved are its first messages."""
+    data = file.read_bytes()
     saved = recover(damaged(tmp_path, data[: len(data) // 2]))
     n = saved.messages["/hello"]
     assert 0 < n < 500
-    assert read_run(saved.path).raw("/hello") == source.raw("bench/state")[:n]
+    assert read_run(saved.path).raw("/hello") == messages[:n]
+
+
+def test_others_files_are_saved_too(path, tmp_path):
+    """LZ4, its own chunk size, definitions only where first needed."""
+    messages = read_run(path).raw("bench/state")[:500]
+    lz4 = {"chunk_size": 30_000, "compression": CompressionType.LZ4}
+    half_of(foreign(tmp_path / "foreign.mcap", messages, **lz4), tmp_path, messages)
 
 
 def test_files_without_checksums_are_saved_and_marked(path, tmp_path, capsys):
-    # rosbag2's fast writing leaves them out; what nothing confirms must not pass for whole
-    source = read_run(path).raw("bench/state")[:500]
-    plain = tmp_path / "plain.mcap"
-    with plain.open("wb") as file:
-        writer = Writer(file, chunk_size=30_000, enable_crcs=False)
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/hello", "cdr", schema)
-        for i, data in enumerate(source):
-            writer.add_message(channel, 10 + i, data, 10 + i, i)
-        writer.finish()
-    data = plain.read_bytes()
+    """rosbag2's fast writing leaves them out; what nothing confirms must not pass for whole."""
+    messages = read_run(path).raw("bench/state")[:500]
+    plain = foreign(tmp_path / "plain.mcap", messages, chunk_size=30_000, enable_crcs=False)
     saved = recover(plain)
-    assert read_run(saved.path).raw("/hello") == source
+    assert read_run(saved.path).raw("/hello") == messages
     chunks = saved.chunks
     assert saved.unconfirmed[0] == f"{chunks} of {chunks} chunks, which have no checksum"
     assert saved.losses == ()
@@ -166,91 +170,60 @@ def test_files_without_checksums_are_saved_and_marked(path, tmp_path, capsys):
     assert list(read_run(saved.path).problems) == said
     assert main(["recover", str(plain)]) == 0
     assert capsys.readouterr().out.splitlines()[-len(said) :] == said
-    saved = recover(damaged(tmp_path, data[: len(data) // 2]))
-    n = saved.messages["/hello"]
-    assert 0 < n < 500
-    assert read_run(saved.path).raw("/hello") == source[:n]
+    half_of(plain, tmp_path, messages)
 
 
-def test_whole_file_of_others_is_not_called_damaged(path, tmp_path):
-    foreign = tmp_path / "foreign.mcap"
-    with foreign.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/hello", "cdr", schema)
-        writer.add_message(channel, 10, read_run(path).raw("bench/state")[0], 10)
-        writer.finish()
-    saved = recover(foreign)
-    assert not any("damaged" in line for line in saved.losses)
-    data = foreign.read_bytes()  # what is damaged is called so still
-    mark = b"\x0f" + (4).to_bytes(8, "little") + bytes(4)
-    saved = recover(damaged(tmp_path, data.replace(mark, mark[:-4] + b"\1\2\3\4")))
-    assert any("damaged" in line for line in saved.losses)
+def test_whole_file_of_others_is_not_called_damaged(tmp_path):
+    file = foreign(tmp_path / "foreign.mcap", [b"text"])
+    assert not any("damaged" in line for line in recover(file).losses)
+    mark = b"\x0f" + (4).to_bytes(8, "little") + bytes(4)  # what is damaged is called so still
+    changed = file.read_bytes().replace(mark, mark[:-4] + b"\1\2\3\4")
+    assert any("damaged" in line for line in recover(damaged(tmp_path, changed)).losses)
 
 
-def test_parts_of_a_split_recording_that_are_gone_are_named(path, tmp_path):
-    recorder = LiveRecorder(tmp_path, split=Split(time=1.0))
-    for topic, data in in_order(path):
-        recorder.take(topic, data)
+def test_encodings_of_one_topic_stay_apart(tmp_path):
+    saved = recover(foreign(tmp_path / "both.mcap", [b"text"] * 5, encodings=("cdr", "json")))
+    with saved.path.open("rb") as stream:
+        kept = Counter(
+            channel.message_encoding for _, channel, _ in make_reader(stream).iter_messages()
+        )
+    assert saved.messages == {"/hello": 10}
+    assert kept == {"cdr": 5, "json": 5}
+
+
+def split_in_seven(path, folder):
+    """The run in a folder, a second in each file."""
+    recorder = LiveRecorder(folder, split=Split(time=1.0))
+    with path.open("rb") as file:
+        topics = {}
+        for record in StreamReader(file).records:
+            if isinstance(record, Message):
+                recorder.take(topic_named(topics[record.channel_id]), record.data)
+            elif hasattr(record, "topic"):
+                topics[record.id] = record.topic
     folder = recorder.close().path
-    (folder / "tilt_m10_2.mcap").unlink()
-    saved = recover(folder)
-    assert any("tilt_m10_2.mcap: cannot read" in line for line in saved.losses)
-    assert sum(saved.messages.values()) > 0
-    (folder / "metadata.yaml").unlink()
-    saved = recover(folder)
-    assert "part 2 of the recording is not there" in saved.losses
-    assert not read_run(saved.path).complete
+    assert len(list(folder.glob("*.mcap"))) == 7
+    return folder
 
 
 def test_split_recording_is_saved_into_one_file(path, tmp_path):
-    run = read_run(path)
-    recorder = LiveRecorder(tmp_path, split=Split(time=1.0))
-    for topic, data in in_order(path):
-        recorder.take(topic, data)
-    folder = recorder.close().path
-    assert folder.is_dir()
-    assert len(list(folder.glob("*.mcap"))) == 7
+    run, folder = read_run(path), split_in_seven(path, tmp_path)
+    metadata = (folder / "metadata.yaml").read_bytes()
     (folder / "metadata.yaml").unlink()  # as after a kill
     saved = recover(folder)
     assert saved.losses == ()
     assert saved.messages == run.topics
     again = read_run(saved.path)
     assert again.samples.tobytes() == run.samples.tobytes()
-
-
-def test_encodings_of_one_topic_stay_apart(tmp_path):
-    file = tmp_path / "both.mcap"
-    with file.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        for encoding in ("cdr", "json"):
-            channel = writer.register_channel("/hello", encoding, schema)
-            for i in range(5):
-                writer.add_message(channel, 10 + i, encoding.encode(), 10 + i, i)
-        writer.finish()
-    saved = recover(file)
-    with saved.path.open("rb") as stream:
-        kept = Counter(
-            (channel.message_encoding, message.data)
-            for _, channel, message in make_reader(stream).iter_messages()
-        )
-    assert saved.messages == {"/hello": 10}
-    assert kept == {("cdr", b"cdr"): 5, ("json", b"json"): 5}
-
-
-def in_order(path):
-    from capture_sim.messages.topics import topic_named
-
-    topics = {}
-    with path.open("rb") as file:
-        for record in StreamReader(file).records:
-            if isinstance(record, Message):
-                yield topic_named(topics[record.channel_id]), record.data
-            elif hasattr(record, "topic"):
-                topics[record.id] = record.topic
+    # parts that are gone are named, with and without metadata
+    (folder / "tilt_m10_2.mcap").unlink()
+    saved = recover(folder)
+    assert "part 2 of the recording is not there" in saved.losses
+    assert not read_run(saved.path).complete
+    (folder / "metadata.yaml").write_bytes(metadata)
+    saved = recover(folder)
+    assert any("tilt_m10_2.mcap: cannot read" in line for line in saved.losses)
+    assert sum(saved.messages.values()) > 0
 
 
 def test_nothing_to_save_and_nowhere_to_save_it(path, tmp_path):
@@ -278,44 +251,35 @@ def test_command_says_what_it_saved_and_what_is_lost(path, tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_times_of_what_is_lost_count_from_the_release(path, chunks, tmp_path):
-    """As the samples' do: those that are missing lie in the stretch that is told."""
-    start, end, _ = chunks[len(chunks) // 2]
-    data = bytearray(path.read_bytes())
-    data[(start + end) // 2] ^= 4
-    saved = recover(damaged(tmp_path, bytes(data)))
-    (told,) = (re.search(TIMES, line) for line in saved.losses if re.search(TIMES, line))
-    after, before = map(float, told.groups())
-    kept, whole = (read_run(file).samples["t"] for file in (saved.path, path))
-    missing = np.setdiff1d(whole, kept)
-    assert missing.size
-    assert after - 0.0015 <= missing.min() <= missing.max() <= before + 0.0015
-    assert before - after < 0.5
-
-    # a log by the wall's clock tells the same
-    later = tmp_path / "later.mcap"
-    with later.open("wb") as file:
+def test_times_of_what_is_lost_count_from_the_release(path, tmp_path):
+    """As the samples' do: those that are missing lie in the interval that is named."""
+    later = tmp_path / "later.mcap"  # a log by the wall's clock has the same
+    with path.open("rb") as source, later.open("wb") as file:
         writer = Writer(file, chunk_size=100_000)
         writer.start("ros2", "another")
         ids = {}
-        with path.open("rb") as source:
-            for schema, channel, message in make_reader(source).iter_messages():
-                if channel.topic not in ids:
-                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    ids[channel.topic] = writer.register_channel(
-                        channel.topic, channel.message_encoding, schema_id, channel.metadata
-                    )
-                time = message.log_time + 1_700_000_000 * 10**9
-                writer.add_message(ids[channel.topic], time, message.data, time)
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.topic not in ids:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
+                )
+            time = message.log_time + 1_700_000_000 * 10**9
+            writer.add_message(ids[channel.topic], time, message.data, time)
         writer.finish()
-    start, end, _ = expected(later)[20]
-    data = bytearray(later.read_bytes())
-    data[(start + end) // 2] ^= 4
-    saved = recover(damaged(tmp_path, bytes(data)))
-    (told,) = (re.search(TIMES, line) for line in saved.losses if re.search(TIMES, line))
-    after, before = map(float, told.groups())
-    missing = np.setdiff1d(whole, read_run(saved.path).samples["t"])
-    assert after - 0.0015 <= missing.min() <= missing.max() <= before + 0.0015
+    whole = read_run(path).samples["t"]
+    for file in (path, later):
+        parts = expected(file)
+        start, end, _ = parts[len(parts) // 2]
+        data = bytearray(file.read_bytes())
+        data[(start + end) // 2] ^= 4
+        saved = recover(damaged(tmp_path, bytes(data)))
+        (told,) = (re.search(TIMES, line) for line in saved.losses if re.search(TIMES, line))
+        after, before = map(float, told.groups())
+        missing = np.setdiff1d(whole, read_run(saved.path).samples["t"])
+        assert missing.size
+        assert after - 0.0015 <= missing.min() <= missing.max() <= before + 0.0015
+        assert before - after < 0.5
 
 
 def test_damaged_head_loses_no_message_and_says_so(path, tmp_path):

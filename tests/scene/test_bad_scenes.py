@@ -15,7 +15,7 @@ from capture_sim import Bench, Scene, SceneError, load_scene, scene_names
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.files import MAX_TEXT, parse
 
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "120"))
 TEXT = load_scene("tilt_0").to_yaml()
 
 
