@@ -1,0 +1,142 @@
+"""The live viewer's node: what someone sees who connects while a bench runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+import capture_sim
+from capture_sim.nodes.supervisor import run_suite
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import read_run
+from capture_sim.viewing.shapes import tip_in_cone
+
+pytest.importorskip("rerun", reason="needs rerun")
+
+from rrd import column, free_port, seen
+
+# what is saved while it comes has no table of contents at its end
+pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
+
+
+@pytest.fixture(scope="module")
+def run():
+    return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
+
+
+class Viewer:
+    """The viewer node in a process of its own."""
+
+    def __init__(self, log, **parameters):
+        self.port = free_port()
+        self.log = log
+        arguments = [f"port:={self.port}", *(f"{k}:={v}" for k, v in parameters.items())]
+        options = [word for argument in arguments for word in ("-p", argument)]
+        with log.open("w") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "capture_sim.nodes.viewer", "--ros-args", *options],
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self.wait_for("waiting for a run")
+
+    @property
+    def address(self):
+        return f"rerun+http://127.0.0.1:{self.port}/proxy"
+
+    def wait_for(self, words, timeout=60.0):
+        deadline = time.monotonic() + timeout
+        while words not in self.log.read_text():
+            assert time.monotonic() < deadline, self.log.read_text()
+            time.sleep(0.05)
+
+    def end(self):
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(20)
+
+
+@pytest.fixture
+def viewer(tmp_path):
+    started = []
+
+    def start(**parameters):
+        started.append(Viewer(tmp_path / "viewer.log", **parameters))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.process.poll() is None:
+            one.process.kill()
+
+
+def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
+    node = viewer()
+    assert run_suite([run.scene], tmp_path) == 0
+    recorded = read_run(tmp_path / "tilt_p10.mcap")
+    assert recorded.complete, recorded.problems
+    node.wait_for("tilt_p10: shown")
+
+    def check(found):
+        times, tip = column(found, "/tilt_p10/close_up/tip", "positions")
+        k = np.round(times * 1e-6).astype(int)
+        assert np.all(np.diff(k) >= 20), "at most 50 a second"
+        assert len(k) > 0.8 * 50 * run.samples["t"][-1]
+        _, energy = column(found, "/plots/energy/tilt_p10", "scalars")
+        assert energy[:, 0] == pytest.approx(run.samples["kinetic"][k] * 1e3)
+        assert tip == pytest.approx(tip_in_cone(run.samples[k]) * 1e3, abs=1e-4)
+        _, peaks = column(found, "/plots/contact_force/tilt_p10/touches", "scalars")
+        assert sorted(peaks) == sorted(run.touches["peak_force"])
+        _, verdicts = column(found, "/states/tilt_p10/verdict", "state")
+        assert verdicts.tolist() == ["approach", "contact", "captured"]
+
+    seen(node.address, tmp_path / "late.rrd", check)
+    assert node.end() == 0
+    assert "Traceback" not in node.log.read_text()
+
+
+def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
+    path = write_run(run, tmp_path / "bench.mcap")
+    node = viewer(scene="tilt_0")
+    publisher = f"""
+        import time, rclpy
+        from rclpy.serialization import deserialize_message
+        from capture_sim.nodes.node import message_class, qos_of
+        from capture_sim.recording.read import read_run
+        from capture_sim.messages.topics import CHASER_ODOMETRY, TARGET_ODOMETRY, JOINT_STATES
+        rclpy.init()
+        node = rclpy.create_node("bench")
+        run = read_run({str(path)!r})
+        topics = (JOINT_STATES, CHASER_ODOMETRY, TARGET_ODOMETRY)
+        kinds = [message_class(topic.type_name) for topic in topics]
+        senders = [
+            node.create_publisher(k, t.name, qos_of(t)) for k, t in zip(kinds, topics)
+        ]
+        while not all(sender.get_subscription_count() for sender in senders):
+            time.sleep(0.05)
+        for row in zip(*(run.raw(topic.name) for topic in topics)):
+            for sender, kind, data in zip(senders, kinds, row):
+                sender.publish(deserialize_message(data, kind))
+            time.sleep(0.002)
+        time.sleep(1.0)
+        rclpy.shutdown()
+    """
+    subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(publisher)], check=True, timeout=60, env=os.environ
+    )
+
+    def check(found):
+        times, tip = column(found, "/bench/close_up/tip", "positions")
+        k = np.round(times * 1e-6).astype(int)
+        assert len(k) > 100
+        assert tip == pytest.approx(tip_in_cone(run.samples[k]) * 1e3, abs=1e-4)
+
+    seen(node.address, tmp_path / "x.rrd", check)
+    assert node.end() == 0
+    assert "Traceback" not in node.log.read_text()
