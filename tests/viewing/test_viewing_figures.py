@@ -98,15 +98,6 @@ def test_latched_tip_is_in_no_wall(tilts):
     assert depth[:, 1].max() > 0.0
 
 
-def test_resolved_window_holds_the_contact_alone(undamped):
-    touch = undamped.touches[1]
-    fine = resolved(undamped, (touch["start"] - 1e-3, touch["end"] + 1e-3))
-    t = fine.samples["t"]
-    assert t[0] >= touch["start"] - 1e-3
-    assert t[-1] <= touch["end"] + 1e-3
-    assert np.diff(t).max() < 2e-6
-
-
 def test_run_of_other_touches_is_not_resolved(undamped):
     import dataclasses
 
@@ -220,6 +211,12 @@ def size_of(axes):
     legend = axes.get_legend()
     texts += [] if legend is None else legend.get_texts()
     return [text.get_fontsize() for text in texts if text.get_text()]
+
+
+@pytest.mark.parametrize("window", [(0.2, 0.4), (5.5, 5.6)])
+def test_window_without_the_contact_is_drawn_too(tilts, window):
+    for name in figures.OVER_TIME:
+        figures.FIGURES[name](tilts[0], window=window).draw_without_rendering()
 
 
 def test_files_are_the_same_every_time(undamped, tmp_path):
