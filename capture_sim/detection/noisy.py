@@ -345,11 +345,7 @@ class NoisyDetector:
         self._scene = scene
         self._criteria = Criteria.of(scene)
         self._memory = records(new_memory())
-        # compiled before a run
-        decide_place(
-            self._criteria, records(new_memory()), Place(0.0, 0.0, 0.0, 0.0, 0.0), False, 0.0
-        )
-        feel_push_at(self._criteria, records(new_memory()), 0.0, 0.0, 0.0)
+        _compile(self._criteria)
         self._path = TipPath(
             radius=limits.capture_radius,
             delay=limits.max_delay,
