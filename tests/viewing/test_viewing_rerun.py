@@ -313,14 +313,24 @@ def settle(viewer):
     before = b""
     for _ in range(400):
         time.sleep(0.5)
-        now = viewer.take_screenshot()
+        now = screenshot(viewer)
         if now == before:
             return
         before = now
 
 
 def picture(viewer, view):
-    return imread(io.BytesIO(viewer.take_screenshot(view.view_id)))[..., :3]
+    return imread(io.BytesIO(screenshot(viewer, view.view_id)))[..., :3]
+
+
+def screenshot(viewer, view=None):
+    """Return a picture as the viewer takes it, asked again where the machine is too busy."""
+    for _ in range(20):
+        try:
+            return viewer.take_screenshot(view)
+        except TimeoutError:
+            time.sleep(0.5)
+    return viewer.take_screenshot(view)
 
 
 def grey_area(image):
