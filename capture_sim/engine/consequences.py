@@ -126,7 +126,7 @@ def change_slip(w, i):
 
 @kernel
 def may_rest(w, which):
-    """Tell whether the supports could hold a vehicle if it stood still here."""
+    """Return whether the supports could hold a vehicle if it stood still here."""
     for i in range(N_STATE):
         w.y_x[i] = w.step.y[i]
     first = 8 if which == 0 else 13

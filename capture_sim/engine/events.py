@@ -165,7 +165,7 @@ def first_crossing(w, event, which):
 
 @kernel
 def is_slow(y, par, which, times):
-    """Tell whether a vehicle is below ``times`` the speed at which it may be put at rest."""
+    """Return whether a vehicle is below ``times`` the speed at which it may be put at rest."""
     if which == 0:
         s, c = sine_cosine(y[2])
         speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
@@ -201,7 +201,7 @@ def slip_margin(y, system, i):
 
 @kernel
 def holds(y, system, event, which):
-    """Tell whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
+    """Return whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
     if event == EventKind.MOVING:
         return ratio_of_limit(y, system, which) > 1.0
     if event == EventKind.AT_REST:

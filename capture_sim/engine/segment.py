@@ -81,7 +81,7 @@ def step_within_way(w):
 
 @kernel
 def is_resolved(w):
-    """Tell whether a fixed step resolves the contacts at its end."""
+    """Return whether a fixed step resolves the contacts at its end."""
     par, mode = w.system.par, w.system.mode
     for i in range(2):
         stiffness = 1.5 * par.K * math.sqrt(max(-w.run.next_gap[i], 0.0))

@@ -32,7 +32,7 @@ def cubic_minimum(g_a, d_a, g_b, d_b):
 
 @kernel
 def may_cross(g_a, d_a, g_b, d_b, margin):
-    """Tell whether a function that starts at or above zero may go below within the interval.
+    """Return whether a function that starts at or above zero may go below within the interval.
 
     The cubic through both ends is trusted up to ``margin`` times the size of its changes.
     """
