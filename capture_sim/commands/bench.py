@@ -35,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--namespace",
         type=_namespace,
-        default="",
         metavar="NAME",
         help="of all nodes and topics, beside another suite in one ROS_DOMAIN_ID (default: none)",
     )
@@ -55,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     before = set(options.out.glob("*.mcap"))
-    status = run_suite(scenes, options.out, rtf=options.rtf, namespace=options.namespace)
+    status = run_suite(scenes, options.out, rtf=options.rtf, namespace=options.namespace or "")
     # an earlier recording is never overwritten: what is new may have a number behind its name
     fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
     runs = [run for run in map(read_run, fresh) if run.samples.size]
