@@ -116,7 +116,7 @@ def achieved(said: str) -> float:
 def measure_start(folder: Path, options: Namespace) -> list[str]:
     took = []
     for _ in range(options.times):
-        with processes(folder) as start:
+        with processes() as start:
             began = time.monotonic()
             node = start("simulator", overrides=endless(0.1))
             node.wait_for("released")
@@ -136,7 +136,7 @@ def measure_paced(folder: Path, options: Namespace, burners: int = 0) -> list[st
                 burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])
                 stack.callback(burner.wait)
                 stack.callback(burner.kill)
-            start = stack.enter_context(processes(folder))
+            start = stack.enter_context(processes())
             suite = Suite(start, folder / str(i), rtf=1.0, overrides=endless(options.seconds))
             suite.nodes["simulator"].wait_for("released")
             command = [sys.executable, "-c", BARE, str(int(1000 * options.seconds))]
@@ -166,7 +166,7 @@ def measure_busy(folder: Path, options: Namespace) -> list[str]:
 def measure_unpaced(folder: Path, options: Namespace) -> list[str]:
     factors, spent, lost = [], {}, []
     for i in range(options.times):
-        with processes(folder) as start:
+        with processes() as start:
             suite = Suite(start, folder / str(i), rtf=0.0, overrides=endless(options.seconds))
             simulator = suite.nodes["simulator"]
             simulator.wait_for("released")
@@ -190,7 +190,7 @@ def measure_same_bits(folder: Path, options: Namespace) -> list[str]:
     factors, equal = [0.0, 1.0, 10.0] * options.times, 0
     for i, factor in enumerate(factors):
         order = [x for name in rng.sample(NODES, 4) for x in (rng.uniform(0.0, 1.5), name)]
-        with processes(folder) as start:
+        with processes() as start:
             suite = Suite(start, folder / str(i), order, rtf=factor, scenes="[tilt_p10]")
             suite.end()
         equal += suite.recorded().samples.tobytes() == offline
@@ -203,7 +203,7 @@ def measure_same_bits(folder: Path, options: Namespace) -> list[str]:
 
 def measure_resets(folder: Path, options: Namespace) -> list[str]:
     steps, names = 20, NODES[:3]
-    with processes(folder) as start, closing(Client()) as client:
+    with processes() as start, closing(Client()) as client:
         lasting = {"exit_when_done": "false"}
         nodes = [
             start(
@@ -259,7 +259,7 @@ def measure_kills(folder: Path, options: Namespace) -> list[str]:
     for i in range(options.kills):
         victim, delay = rng.choice(NODES), rng.uniform(0.0, 2.5)
         killed[victim] += 1
-        with processes(folder) as start, closing(Client()) as client:
+        with processes() as start, closing(Client()) as client:
             simulation = Simulation(client)
             suite = Suite(start, folder / f"kill_{i}", rtf=2.0)
             suite.nodes["simulator"].wait_for("released")

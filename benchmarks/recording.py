@@ -84,7 +84,7 @@ def measure_write(folder: Path, _) -> list[str]:
 
 def measure_live(folder: Path, seconds: float) -> list[str]:
     """Record a paced run of the nodes."""
-    with processes(folder) as start:
+    with processes() as start:
         suite = Suite(start, folder, rtf=1.0, overrides=endless(seconds))
         shares = suite.shares(seconds - 3.0)
         suite.end()

@@ -62,7 +62,7 @@ def live(folder: Path, seconds: float) -> list[str]:
     for rate in (100.0, 1000.0):
         row = [f"{rate:g}"]
         for viewed in (False, True):
-            with processes(folder) as start:
+            with processes() as start:
                 if viewed:
                     with socket.socket() as probe:
                         probe.bind(("127.0.0.1", 0))
