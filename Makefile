@@ -19,7 +19,7 @@ help:
 	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
 	@echo "make lint        only check style, types and layers"
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
-	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (8 min)"
+	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min)"
 	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      lay out the Python files as lint wants them"

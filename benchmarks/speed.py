@@ -2,7 +2,7 @@
 
     make benchmark
 
-that is ``python -m benchmarks.speed``, eight minutes; ``--quick`` for a reduced sweep of less than
+that is ``python -m benchmarks.speed``, eleven minutes; ``--quick`` for a reduced sweep of less than
 a minute.
 """
 

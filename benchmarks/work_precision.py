@@ -47,7 +47,7 @@ class Plan:
     steps: tuple[float, ...] = (1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, of our fixed-step ones
     forms: tuple[str, ...] = FORMS
     scipy_methods: tuple[str, ...] = scipy_runs.METHODS
-    rounds: int = 9
+    rounds: int = 5
     allowed: float = 3.0  # s, of any one run; twice that with the NumPy right-hand side
 
 
@@ -58,6 +58,7 @@ FULL = (
         targets=(("compiled", 1e-8, 60.0),),
         numpy_rtols=(1e-6, 1e-8),
         stiff_rtols=(1e-4, 1e-6, 1e-8),
+        rounds=3,
         allowed=5.0,
     ),
 )
