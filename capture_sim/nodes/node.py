@@ -68,6 +68,8 @@ except ImportError:
 
 #: Exit statuses.
 OK, FAILED, REFUSED = 0, 1, 2
+#: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
+UNTAKEN = 100
 #: Last messages are given this long to arrive before a node ends, s (wall).
 LINGER = 0.3
 #: A latched message waits this long for what was sent before it, s (wall).
@@ -305,11 +307,13 @@ class BenchNode(Node):
             except CaptureSimError as error:
                 self.fail(error)
 
+        qos = qos_of(topic, latched=latched)
+        qos.depth = max(qos.depth, UNTAKEN)
         self.create_subscription(
             message_class(topic.type_name),
             topic.name,
             take,
-            qos_of(topic, latched=latched),
+            qos,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
             **options,
