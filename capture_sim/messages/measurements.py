@@ -9,7 +9,7 @@ from capture_sim.detection.align import Planar, Source, Values
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messages.definitions import typestore
+from capture_sim.messages.definitions import decoded, typestore
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
@@ -68,9 +68,9 @@ class MeasurementReader:
     """
 
     def __init__(self, topic: Topic) -> None:
-        self._topic, self._store = topic, typestore()
+        self._topic = topic
         numbers = _NUMBERS.get(topic.type_name, ())
-        self._numbers = Numbers(self._store, topic.type_name, *STAMP, *numbers)
+        self._numbers = Numbers(typestore(), topic.type_name, *STAMP, *numbers)
 
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values, see :class:`capture_sim.detection.align.Source`.
@@ -83,7 +83,7 @@ class MeasurementReader:
         sec, nanosec, *numbers = self._numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec
         if self._topic is JOINT_STATES:
-            return stamp, _joints(self._store.deserialize_cdr(data, self._topic.type_name))
+            return stamp, _joints(decoded(self._topic, data))
         if self._topic is BUFFER_STATE:
             return stamp, tuple(numbers)
         pose = pose_values(*numbers[:4])

@@ -59,9 +59,13 @@ class Barrier:
 
     def all_there(self) -> str:
         """Return what is waited for before a run; nothing if all that are awaited are matched."""
+        counts = self._node.resolve_topic_name(STREAM_COUNTS.name)
+        taking_part = {full_name(end) for end in self._node.get_publishers_info_by_topic(counts)}
         for topic in self._streams:
             wanted = readers(topic, self._roles)
-            if wanted and self._node.matched(topic) < wanted + self._strangers(topic):
+            if wanted:  # besides those who only look on, such as `ros2 topic echo`
+                wanted += sum(name not in taking_part for name in self._node.readers(topic))
+            if self._node.matched(topic) < wanted:
                 return f"waiting for {', '.join(self._roles)}: too few subscribe to {topic.name}"
         if self._others() < len(self._roles):
             return f"waiting for {', '.join(self._roles)} to start"
@@ -91,12 +95,6 @@ class Barrier:
             if now - said > silence:
                 said, silence = now, 2.0 * silence
                 self._node.get_logger().info(f"{what}: {text}")
-
-    def _strangers(self, topic: Topic) -> int:
-        """Return how many read a topic that take no part in runs, such as ``ros2 topic echo``."""
-        name = self._node.resolve_topic_name(STREAM_COUNTS.name)
-        taking_part = {full_name(end) for end in self._node.get_publishers_info_by_topic(name)}
-        return sum(reader not in taking_part for reader in self._node.readers(topic))
 
     def _others(self) -> int:
         return self._node.publishers_of(STREAM_COUNTS) - 1

@@ -268,6 +268,36 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
         assert decided == pytest.approx(offline.t - offline.time_in_state, abs=0.1)
 
 
+def test_changes_of_state_are_kept_for_a_busy_subscriber():
+    """A publisher keeps the last for latecomers; who was there in time gets all of them."""
+    rclpy.init()
+    try:
+        sender, reader = BenchNode("sender"), BenchNode("reader")
+        sender.open((CAPTURE_STATUS,))
+        came = []
+        reader.listen(CAPTURE_STATUS, lambda status: came.append(status.state))
+
+        def send(state):
+            message = sender.messages.new(CAPTURE_STATUS.type_name, state=state)
+            sender.send(CAPTURE_STATUS, sender.messages.serialise(message), latch=True)
+
+        def take(count):
+            deadline = time.monotonic() + 20.0
+            while len(came) < count and time.monotonic() < deadline:
+                rclpy.spin_once(reader, timeout_sec=0.1)
+
+        send(0)
+        take(1)
+        for state in (1, 2, 3):
+            send(state)
+        take(4)
+        assert came == [0, 1, 2, 3]
+        sender.destroy_node()
+        reader.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
 def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     """As on a bench where cameras run and nobody announces anything."""
     name = "paper_undamped"

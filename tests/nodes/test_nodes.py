@@ -20,7 +20,7 @@ from capture_sim.control.simulation import Code, State
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.watch import LauncherPhase
-from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE
+from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE, SIMULATOR, topics_of
 from capture_sim.nodes.node import message_class
 from capture_sim.nodes.supervisor import _claimed, run_suite
 from capture_sim.recording.detect import detect_again
@@ -280,7 +280,8 @@ def test_who_looks_on_is_not_taken_for_who_is_awaited(start, tmp_path):
         node.RecorderNode.listen = late
     """
     with Client() as client:
-        Simulation(client)
+        for topic in topics_of(SIMULATOR):
+            client.listen(topic)
         simulator = start(
             "simulator", rtf="0.0", consumers="[recorder]", overrides="[run.t_end=1.0]"
         )
