@@ -62,7 +62,10 @@ def python(checkout: Path) -> str:
 
 def environment(checkout: Path) -> dict[str, str]:
     domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 101)}
-    return domain | dict(os.environ) | {"PYTHONPATH": str(checkout)}
+    # the wheels' libraries are looked up anew: those of this interpreter are not another's
+    left_out = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    kept = {name: value for name, value in os.environ.items() if name not in left_out}
+    return domain | kept | {"PYTHONPATH": str(checkout)}
 
 
 def measured(checkout: Path, times: int, points: int) -> dict[str, float]:
