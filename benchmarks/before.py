@@ -32,14 +32,15 @@ COMMANDS = {
     "`run paper_designed`": (*CLI, "run", "paper_designed"),
     "`bench` of the three experiments": (*CLI, "bench", "tilt_0", "tilt_p10", "tilt_m10"),
 }
-WRITING = ("run", "bench", "envelope")
+#: What they write, in a folder that goes.
+WRITTEN = {"run": "runs", "bench": "runs", "envelope": "envelope.parquet"}
 COMPILE = ("-c", "from capture_sim.bench import compile_kernels; compile_kernels()")
 
 
 def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:
     """Run a Python of a checkout; return processor time and time on the clock (s), and GB."""
     with tempfile.TemporaryDirectory() as folder:
-        out = ("--out", f"{folder}/out") if set(arguments) & set(WRITING) else ()
+        out = [f"--out={folder}/{WRITTEN[name]}" for name in arguments if name in WRITTEN]
         process = subprocess.Popen(
             [python(checkout), *arguments, *out],
             cwd=folder,
