@@ -6,6 +6,7 @@ unit of every field stands.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -109,18 +110,29 @@ _MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
 _PLANAR = ("contact_force", "latch_force")
 
 
-def columns_of(samples: np.ndarray) -> dict[str, np.ndarray]:
-    """Return every number of some samples (n,) by a name of its own, as ``q.x_S``.
+def columns_of(fields: np.ndarray | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return every number of n samples or messages by a name of its own, (n,) each.
 
-    Of two numbers they are the walls' (``penetration.+y``), of forces in the world x and y.
+    Of coordinates and their rates these are ``q.x_S``; of two numbers of a sample the walls'
+    (``penetration.+y``), of forces in the world ``contact_force.x``; what no sample has is
+    counted (``position.0``).
+
+    Parameters
+    ----------
+    fields
+        Samples (n,), or fields by name, (n,) or (n, m) each.
     """
+    names = fields if isinstance(fields, Mapping) else fields.dtype.names or ()
     columns = {}
-    for name in samples.dtype.names or ():
-        values = samples[name]
+    for name in names:
+        values = fields[name]
         if values.ndim == 1:
             columns[name] = values
             continue
-        members = ("x", "y") if name in _PLANAR else _MEMBERS[values.shape[1]]
+        count = values.shape[1]
+        members: Iterable[object] = range(count)
+        if name in (SAMPLE.names or ()) and SAMPLE[name].shape == (count,):
+            members = ("x", "y") if name in _PLANAR else _MEMBERS[count]
         columns.update({f"{name}.{member}": values[:, k] for k, member in enumerate(members)})
     return columns
 

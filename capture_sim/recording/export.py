@@ -13,7 +13,7 @@ from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import CONTACT_TRACE
 from capture_sim.recording.measured import release_of, stamps_of
 from capture_sim.recording.read import Run
-from capture_sim.samples import COORDINATES, TRACE
+from capture_sim.samples import TRACE, columns_of
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
 TIME = "t"
@@ -65,7 +65,7 @@ def save_tables(
             f"{run.path}: makes no table of {', '.join(unknown)}; allowed are {', '.join(known)}"
         )
     tables = {topic: _with(columns, table(run, topic)) for topic in wanted}
-    there = {name for found in tables.values() for name in flat(found)}
+    there = {name for found in tables.values() for name in columns_of(found)}
     if missing := [name for name in columns if not any(map(_covers(name), there))]:
         raise RecordingError(f"{run.path}: no table has a column {', '.join(missing)}")
     tables = {topic: found for topic, found in tables.items() if found.keys() != {TIME}}
@@ -75,7 +75,7 @@ def save_tables(
         return [path]
     paths = _paths(tables, folder, to)
     for topic, path in paths.items():
-        found = _with(columns, flat(tables[topic]))
+        found = _with(columns, columns_of(tables[topic]))
         (_save_csv if to == "csv" else _save_parquet)(found, path)
     return list(paths.values())
 
@@ -111,19 +111,6 @@ def table(run: Run, topic: str) -> dict[str, np.ndarray]:
     return {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
 
 
-def flat(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return (n, m) columns as m of them: ``q.x_S`` of coordinates, ``name.i`` of others."""
-    found: dict[str, np.ndarray] = {}
-    for name, column in columns.items():
-        if column.ndim == 1:
-            found[name] = column
-            continue
-        of_coordinates = name in ("q", "v") and column.shape[1] == len(COORDINATES)
-        parts = COORDINATES if of_coordinates else range(column.shape[1])
-        found |= {f"{name}.{part}": column[:, i] for i, part in enumerate(parts)}
-    return found
-
-
 def _covers(wanted: str) -> Callable[[str], bool]:
     """Return whether a column is meant by a name: itself, or what it is a part of."""
     return lambda name: name == wanted or name.startswith(f"{wanted}.")
@@ -136,7 +123,7 @@ def _with(wanted: Collection[str], columns: Mapping[str, np.ndarray]) -> dict[st
         for name, column in columns.items()
         if name == TIME
         or not wanted
-        or any(_covers(one)(part) for one in wanted for part in flat({name: column}))
+        or any(_covers(one)(part) for one in wanted for part in columns_of({name: column}))
     }
 
 

@@ -16,10 +16,11 @@ from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
 from capture_sim.recording.detect import detect_again
-from capture_sim.recording.export import flat, save_tables, table
+from capture_sim.recording.export import save_tables, table
 from capture_sim.recording.measured import first_contact
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
+from capture_sim.samples import columns_of
 
 TF = "tf2_msgs/msg/TFMessage"
 
@@ -181,9 +182,9 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
     assert capsys.readouterr().out.count("written: ") == sum(map(bool, run.topics.values()))
     with (tmp_path / "bench_state.csv").open() as file:
         rows = list(csv.DictReader(file))
-    columns = flat(table(run, "/bench/state"))
+    columns = columns_of(table(run, "/bench/state"))
     assert list(rows[0]) == list(columns)
-    for name in ("t", "q.x_S", "v.theta_T", "penetration.0", "energy_residual"):
+    for name in ("t", "q.x_S", "v.theta_T", "penetration.-y", "energy_residual"):
         assert [float(row[name]) for row in rows] == columns[name].tolist()
     assert [int(row["log_time_ns"]) for row in rows] == run.log_times("bench/state").tolist()
     with (tmp_path / "bench_event.csv").open() as file:
@@ -210,7 +211,7 @@ def test_topics_and_columns_are_chosen(path, tmp_path, capsys):
     assert main([*command, "--columns", "q.x_S", "impulse", "seq"]) == 0
     (file,) = tmp_path.iterdir()  # the odometry has none of them
     with file.open() as lines:
-        assert next(csv.reader(lines)) == ["t", "seq", "q.x_S", "impulse.0", "impulse.1"]
+        assert next(csv.reader(lines)) == ["t", "seq", "q.x_S", "impulse.+y", "impulse.-y"]
     for wrong in (["--columns", "no"], ["--topics", "no/such"]):
         assert main(["export", str(path), "--out", str(tmp_path), *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
@@ -225,7 +226,7 @@ def test_parquet_gives_the_same_bits(path, tmp_path):
     run = read_run(path)
     for topic in filter(run.raw, run.topics):
         found = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
-        for name, column in flat(table(run, topic)).items():
+        for name, column in columns_of(table(run, topic)).items():
             if column.dtype != object:
                 assert found[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
 
