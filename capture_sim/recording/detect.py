@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
+from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import stamp_seconds
-from capture_sim.messages.measurements import MeasurementReader, detector_sources
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
+from capture_sim.messages.topics import Topic
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
 
@@ -55,10 +57,7 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
         read.
     """
     scene = with_limits(run.scene, run.criteria, ()) if scene is None else scene
-    sources = detector_sources(scene)
-    for topic in sources:
-        if not run.raw(topic):
-            raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
+    sources = _sources_in(run, scene)
     readers = {topic: MeasurementReader(topic) for topic in sources}
     detector = NoisyDetector(scene)
     stored = [
@@ -73,3 +72,16 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
         stamp, values = readers[topic](data)
         statuses += detector.measure(sources[topic], stamp_seconds(stamp), values)
     return [*statuses, *detector.finish(cut=run.cut)]
+
+
+def _sources_in(run: Run, scene: Scene) -> dict[Topic, Source]:
+    """Return what the detector decides by: the scene's topics, else those of a bench."""
+    wanted = detector_sources(scene)
+    found: dict[Source, Topic] = {}
+    for topic, source in (*wanted.items(), *OF_A_BENCH.items()):
+        if source not in found and run.raw(topic):
+            found[source] = topic
+    for topic, source in wanted.items():
+        if source not in found:
+            raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
+    return {topic: source for source, topic in found.items()}

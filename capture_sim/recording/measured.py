@@ -45,6 +45,26 @@ def poses_of(columns: Columns, at: str) -> np.ndarray:
     return np.stack([columns[f"{at}.position.x"], columns[f"{at}.position.y"], heading], axis=1)
 
 
+def rates_of(odometry: Columns, heading: np.ndarray) -> np.ndarray:
+    """Return the rates of an odometry's poses in the world, (n, 3): m/s, m/s, rad/s."""
+    c, s = np.cos(heading), np.sin(heading)
+    # the twist is in the vehicle's own frame
+    vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
+    rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
+    return np.stack(rates, axis=-1)
+
+
+def series_of(columns: Columns, release: int, values: np.ndarray) -> Series:
+    """Return what a topic's messages measure, (n,) or (n, m) values, as a series.
+
+    What is no number, or comes twice with one stamp, is left out.
+    """
+    t = _since(columns, release)
+    finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
+    t, first = np.unique(t[finite], return_index=True)
+    return Series(t, values[finite][first])
+
+
 def release_of(run: Run, after: float | None = None) -> int:
     """Return the stamp of the release, ns: the launcher's, else that of simulated runs.
 
@@ -148,12 +168,12 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
     ):
         for source, at in ((pose, "pose"), (odometry, "pose.pose")):
             if columns := run.columns(source):
-                found.setdefault(name, {})[source.name] = _series(
+                found.setdefault(name, {})[source.name] = series_of(
                     columns, release, poses_of(columns, at)
                 )
     for topic, buffer in buffers_in(run).items():
         for name in ("stroke", "torsion"):
-            series = _series(run.columns(topic), release, buffer[name])
+            series = series_of(run.columns(topic), release, buffer[name])
             found.setdefault(name, {})[topic.name] = series
     if run.columns(topics.CONTACT_WRENCH):
         t, force = wrench(run, topics.CONTACT_WRENCH, release)
@@ -253,7 +273,7 @@ def wrench(run: Run, topic: Topic, release: int) -> tuple[np.ndarray, np.ndarray
     if not columns:
         return np.zeros(0), np.zeros((0, 2))
     force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
-    series = _series(columns, release, force)
+    series = series_of(columns, release, force)
     return series.t, series.values
 
 
@@ -284,10 +304,3 @@ def _attitude(seen: Measurements, t: np.ndarray) -> np.ndarray:
             values = series.values if series.values.ndim == 1 else series.values[:, 2]
             angle += sign * np.interp(t, series.t, np.unwrap(values))
     return angle
-
-
-def _series(columns: Columns, release: int, values: np.ndarray) -> Series:
-    t = _since(columns, release)
-    finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
-    t, first = np.unique(t[finite], return_index=True)
-    return Series(t, values[finite][first])

@@ -9,22 +9,31 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
 
-from capture_sim.detection.align import observed
 from capture_sim.detection.exact import CaptureStatus
-from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.kernels import plain
 from capture_sim.messages import topics
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase, stamp_seconds
 from capture_sim.messages.topics import Topic
-from capture_sim.recording.measured import buffers_in, poses_of, release_of, stamps_of
-from capture_sim.recording.read import Columns, Run
+from capture_sim.model.equations import tip_motion
+from capture_sim.recording.detect import detect_again
+from capture_sim.recording.measured import (
+    buffers_in,
+    poses_of,
+    rates_of,
+    release_of,
+    series_of,
+)
+from capture_sim.recording.read import Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
+from capture_sim.studies.measurements import Series
+
+_tip_motion = plain(tip_motion)
 
 #: Fields of SAMPLE that have no NaN for what is not known.
 _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
@@ -46,7 +55,7 @@ class AlignedMeasurements:
     # (n,): bits of the walls in touch, as in ContactState; else by the gaps
     walls: np.ndarray | None = None
     begun: np.ndarray | None = None  # (n,): touches begun since the instant before
-    peak_force: np.ndarray | None = None  # (n,): N, largest since the instant before
+    peak_force: np.ndarray | None = None  # (n, 1): N, largest since the instant before
     # (n, 4): phase as in StringState, tension N, mass height m, mass speed m/s
     string: np.ndarray | None = None
 
@@ -87,7 +96,9 @@ def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
     v[:, 3] = measured.chaser_rate[:, 2] + measured.buffer_rate[:, 1]
     v[:, 4] = measured.buffer_rate[:, 0]
     samples["t"], samples["axial_stroke"], samples["torsion"] = measured.t, stroke, torsion
-    tip = _tip_in_cone(scene, q)
+    turned = (f(q[:, k]) for k in (2, 3, 7) for f in (np.sin, np.cos))
+    x, y, _, _ = _tip_motion((*q.T, *v.T), scene.buffer.hinge_offset, *turned)
+    tip = np.stack([x + scene.cone.L_T, y], axis=-1)
     samples["tip_axial"], samples["tip_lateral"] = -tip[:, 0], tip[:, 1]
     samples["tip_distance"] = np.hypot(*tip.T)
     gaps = np.stack([_gap(scene, tip, side) for side in (1, -1)], axis=-1)
@@ -129,16 +140,6 @@ def measured_run(
         wall, seen = int(touch["wall"]), "seen in the measurements"
         events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, seen))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
-
-
-def _tip_in_cone(scene: Scene, q: np.ndarray) -> np.ndarray:
-    """Return the tip's centre in the cone's frame, (n, 2), m."""
-    heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
-    probe = np.stack([np.cos(q[:, 3]), np.sin(q[:, 3])], axis=-1)
-    offset = q[:, :2] + scene.buffer.hinge_offset * heading + q[:, 4, None] * probe - q[:, 5:7]
-    c, s = np.cos(q[:, 7]), np.sin(q[:, 7])
-    along = c * offset[:, 0] + s * offset[:, 1] + scene.cone.L_T
-    return np.stack([along, c * offset[:, 1] - s * offset[:, 0]], axis=-1)
 
 
 def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
@@ -187,7 +188,7 @@ def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     t = samples["t"]
     force = np.nan_to_num(samples["normal_force"].sum(axis=1))
     if measured.peak_force is not None:
-        force = np.maximum(force, np.nan_to_num(measured.peak_force))
+        force = np.maximum(force, np.nan_to_num(measured.peak_force[:, 0]))
     touches = np.zeros(len(ends) // 2, dtype=TOUCH)
     for touch, first, end in zip(touches, ends[::2], ends[1::2], strict=True):
         last = min(end, len(t) - 1)
@@ -233,11 +234,20 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     RecordingError
         A topic is missing, or the release lies outside the recording.
     """
-    chaser, target = _needed(run, topics.CHASER_ODOMETRY), _needed(run, topics.TARGET_ODOMETRY)
-    stamps, first = np.unique(stamps_of(chaser), return_index=True)
     release = release_of(run, released)
-    t = (stamps - release) * 1e-9
-    poses, rates = zip(*(_planar(odometry) for odometry in (chaser, target)), strict=True)
+
+    def series(topic: Topic, *values: np.ndarray) -> Series:
+        return series_of(run.columns(topic), release, np.column_stack(values))
+
+    bodies = []
+    for topic in (topics.CHASER_ODOMETRY, topics.TARGET_ODOMETRY):
+        columns = run.columns(topic)
+        if not columns:
+            raise RecordingError(f"{run.name}: holds no {topic.absolute_name}, nothing to draw")
+        poses = poses_of(columns, "pose.pose")
+        rates = series(topic, rates_of(columns, poses[:, 2]))
+        bodies.append((series(topic, poses), rates))
+    (chaser, chaser_rate), (target, target_rate) = bodies
     buffers = buffers_in(run)
     if not buffers:
         raise RecordingError(
@@ -246,85 +256,57 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
             "of the tip is not known"
         )
     topic, buffer = next(iter(buffers.items()))
-    buffer_stamps = stamps_of(run.columns(topic))
+    t = chaser.t
+    if not t.size or not target.t.size:
+        raise RecordingError(f"{run.name}: holds no pose of finite numbers, nothing to draw")
 
-    def at(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return values at the chaser's stamps, linear between their own."""
-        since = (columns_stamps - stamps[0]) * 1e-9
-        wanted = (stamps - stamps[0]) * 1e-9
-        return np.stack([np.interp(wanted, since, column) for column in values.T], axis=-1)
+    def at(series: Series) -> np.ndarray:
+        """Return values at the chaser's stamps, linear between their own; NaN without any."""
+        if not series.t.size:
+            return np.full((t.size, series.values.shape[1]), np.nan)
+        return np.stack([np.interp(t, series.t, column) for column in series.values.T], axis=-1)
 
-    def held(columns_stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def held(series: Series) -> np.ndarray:
         """Return states at the chaser's stamps, each holding until the next."""
-        before = np.searchsorted(columns_stamps, stamps, side="right") - 1
-        return np.asarray(values[np.maximum(before, 0)].astype(int))
+        before = np.searchsorted(series.t, t, side="right") - 1
+        return np.asarray(series.values[np.maximum(before, 0), 0].astype(int))
 
+    wrench, contact, string = (
+        run.columns(topic)
+        for topic in (topics.CONTACT_WRENCH, topics.CONTACT_STATE, topics.STRING_STATE)
+    )
+    optional: dict[str, np.ndarray] = {}
+    if wrench:
+        force = (wrench["wrench.force.x"], wrench["wrench.force.y"])
+        optional["tip_force"] = at(series(topics.CONTACT_WRENCH, *force))
+    if contact:
+        for name in ("normal_force", "peak_force"):
+            optional[name] = at(series(topics.CONTACT_STATE, contact[name]))
+        for name, field in (("walls", "walls"), ("begun", "touches")):
+            optional[name] = held(series(topics.CONTACT_STATE, contact[field]))
+    if string:
+        names = ("tension", "mass_height", "mass_speed")
+        values = at(series(topics.STRING_STATE, *(string[name] for name in names)))
+        phase = held(series(topics.STRING_STATE, string["phase"]))
+        optional["string"] = np.column_stack([phase, values])
     measured = AlignedMeasurements(
         t=t,
-        chaser=poses[0][first],
-        chaser_rate=rates[0][first],
-        target=at(stamps_of(target), poses[1]),
-        target_rate=at(stamps_of(target), rates[1]),
-        buffer=at(buffer_stamps, _stacked(buffer, "stroke", "torsion")),
-        buffer_rate=at(buffer_stamps, _stacked(buffer, "stroke_rate", "torsion_rate")),
-        **_optional(run, at, held),
+        chaser=_unwrapped(chaser).values,
+        chaser_rate=at(chaser_rate),
+        target=at(_unwrapped(target)),
+        target_rate=at(target_rate),
+        buffer=at(series(topic, buffer["stroke"], buffer["torsion"])),
+        buffer_rate=at(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
+        **optional,
     )
-    statuses: Sequence[CaptureStatus] = run.statuses
-    if statuses:
-        # a recording counts them from a stamp of 1 s, the run from the release
-        first_status = (stamps_of(run.columns(topics.CAPTURE_STATUS))[0] - release) * 1e-9
-        late = statuses[0].t - float(first_status)
-        statuses = [status._replace(t=status.t - late) for status in statuses]
-    else:
-        statuses = _detect(scene, measured)
-    return measured_run(run.name, scene, measured, statuses)
+    # the detector counts from a stamp of 1 s, the run from the release
+    late = stamp_seconds(release)
+    statuses = run.statuses or detect_again(run, scene)
+    on_time = [status._replace(t=status.t - late) for status in statuses]
+    return measured_run(run.name, scene, measured, on_time)
 
 
-def _detect(scene: Scene, measured: AlignedMeasurements) -> list[CaptureStatus]:
-    """Return what the capture detector makes of measurements."""
-    detector = NoisyDetector(scene)
-    m = measured
-    pairs = ((m.chaser, m.chaser_rate), (m.target, m.target_rate), (m.buffer, m.buffer_rate))
-    rows = zip(m.t.tolist(), *(np.hstack(pair).tolist() for pair in pairs), strict=True)
-    return [*(detector.update(observed(*row)) for row in rows), *detector.finish()]
-
-
-def _needed(run: Run, topic: Topic) -> Columns:
-    found = run.columns(topic)
-    if not found:
-        raise RecordingError(f"{run.name}: holds no {topic.absolute_name}, nothing to draw")
-    return found
-
-
-def _planar(odometry: Columns) -> tuple[np.ndarray, np.ndarray]:
-    """Return poses (n, 3) and their rates in the world (n, 3), from nav_msgs/Odometry."""
-    poses = poses_of(odometry, "pose.pose")
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    # the twist is in the vehicle's own frame
-    vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
-    rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
-    return poses, np.stack(rates, axis=-1)
-
-
-def _stacked(columns: Columns, *names: str) -> np.ndarray:
-    return np.stack([columns[name] for name in names], axis=-1)
-
-
-def _optional(run: Run, at: Any, held: Any) -> dict[str, np.ndarray]:
-    """Return what else was measured."""
-    found: dict[str, np.ndarray] = {}
-    if wrench := run.columns(topics.CONTACT_WRENCH):
-        force = _stacked(wrench, "wrench.force.x", "wrench.force.y")
-        found["tip_force"] = at(stamps_of(wrench), force)
-    if contact := run.columns(topics.CONTACT_STATE):
-        stamps = stamps_of(contact)
-        found["normal_force"] = at(stamps, contact["normal_force"])
-        found["peak_force"] = at(stamps, contact["peak_force"][:, None])[:, 0]
-        found["walls"] = held(stamps, contact["walls"])
-        found["begun"] = held(stamps, contact["touches"])
-    if string := run.columns(topics.STRING_STATE):
-        stamps = stamps_of(string)
-        values = at(stamps, _stacked(string, "tension", "mass_height", "mass_speed"))
-        found["string"] = np.column_stack([held(stamps, string["phase"]), values])
-    return found
+def _unwrapped(poses: Series) -> Series:
+    return poses._replace(
+        values=np.column_stack([poses.values[:, :2], np.unwrap(poses.values[:, 2])])
+    )
