@@ -25,7 +25,7 @@ from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
 from capture_sim.studies.design import ACCEPTED, Design, DesignTarget, design_buffer, with_buffer
-from capture_sim.studies.first_contact import run_first_contact
+from capture_sim.studies.outcome import run_first_contact
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_design, draw_trade_off
 

@@ -24,12 +24,12 @@ import numpy as np
 from benchmarks.pages import DOCS, Page, arguments, table
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
-from capture_sim.commands.envelope import read_axis
+from capture_sim.commands.envelope import axis
 from capture_sim.detection.exact import CaptureState
 from capture_sim.recording.envelope_file import write_envelope
-from capture_sim.studies.envelope import ROW, Envelope, Plan, evaluate
-from capture_sim.studies.envelope_runs import map_envelope
-from capture_sim.studies.executors import InProcess, open_executor, ordered
+from capture_sim.studies.envelope import ROW, Envelope, Plan, evaluate, explore
+from capture_sim.studies.envelope_runs import KeptRuns
+from capture_sim.studies.executors import InProcess, answers, open_executor
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_envelope
 
@@ -40,7 +40,7 @@ CHECKS = 0.44  # of the map's points, about as many are run twice
 
 
 def the_plan(points: int) -> Plan:
-    axes = {name: read_axis(f"--{name}", text, UNITS[name]) for name, text in AXES.items()}
+    axes = {name: axis(UNITS[name])(text) for name, text in AXES.items()}
     return Plan(load_scene("tilt_0"), **axes, levels=LEVELS, runs=points)
 
 
@@ -72,9 +72,9 @@ def made_by(plan: Plan, way: str) -> tuple[Envelope, float, float, str]:
             scheduler = stack.enter_context(local).scheduler_address
             executor = stack.enter_context(open_executor(scheduler=scheduler))
         # workers load the kernels when they start: not part of the map's time on the clock
-        ordered(executor, math.sqrt, [1.0] * 8)
+        list(answers(executor, math.sqrt, [1.0] * 8))
         began = time.perf_counter()
-        envelope = map_envelope(plan, executor, folder / "e.runs")
+        envelope = explore(plan, KeptRuns(plan, executor, folder / "e.runs"))
         seconds = time.perf_counter() - began
         found = digest(write_envelope(envelope, folder / "e.parquet"))
     return envelope, seconds, children() - before, found

@@ -18,7 +18,7 @@ import numpy as np
 from capture_sim import load_scene, simulate
 from capture_sim.bench import Bench
 from capture_sim.studies.approach import placed
-from capture_sim.studies.verdict import run_to_verdict
+from capture_sim.studies.outcome import run_to_verdict
 from capture_sim.viewing.rerun_view import save_rrd
 
 try:

@@ -7,12 +7,11 @@ import re
 
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder
+from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
 from capture_sim.commands.output import draw, report, warn
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.read import read_run
-from capture_sim.scene.quantities import shown
 from capture_sim.viewing.source import summary_of
 
 DESCRIPTION = (
@@ -34,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--namespace",
-        type=_namespace,
+        type=reader(_namespace, "a ROS name such as lab: letters, digits, _ and /"),
         metavar="NAME",
         help="of all nodes and topics, beside another suite in one ROS_DOMAIN_ID (default: none)",
     )
@@ -42,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _namespace(text: str) -> str:
     if not re.fullmatch(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", text, re.ASCII):
-        raise argparse.ArgumentTypeError(
-            f"{shown(text)}: allowed is a ROS name such as lab: letters, digits, _ and /"
-        )
+        raise ValueError(text)
     return text
 
 

@@ -10,11 +10,19 @@ from typing import Any
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_out, add_scene, in_unit, load, prepare_folder, quantity
+from capture_sim.commands.inputs import (
+    add_out,
+    add_scene,
+    in_unit,
+    load,
+    prepare_folder,
+    quantity,
+    reader,
+)
 from capture_sim.commands.output import drawing, say, write_json, write_text
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.capture_margin import Spread
+from capture_sim.studies.approach import Spread
 from capture_sim.studies.design import (
     Design,
     DesignTarget,
@@ -22,7 +30,7 @@ from capture_sim.studies.design import (
     design_buffer,
     with_buffer,
 )
-from capture_sim.studies.first_contact import run_first_contact
+from capture_sim.studies.outcome import run_first_contact
 
 DESCRIPTION = (
     "The paper's design flow: target strokes in, k_A, k_T and c_A out, or the reason why no "
@@ -54,12 +62,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--spread",
+        type=reader(_spread, "%,mm,deg, as 10,2,1"),
         metavar="SPEED,OFFSET,ANGLE",
         help="choose the damper that keeps the capture longest under this spread of the approach: "
         "%%, mm, deg, as 10,2,1",
     )
     parser.add_argument(
         "--trade-off",
+        type=reader(_factors, "LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"),
+        default=(),
         metavar="LOW:HIGH:N",
         help="also design for N axial strokes from LOW to HIGH times the target, as 0.3:3:9",
     )
@@ -69,11 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     scene = load(options.scene, options.overrides)
-    factors = _factors(options.trade_off)
-    spread = _spread(options.spread)
     prepare_folder(options.out)
     compile_first()
-    target = _target(options, scene, spread)
+    target = _target(options, scene)
     say(
         f"wanted: {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
         f"{'with' if target.damped else 'without'} the damper"
@@ -82,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     _report(design)
     _keep(design, options.out)
     designs = []
-    for factor in factors:
+    for factor in options.trade_off:
         stroke = factor * target.axial_stroke
         designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
         say(_line(designs[-1]))
@@ -96,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     return OK if design.met else FAILED
 
 
-def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) -> DesignTarget:
+def _target(options: argparse.Namespace, scene: Scene) -> DesignTarget:
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):
         raise SceneError("--stroke (mm), --torsion (mrad): allowed is both or none")
@@ -104,31 +113,19 @@ def _target(options: argparse.Namespace, scene: Scene, spread: Spread | None) ->
         b = scene.buffer
         own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))
         stroke, torsion = own.axial_stroke, own.torsion
-    return DesignTarget(stroke, torsion, options.damped, options.peak_force, spread)
+    return DesignTarget(stroke, torsion, options.damped, options.peak_force, options.spread)
 
 
-def _spread(text: str | None) -> Spread | None:
-    if text is None:
-        return None
-    try:
-        speed, offset, angle = text.split(",")
-        return Spread(quantity(speed, "%"), quantity(offset, "mm"), quantity(angle, "deg"))
-    except ValueError:
-        raise SceneError(f"--spread {text}: allowed is %,mm,deg, as 10,2,1") from None
+def _spread(text: str) -> Spread:
+    speed, offset, angle = text.split(",")
+    return Spread(quantity(speed, "%"), quantity(offset, "mm"), quantity(angle, "deg"))
 
 
-def _factors(text: str | None) -> list[float]:
-    if text is None:
-        return []
-    try:
-        parts = text.split(":")
-        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
-        if len(parts) != 3 or not (0.0 < low < high < math.inf and 2 <= count <= 100):
-            raise ValueError
-    except (ValueError, IndexError):
-        raise SceneError(
-            f"--trade-off {text}: allowed is LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"
-        ) from None
+def _factors(text: str) -> list[float]:
+    first, last, number = text.split(":")
+    low, high, count = float(first), float(last), int(number)
+    if not (0.0 < low < high < math.inf and 2 <= count <= 100):
+        raise ValueError(text)
     return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from capture_sim.commands import OK
@@ -15,6 +15,7 @@ from capture_sim.commands.inputs import (
     positive,
     prepare_folder,
     quantity,
+    reader,
     whole,
 )
 from capture_sim.commands.output import Progress, drawing, say
@@ -24,7 +25,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import other_parts
 from capture_sim.studies.envelope import AXES, Envelope, Plan, Slices, Span, explore
 from capture_sim.studies.envelope_runs import KeptRuns
-from capture_sim.studies.executors import default_workers, open_executor
+from capture_sim.studies.executors import open_executor
 
 DESCRIPTION = (
     "Map the verdict over relative angle, lateral offset and speed, with the boundary refined. "
@@ -38,10 +39,14 @@ _EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_scene(parser, "tilt_0")
-    add_axis = parser.add_argument
-    add_axis("--angle", default="-30:30:12", metavar="DEG", help=f"target's angle, deg; {_AXIS}")
-    add_axis("--offset", default="-50:50:10", metavar="MM", help="lateral offset, mm; likewise")
-    add_axis("--speed", default="0.05,0.1,0.2", metavar="M/S", help="at the touch, m/s; likewise")
+    for name, unit, default, what in (
+        ("angle", "deg", "-30:30:12", f"target's angle, deg; {_AXIS}"),
+        ("offset", "mm", "-50:50:10", "lateral offset, mm; likewise"),
+        ("speed", "m/s", "0.05,0.1,0.2", "at the touch, m/s; likewise"),
+    ):
+        parser.add_argument(
+            f"--{name}", type=axis(unit), default=default, metavar=unit.upper(), help=what
+        )
     parser.add_argument(
         "--levels", type=whole(), default=4, help="how often a cell is cut in four (default: 4)"
     )
@@ -73,9 +78,9 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options.scene, options.overrides)
     plan = Plan(
         scene,
-        angle=read_axis("--angle", options.angle, "deg"),
-        offset=read_axis("--offset", options.offset, "mm"),
-        speed=read_axis("--speed", options.speed, "m/s"),
+        angle=options.angle,
+        offset=options.offset,
+        speed=options.speed,
         levels=options.levels,
         runs=options.runs,
         rtol=options.rtol,
@@ -85,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out.parent)
     compile_first()
     with (
-        open_executor(options.workers or default_workers(), options.scheduler) as executor,
+        open_executor(options.workers, options.scheduler) as executor,
         Progress() as progress,
     ):
         runs = KeptRuns(plan, executor, options.out.with_suffix(".runs"), progress.at)
@@ -137,27 +142,22 @@ def experiments(scene: Scene, names: Sequence[str] | None, overrides: Sequence[s
     return marks
 
 
-def read_axis(flag: str, text: str, unit: str) -> Span | Slices:
-    """Read ``LOW:HIGH:CELLS`` or ``A,B,C`` off the command line; numbers may bear units.
+def axis(unit: str) -> Callable[[str], Span | Slices]:
+    """Return a reader of ``LOW:HIGH:CELLS`` or ``A,B,C``; numbers may bear units."""
 
-    Raises
-    ------
-    SceneError
-        It is neither.
-    """
-    try:
+    def read(text: str) -> Span | Slices:
         if ":" in text:
             low, high, cells = text.split(":")
             return Span(quantity(low, unit), quantity(high, unit), int(cells))
         return Slices(tuple(quantity(value, unit) for value in text.split(",")))
-    except ValueError:
-        raise SceneError(f"{flag} {text}: allowed is {_AXIS}, in {unit}") from None
+
+    return reader(read, f"{_AXIS}, in {unit}")
 
 
 def report(envelope: Envelope) -> None:
     """Print what share of each slice is captured, and how sure that is."""
     plan, rows = envelope.plan, envelope.rows
-    name, unit = AXES[plan.sliced]
+    name, unit, _ = AXES[plan.sliced]
     say(f"{len(rows)} points, {int(rows['checked'].sum())} of them twice")
     for number, value in enumerate(plan.slices):
         share = envelope.shares[number]

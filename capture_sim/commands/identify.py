@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
@@ -37,7 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("parameters", nargs="+", metavar="PARAMETER")
     add_geometry(parser)
     parser.add_argument(
-        "--until", type=not_negative, metavar="S", help="leave out what was measured later"
+        "--until",
+        type=not_negative,
+        default=math.inf,
+        metavar="S",
+        help="leave out what was measured later",
     )
     add_release(parser)
     parser.add_argument(
@@ -87,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
         names,
         plan=launch_of(recorded, scene),
         touches=touches,
-        until=float("inf") if options.until is None else options.until,
+        until=options.until,
         starts=options.starts,
     )
     given, rows = options.release or 0.0, []

@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeVar
 
 from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
@@ -24,6 +24,9 @@ from capture_sim.viewing.source import Opened, distinct_names
 
 if TYPE_CHECKING:
     from capture_sim.recording.read import Run
+
+Read = TypeVar("Read")
+Number = TypeVar("Number", int, float)
 
 #: Of processes that a study starts.
 WORKERS = Range(1, 1024)
@@ -40,36 +43,47 @@ _UNITS = {
 }
 
 
-def _reader(
-    read: Callable[[str], float], allowed: Range, what: str = "a number", unit: str = ""
-) -> Callable[[str], float]:
-    def read_allowed(text: str) -> float:
+def reader(read: Callable[[str], Read], allowed: str) -> Callable[[str], Read]:
+    """Return a reader of an argument, for its ``type=``, that says what is allowed.
+
+    Parameters
+    ----------
+    read
+        Raises ValueError where a text is not allowed.
+    allowed
+        Behind "allowed is".
+    """
+
+    def read_allowed(text: str) -> Read:
         try:
-            value = read(text)
+            return read(text)
         except ValueError:
-            value = math.nan
-        if value not in allowed:
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed is {what} {allowed}{unit}")
-        return value
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed is {allowed}") from None
 
     return read_allowed
 
 
+def _within(value: Number, allowed: Range) -> Number:
+    if value not in allowed:
+        raise ValueError(value)
+    return value
+
+
 def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]:  # noqa: B008
-    """Return a reader of a finite number within a range, for ``type=`` of an argument."""
-    return _reader(float, allowed, unit=unit)
+    """Return a reader of a finite number within a range."""
+    return reader(lambda text: _within(float(text), allowed), f"a number {allowed}{unit}")
 
 
 def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
-    """Return a reader of a whole number within a range, for ``type=`` of an argument."""
+    """Return a reader of a whole number within a range."""
 
     def read(text: str) -> int:
         # the length: Python refuses to convert thousands of digits
         if not text.isascii() or not text.isdecimal() or len(text) > 18:
             raise ValueError(text)
-        return int(text)
+        return _within(int(text), allowed)
 
-    return cast(Callable[[str], int], _reader(read, allowed, "a whole number"))
+    return reader(read, f"a whole number {allowed}")
 
 
 not_negative = number(NOT_NEGATIVE)
@@ -104,8 +118,10 @@ def quantity(text: str, unit: str) -> float:
 
 
 def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
-    """Return a reader of a quantity (``5``, ``5 mm``), in SI, for ``type=`` of an argument."""
-    return _reader(lambda text: quantity(text, unit), allowed, unit=f", in {unit}")
+    """Return a reader of a quantity (``5``, ``5 mm``), in SI."""
+    return reader(
+        lambda text: _within(quantity(text, unit), allowed), f"a number {allowed}, in {unit}"
+    )
 
 
 def add_experiments(parser: argparse.ArgumentParser) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -111,8 +112,14 @@ def write_text(path: Path, text: str) -> Path:
 
 
 def write_json(path: Path, data: Any) -> Path:
-    """Write data as JSON; return the path."""
-    return write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+    """Write data as JSON, arrays as lists with null for NaN; return the path."""
+
+    def plain(array: np.ndarray) -> object:
+        values = array.astype(object)
+        values[np.isnan(array)] = None
+        return values.tolist()
+
+    return write_text(path, json.dumps(data, indent=2, allow_nan=False, default=plain) + "\n")
 
 
 @contextmanager

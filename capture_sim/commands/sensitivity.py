@@ -7,8 +7,6 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
@@ -23,7 +21,7 @@ from capture_sim.commands.inputs import (
 )
 from capture_sim.commands.output import Progress, drawing, say, say_table, write_json, write_text
 from capture_sim.scene.quantities import Range
-from capture_sim.studies.executors import default_workers, open_executor
+from capture_sim.studies.executors import open_executor
 from capture_sim.studies.sensitivity import (
     QUANTITIES,
     SMOOTH,
@@ -76,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     compile_first()
     all_at_once: Global | None = None
     with (
-        open_executor(options.workers or default_workers(), options.scheduler) as executor,
+        open_executor(options.workers, options.scheduler) as executor,
         Progress() as progress,
     ):
         near = local_sensitivity(
@@ -136,25 +134,11 @@ def _rows(near: Local, flips: str, unsettled: str, digits: int) -> Iterator[list
 
 
 def _numbers(near: Local, all_at_once: Global | None) -> dict[str, Any]:
-    def plain(table: np.ndarray) -> list[list[float | None]]:
-        return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
-
-    kept: dict[str, Any] = {
-        "quantities": [q.name for q in QUANTITIES],
-        "parameters": [dataclasses.asdict(parameter) for parameter in near.parameters],
-        "base": near.base.tolist(),
-        "low": near.low.tolist(),
-        "high": near.high.tolist(),
-        "derivatives": [[dataclasses.asdict(d) for d in row] for row in near.derivatives],
-    }
+    kept = {"quantities": [q.name for q in QUANTITIES], **dataclasses.asdict(near)}
     if all_at_once is not None:
-        kept[all_at_once.method] = {
-            "runs": all_at_once.runs,
-            "captured": all_at_once.captured,
-            "first": plain(all_at_once.first),
-            "total": plain(all_at_once.total),
-            "confidence": plain(all_at_once.confidence),
-        }
+        indices = dataclasses.asdict(all_at_once)
+        del indices["parameters"]
+        kept[indices.pop("method")] = indices
     return kept
 
 

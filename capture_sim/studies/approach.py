@@ -1,13 +1,22 @@
-"""How the chaser comes to the cone: relative angle, lateral offset and speed at the touch."""
+"""How the chaser comes to the cone, and how far that may be off before a capture is lost.
+
+An approach is an angle, a lateral offset and the speed at the touch.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 from capture_sim.errors import SceneError
 from capture_sim.launch.plan import plan_launch, rolling_force, travel_to_touch
 from capture_sim.scene.parts import Initial, PlanarState, Scene
+from capture_sim.scene.quantities import Checked, Range, quantity
+from capture_sim.studies.outcome import run_to_verdict
+
+#: Multiples of a spread that are tried, in order.
+SCALES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 
 
 def placed(
@@ -71,3 +80,66 @@ def other_parts(scene: Scene, other: Scene) -> list[str]:
         for part in fields(Scene)
         if part.name not in free and getattr(scene, part.name) != getattr(other, part.name)
     ]
+
+
+@dataclass(frozen=True)
+class Spread(Checked):
+    """How far approaches differ from the one that is meant.
+
+    Attributes
+    ----------
+    speed : float
+        Part of the speed.
+    offset : float
+        m.
+    angle : float
+        rad.
+
+    Raises
+    ------
+    SceneError
+        A value is out of its range.
+    """
+
+    speed: float = quantity("", Range(0.0, 0.24), default=0.1)
+    offset: float = quantity("m", Range(0.0, 1.0), default=2e-3)
+    angle: float = quantity("rad", Range(0.0, 0.3), default=0.02)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.speed or self.offset or self.angle):
+            raise SceneError("Spread: speed, offset and angle are 0: allowed is one above 0")
+
+
+def corners(spread: Spread) -> list[tuple[float, float, float]]:
+    """Return the corners, edges and faces of the box of a spread: angle, offset, speed each.
+
+    Parts that do not differ are left out, so that nothing is run twice.
+    """
+    sides = [(-v, 0.0, v) if v else (0.0,) for v in (spread.angle, spread.offset, spread.speed)]
+    return [(a, o, s) for a, o, s in itertools.product(*sides) if a or o or s]
+
+
+def captures(scene: Scene, spread: Spread, scale: float) -> bool:
+    """Whether every approach on the surface of ``scale`` times the spread ends in a capture."""
+    angle, offset, speed = approach_of(scene)
+    for d_angle, d_offset, d_speed in corners(spread):
+        off = placed(
+            scene, angle + scale * d_angle, offset + scale * d_offset, speed * (1 + scale * d_speed)
+        )
+        if off is None:
+            return False
+        outcome = run_to_verdict(off)
+        if outcome.failed or not outcome.captured:
+            return False
+    return True
+
+
+def margin_of(scene: Scene, spread: Spread) -> float:
+    """Return how many times a spread the approach may be off with every capture kept.
+
+    Of the multiples in :data:`SCALES`, the last before the first that loses a capture at a
+    corner, edge or face of the box; 0 if the smallest does.
+    """
+    kept = itertools.takewhile(lambda scale: captures(scene, spread, scale), SCALES)
+    return max(kept, default=0.0)

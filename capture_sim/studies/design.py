@@ -22,16 +22,20 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
+from scipy import ndimage
 from scipy.optimize import minimize, root
 
 from capture_sim.bench import Bench
 from capture_sim.detection.exact import CaptureState
-from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.approach import approach_of
-from capture_sim.studies.capture_margin import Spread, margin_of
-from capture_sim.studies.first_contact import FirstContact, run_first_contact
-from capture_sim.studies.verdict import Outcome, run_to_verdict
+from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
+from capture_sim.studies.approach import Spread, approach_of, margin_of
+from capture_sim.studies.outcome import (
+    FirstContact,
+    Outcome,
+    run_first_contact,
+    run_to_verdict,
+)
 
 #: Relative error of a stroke at which the search for springs ends, and up to which it is met.
 CLOSE, ACCEPTED = 2e-5, 0.01
@@ -51,7 +55,7 @@ _SIDE = 3  # dampers on each side of the middle whose margin is computed
 
 
 @dataclass(frozen=True)
-class DesignTarget:
+class DesignTarget(Checked):
     """What the buffer is to do.
 
     Attributes
@@ -71,19 +75,11 @@ class DesignTarget:
         A value is out of its range.
     """
 
-    axial_stroke: float
-    torsion: float
+    axial_stroke: float = quantity("m", Range(1e-6, 1.0))
+    torsion: float = quantity("rad", Range(1e-6, 1.0))
     damped: bool = False
-    peak_force: float | None = None
+    peak_force: float | None = quantity("N", POSITIVE, default=None)
     spread: Spread | None = None
-
-    def __post_init__(self) -> None:
-        for name, unit in (("axial_stroke", "m"), ("torsion", "rad")):
-            value = getattr(self, name)
-            if not 1e-6 <= value <= 1.0:
-                raise SceneError(f"{name} = {value!r} {unit}: allowed is >= 1e-06 and <= 1")
-        if self.peak_force is not None and not 0.0 < self.peak_force < math.inf:
-            raise SceneError(f"peak_force = {self.peak_force!r} N: allowed is > 0")
 
 
 @dataclass(frozen=True)
@@ -179,6 +175,10 @@ class Springs:
     def met(self) -> bool:
         """Whether both strokes are as required."""
         return self.error <= ACCEPTED
+
+    def in_scene(self, scene: Scene, c_A: float) -> Scene:
+        """Return a scene with these springs and a damper (N s/m)."""
+        return with_buffer(scene, self.k_A, self.k_T, c_A)
 
 
 @dataclass(frozen=True)
@@ -373,17 +373,11 @@ class _Flow:
         limit = self.target.peak_force
         return limit is None or damper.outcome.peak_force <= limit
 
-    def widest(self, tried: Sequence[_Damper | None]) -> tuple[int, int] | None:
-        """Return first and last index of the longest run of good dampers."""
-        runs = [
-            [n for n, _ in group]
-            for good, group in itertools.groupby(
-                enumerate(map(self.good, tried)), key=lambda pair: pair[1]
-            )
-            if good
-        ]
-        longest = max(runs, key=len, default=None)
-        return None if longest is None else (longest[0], longest[-1])
+    def widest(self, tried: Sequence[_Damper | None]) -> slice | None:
+        """Return where the longest run of good dampers is."""
+        labels, _ = ndimage.label([self.good(one) for one in tried])
+        runs = [run for (run,) in ndimage.find_objects(labels)]
+        return max(runs, key=lambda run: run.stop - run.start, default=None)
 
     def closer(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
         """Return dampers between those tried, next to the promising ones.
@@ -457,21 +451,19 @@ def design_buffer(
     if interval is None:
         nearest = min(judged, key=lambda one: one.outcome.nearest, default=None)
         return _refused(flow, _no_damper(flow, judged, springs), springs, nearest)
-    low, high = (tried[n] for n in interval)
-    assert low is not None
-    assert high is not None
-    if interval[0] > 0:
-        low = flow.edge(low, grid[interval[0] - 1])
-    if interval[1] < len(grid) - 1:
-        high = flow.edge(high, grid[interval[1] + 1])
-    chosen, margin = _choose(flow, low, high, tried[interval[0] : interval[1] + 1])
-    k_A, k_T = chosen.springs.k_A, chosen.springs.k_T
-    final = with_buffer(scene, k_A, k_T, chosen.c_A)
+    good = [one for one in tried[interval] if one is not None]
+    low, high = good[0], good[-1]
+    if interval.start > 0:
+        low = flow.edge(low, grid[interval.start - 1])
+    if interval.stop < len(grid):
+        high = flow.edge(high, grid[interval.stop])
+    chosen, margin = _choose(flow, low, high, good)
+    final = chosen.springs.in_scene(scene, chosen.c_A)
     return Design(
         target,
         "",
         final,
-        undamped=run_first_contact(with_buffer(scene, k_A, k_T, 0.0)),
+        undamped=run_first_contact(chosen.springs.in_scene(scene, 0.0)),
         damped=run_first_contact(final),
         outcome=chosen.outcome,
         capturing=(low.c_A, high.c_A),
@@ -482,7 +474,7 @@ def design_buffer(
 
 
 def _choose(
-    flow: _Flow, low: _Damper, high: _Damper, between: Sequence[_Damper | None]
+    flow: _Flow, low: _Damper, high: _Damper, between: Sequence[_Damper]
 ) -> tuple[_Damper, float | None]:
     """Return the damper to take, and its margin if a spread is given.
 
@@ -497,32 +489,26 @@ def _choose(
     middle = math.sqrt(max(low.c_A, SHARES[1] * critical) * top)
     if spread is None:
         one = flow.damper(middle, low.springs)
-        good = [d for d in (one, low, high, *between) if d is not None and flow.good(d)]
-        return min(good, key=lambda d: abs(d.c_A - middle)), None
+        captures = [d for d in (one, low, high, *between) if d is not None and flow.good(d)]
+        return min(captures, key=lambda d: abs(d.c_A - middle)), None
     shares = np.linspace(0.0, 1.0, _SIDE + 1)
-    around = [*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)]
-    best: tuple[_Damper, float] | None = None
-    for c_A in dict.fromkeys(sorted(map(float, around), key=lambda c: abs(c - middle))):
-        one = flow.damper(c_A, low.springs)
-        if one is None or not flow.good(one):
-            continue
-        scene = with_buffer(flow.scene, one.springs.k_A, one.springs.k_T, c_A)
-        margin = margin_of(scene, spread)
-        if best is None or margin > best[1]:
-            best = (one, margin)
-    assert best is not None  # low itself is good
-    return best
+    around = {*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)}
+    nearest_first = sorted(map(float, around), key=lambda c_A: abs(c_A - middle))
+    tried = [flow.damper(c_A, low.springs) for c_A in nearest_first]
+    good = [one for one in tried if one is not None and flow.good(one)]  # low at least
+    margins = [margin_of(one.springs.in_scene(flow.scene, one.c_A), spread) for one in good]
+    best = int(np.argmax(margins))
+    return good[best], margins[best]
 
 
 def _refused(flow: _Flow, why: str, springs: Springs, nearest: _Damper | None) -> Design:
     history = tuple(flow.history)
-    if nearest is not None:
-        own = nearest.springs
-        scene = with_buffer(flow.scene, own.k_A, own.k_T, nearest.c_A)
-        return Design(flow.target, why, scene, outcome=nearest.outcome, history=history)
-    found = springs.contact.touches > 0
-    scene = with_buffer(flow.scene, springs.k_A, springs.k_T, 0.0)
-    return Design(flow.target, why, scene if found else None, history=history)
+    if nearest is None:
+        found = springs.contact.touches > 0
+        scene = springs.in_scene(flow.scene, 0.0) if found else None
+        return Design(flow.target, why, scene, history=history)
+    scene = nearest.springs.in_scene(flow.scene, nearest.c_A)
+    return Design(flow.target, why, scene, outcome=nearest.outcome, history=history)
 
 
 def _no_springs(target: DesignTarget, springs: Springs) -> str:

@@ -24,11 +24,19 @@ import numpy as np
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import POSITIVE, Range, refuse
 from capture_sim.studies.approach import placed
-from capture_sim.studies.verdict import run_to_verdict
+from capture_sim.studies.outcome import run_to_verdict
 
-#: The axes, in the order of a row's columns: name, unit.
-AXES = (("angle", "rad"), ("offset", "m"), ("speed", "m/s"))
+#: The axes, in the order of a row's columns: name, unit, and what their values may be.
+AXES = (
+    ("angle", "rad", Range(-math.pi / 2, math.pi / 2)),
+    ("offset", "m", Range(-10.0, 10.0)),
+    ("speed", "m/s", Range(1e-4, 10.0)),
+)
+
+_CELLS = Range(1, 1000)  # of a range, at the coarsest level
+_LEVELS = Range(0, 10)
 
 #: One run of the map.  ``verdict`` and ``finer_verdict`` are numbers of CaptureState.
 ROW = np.dtype(
@@ -120,26 +128,20 @@ class Plan:
     horizon: float = 5.0
 
     def __post_init__(self) -> None:
-        for name, unit in AXES:
-            _check_axis(name, unit, getattr(self, name))
+        for name, unit, allowed in AXES:
+            _check_axis(name, unit, allowed, getattr(self, name))
         if sum(isinstance(axis, Slices) for axis in self._axes) != 1:
             raise SceneError(
                 "angle, offset, speed: allowed is a list of values for one of them and "
                 "LOW:HIGH:CELLS for the other two"
             )
-        for name, low, high in (("levels", 0, 10), ("runs", 1, 10**8)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise SceneError(f"{name} = {value!r}: allowed is >= {low} and <= {high}")
-        if not self.horizon > 0.0:
-            raise SceneError(f"horizon = {self.horizon!r} s: allowed is > 0")
-        if not self.run_up > 0.0:
-            raise SceneError(f"run_up = {self.run_up!r} m: allowed is > 0")
-        if self.runs < self._coarsest:
-            raise SceneError(
-                f"runs = {self.runs!r}: allowed is >= {self._coarsest}, the points of the "
-                "coarsest grid"
-            )
+        if self.levels not in _LEVELS:
+            raise refuse("levels", self.levels, "", _LEVELS)
+        if self.run_up not in POSITIVE:
+            raise refuse("run_up", self.run_up, "m", POSITIVE)
+        coarsest = len(self.slices) * math.prod(span.cells + 1 for _, span in self.plane)
+        if self.runs not in (allowed := Range(coarsest, 10**8)):
+            raise refuse("runs", self.runs, "", f"{allowed}: so many points has the coarsest grid")
         self.base  # checks rtol and horizon before anything runs  # noqa: B018
 
     @property
@@ -163,10 +165,6 @@ class Plan:
         """The two refined axes with their numbers, in order."""
         i, j = ((n, axis) for n, axis in enumerate(self._axes) if isinstance(axis, Span))
         return i, j
-
-    @property
-    def _coarsest(self) -> int:
-        return len(self.slices) * math.prod(span.cells + 1 for _, span in self.plane)
 
     @cached_property
     def base(self) -> Scene:
@@ -203,21 +201,28 @@ class Plan:
         ]
 
 
-def _check_axis(name: str, unit: str, axis: Span | Slices) -> None:
-    low = {"angle": -math.pi / 2, "offset": -10.0, "speed": 1e-4}[name]
-    high = {"angle": math.pi / 2, "offset": 10.0, "speed": 10.0}[name]
+def _check_axis(name: str, unit: str, allowed: Range, axis: Span | Slices) -> None:
     values = axis.values if isinstance(axis, Slices) else (axis.low, axis.high)
     for value in values:
-        if not low <= value <= high:
-            raise SceneError(f"{name} = {value!r} {unit}: allowed is >= {low:g} and <= {high:g}")
+        if value not in allowed:
+            raise refuse(name, value, unit, allowed)
     if not values or list(values) != sorted(set(values)):
         raise SceneError(f"{name} = {values!r} {unit}: allowed are ascending values")
-    if isinstance(axis, Span) and not 1 <= axis.cells <= 1000:
-        raise SceneError(f"{name}: {axis.cells!r} cells: allowed is >= 1 and <= 1000")
+    if isinstance(axis, Span) and axis.cells not in _CELLS:
+        raise SceneError(f"{name}: {axis.cells!r} cells: allowed is {_CELLS}")
 
 
-def evaluate(plan: Plan, keys: Sequence[Key], rtol: float) -> np.ndarray:
+def evaluate(plan: Plan, keys: Sequence[Key], rtol: float, *, check: bool = False) -> np.ndarray:
     """Run points of a map to their verdicts, here and now.
+
+    Parameters
+    ----------
+    plan, keys
+        The map, and which of its points.
+    rtol
+        Of the runs.
+    check
+        Whether these are the runs at half the tolerance.
 
     Returns
     -------
@@ -225,6 +230,7 @@ def evaluate(plan: Plan, keys: Sequence[Key], rtol: float) -> np.ndarray:
         (n,) of dtype ROW, in the order of ``keys``.
     """
     rows = np.zeros(len(keys), ROW)
+    rows["checked"] = check
     base = replace(plan.base, run=replace(plan.base.run, rtol=rtol))
     for row, key in zip(rows, keys, strict=True):
         row["slice"], row["i"], row["j"] = key

@@ -7,6 +7,7 @@ as what is run depends on verdicts alone, it ends in the same rows.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -21,27 +22,23 @@ from capture_sim import __version__
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.kernels import source_hash
 from capture_sim.launch.scenes import load_scene_text
-from capture_sim.studies.envelope import ROW, Envelope, Key, Plan, Slices, Span, evaluate, explore
+from capture_sim.studies.envelope import AXES, ROW, Key, Plan, Slices, Span, evaluate
 from capture_sim.studies.executors import answers
 
 #: Points in a chunk: some tenths of a second of work.
 CHUNK = 32
 
 
+#: Fields of a plan: its axes, and its numbers.
+_AXES = tuple(name for name, _, _ in AXES)
+_NUMBERS = ("levels", "runs", "rtol", "run_up", "horizon")
+
+
 def plan_to_mapping(plan: Plan) -> dict[str, Any]:
     """Return a plan as plain data that gives it again, exactly."""
-    mapping: dict[str, Any] = {"capture_sim": __version__}
-    for name in ("angle", "offset", "speed"):
-        axis = getattr(plan, name)
-        mapping[name] = (
-            {"values": list(axis.values)}
-            if isinstance(axis, Slices)
-            else {"low": axis.low, "high": axis.high, "cells": axis.cells}
-        )
-    for name in ("levels", "runs", "rtol", "run_up", "horizon"):
-        mapping[name] = getattr(plan, name)
-    mapping["scene"] = plan.scene.to_yaml()
-    return mapping
+    axes = {name: dataclasses.asdict(getattr(plan, name)) for name in _AXES}
+    numbers = {name: getattr(plan, name) for name in _NUMBERS}
+    return {"capture_sim": __version__, **axes, **numbers, "scene": plan.scene.to_yaml()}
 
 
 def plan_from_mapping(mapping: dict[str, Any]) -> Plan:
@@ -57,18 +54,12 @@ def plan_from_mapping(mapping: dict[str, Any]) -> Plan:
             name: Slices(tuple(mapping[name]["values"]))
             if "values" in mapping[name]
             else Span(**mapping[name])
-            for name in ("angle", "offset", "speed")
+            for name in _AXES
         }
-        numbers = {name: mapping[name] for name in ("levels", "runs", "rtol", "run_up", "horizon")}
+        numbers = {name: mapping[name] for name in _NUMBERS}
         return Plan(load_scene_text(mapping["scene"]), **axes, **numbers)
     except (KeyError, TypeError) as error:
         raise SceneError(f"plan of an envelope: {error} is missing or not understood") from None
-
-
-def _chunk(plan: Plan, keys: Sequence[Key], rtol: float, check: bool) -> np.ndarray:
-    rows = evaluate(plan, keys, rtol)
-    rows["checked"] = check
-    return rows
 
 
 class KeptRuns:
@@ -115,12 +106,12 @@ class KeptRuns:
                     f"{path}: holds runs of another plan or version; remove it, or choose "
                     "another --out"
                 )
-            whole = max(len(kept) - len(head), 0) // ROW.itemsize
-            rows = np.frombuffer(kept, ROW, whole, len(head)) if whole else np.zeros(0, ROW)
+            whole = max(len(kept) - len(head), 0) // ROW.itemsize * ROW.itemsize
+            rows = np.frombuffer(kept[len(head) : len(head) + whole], ROW)
             if len(kept) < len(head):
                 path.write_bytes(head)
             else:
-                os.truncate(path, len(head) + rows.nbytes)  # half a row at the end is lost
+                os.truncate(path, len(head) + whole)  # half a row at the end is lost
         except OSError as error:
             raise RecordingError(f"{path}: cannot be used: {error.strerror}") from None
         self._kept = {(bool(row["checked"]), *_key(row)): row for row in rows}
@@ -132,18 +123,14 @@ class KeptRuns:
         missing = [key for key in keys if (check, *key) not in self._kept]
         done = len(keys) - len(missing)
         chunks = [missing[start : start + CHUNK] for start in range(0, len(missing), CHUNK)]
-        work = partial(_chunk, self._plan, rtol=rtol, check=check)
-        for _, rows in answers(self._executor, work, chunks):
+        work = partial(evaluate, self._plan, rtol=rtol, check=check)
+        for rows in answers(self._executor, work, chunks):
             self._keep(rows)
             self._kept.update({(check, *_key(row)): row for row in rows})
             done += len(rows)
             if self._report is not None:
                 self._report(name, done, len(keys))
-        found = np.zeros(len(keys), ROW)
-        for place, key in enumerate(keys):
-            found[place] = self._kept[check, *key]
-        found["checked"] = False
-        return found
+        return np.array([self._kept[check, *key] for key in keys], ROW)
 
     def _keep(self, rows: np.ndarray) -> None:
         try:
@@ -159,13 +146,3 @@ class KeptRuns:
 
 def _key(row: np.void) -> Key:
     return int(row["slice"]), int(row["i"]), int(row["j"])
-
-
-def map_envelope(
-    plan: Plan,
-    executor: Executor,
-    path: Path,
-    report: Callable[[str, int, int], None] | None = None,
-) -> Envelope:
-    """Map an envelope with its runs kept in a file; see :class:`KeptRuns`."""
-    return explore(plan, KeptRuns(plan, executor, path, report))

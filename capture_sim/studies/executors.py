@@ -1,7 +1,6 @@
 """Where independent runs are done: here, in processes, or on a Dask cluster.
 
-All are executors of ``concurrent.futures``; what is done with the answers must not depend on
-their order.
+All are executors of ``concurrent.futures``.
 """
 
 from __future__ import annotations
@@ -10,15 +9,13 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
-    FIRST_COMPLETED,
     BrokenExecutor,
     CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
-    wait,
 )
 from contextlib import contextmanager
 from typing import Any
@@ -27,22 +24,17 @@ from urllib.parse import urlsplit
 from capture_sim.bench import compile_kernels
 from capture_sim.errors import CaptureSimError
 
-#: Tasks handed to an executor at a time.
-_AHEAD = 64
-
 
 class ExecutorError(CaptureSimError):
     """The workers cannot be had, or were lost."""
 
 
 class InProcess(Executor):
-    """Does each task here, when it is submitted."""
+    """Does each task here, when its answer is asked for."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Return the answer; an error of the task is raised at once."""
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+    def map(self, fn: Callable[..., Any], *iterables: Iterable[Any], **_: Any) -> Iterator[Any]:
+        """Return the answers in the order of the arguments."""
+        return map(fn, *iterables)
 
 
 class _Processes(ProcessPoolExecutor):
@@ -72,19 +64,14 @@ def _begin_worker() -> None:
     compile_kernels()
 
 
-def default_workers() -> int:
-    """Return how many processes this one may use the cores of."""
-    return len(os.sched_getaffinity(0))
-
-
 @contextmanager
-def open_executor(workers: int = 1, scheduler: str | None = None) -> Iterator[Executor]:
+def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
     """Give an executor for a while.
 
     Parameters
     ----------
     workers
-        Processes; 1 stays in this one.
+        Processes; 1 stays in this one, None takes one for each core that this one may use.
     scheduler
         Address of a Dask scheduler, as ``tcp://127.0.0.1:8786``; then ``workers`` counts nothing.
 
@@ -93,6 +80,7 @@ def open_executor(workers: int = 1, scheduler: str | None = None) -> Iterator[Ex
     ExecutorError
         The cluster does not answer, has no workers, or Dask is not installed.
     """
+    workers = workers or len(os.sched_getaffinity(0))
     if scheduler is not None:
         with _dask_client(scheduler) as client:
             yield client.get_executor(pure=False)
@@ -130,51 +118,32 @@ def _dask_client(address: str) -> Any:
 
 
 def answers(
-    executor: Executor, function: Callable[[Any], Any], arguments: Sequence[Any]
-) -> Iterator[tuple[int, Any]]:
-    """Yield (place in ``arguments``, answer) as they come.
+    executor: Executor,
+    function: Callable[[Any], Any],
+    arguments: Sequence[Any],
+    report: Callable[[int, int], None] | None = None,
+) -> Iterator[Any]:
+    """Yield the answers in the order of the arguments, each as soon as those before it are there.
+
+    ``report`` is called with how many of how many are done.
 
     Raises
     ------
     ExecutorError
         The workers were lost.
     """
-    ahead = 1 if isinstance(executor, InProcess) else _AHEAD
-    places = iter(range(len(arguments)))
-    running: dict[Future[Any], int] = {}
     try:
-        while True:
-            while len(running) < ahead and (place := next(places, None)) is not None:
-                running[executor.submit(function, arguments[place])] = place
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
+        for done, answer in enumerate(executor.map(function, arguments), 1):
+            if report is not None:
+                report(done, len(arguments))
+            yield answer
     except Exception as error:
         # Dask's own, as KilledWorker, are known only where Dask is installed
         if not isinstance(error, (BrokenExecutor, CancelledError)) and (
             type(error).__module__.partition(".")[0] != "distributed"
         ):
             raise
+        first_line = str(error).partition("\n")[0] or type(error).__name__
         raise ExecutorError(
-            f"the workers were lost ({_first_line(error)}); start again to go on from there"
+            f"the workers were lost ({first_line}); start again to go on from there"
         ) from None
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
-
-
-def ordered(
-    executor: Executor,
-    function: Callable[[Any], Any],
-    arguments: Sequence[Any],
-    report: Callable[[int], None] | None = None,
-) -> list[Any]:
-    """Return the answers in the order of the arguments; ``report`` is called with 1 for each."""
-    found: list[Any] = [None] * len(arguments)
-    for place, answer in answers(executor, function, arguments):
-        found[place] = answer
-        if report is not None:
-            report(1)
-    return found

@@ -27,9 +27,8 @@ from capture_sim.scene.paths import changed
 from capture_sim.simulation import Result, simulate
 from capture_sim.studies.approach import placed
 from capture_sim.studies.design import DesignTarget, design_buffer
-from capture_sim.studies.executors import ordered
-from capture_sim.studies.first_contact import run_first_contact
-from capture_sim.studies.verdict import run_to_verdict
+from capture_sim.studies.executors import answers
+from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_verdict
 
 #: The cases with a verdict in the paper: whether it says captured.
 CASES = {
@@ -96,6 +95,14 @@ class Assumption:
     values: tuple[float | str, ...]
     stated: str
     assumed: float | str
+
+    @property
+    def tried(self) -> str:
+        """What is tried, in words."""
+        if isinstance(self.values[0], str):
+            return f"{len(self.values)} laws"
+        low, high = (float(end(self.values)) * self.factor for end in (min, max))
+        return f"{low:.4g} to {high:.4g} {self.unit}".rstrip()
 
 
 def _even(low: float, high: float, count: int) -> tuple[float, ...]:
@@ -167,21 +174,13 @@ OPEN = (
 )
 
 
-class Point(NamedTuple):
-    """What came of a case with some of its values changed."""
-
-    captured: bool
-    verdict: str
-    nearest: float  # m
-
-
 @cache
 def _far_scene(case: str) -> Scene:
     """Return a case with the target so far off that no assumption puts the tip into the cone."""
     return load_scene(case, ["initial.target.x=2.0"])
 
 
-def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Point:
+def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Outcome:
     """Run a case with fields changed, approached as the paper does, until its verdict."""
     case, values = task
     b, scene = _B, _far_scene(case)
@@ -194,8 +193,7 @@ def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Point:
     beside = cone.R_c + b * math.sin(cone.half_angle) - tip * math.cos(cone.half_angle)
     near = placed(scene, 0.0, -beside, _SPEED, _RUN_UP)
     assert near is not None  # every b tried lies on the wall
-    outcome = run_to_verdict(near, rtol=_RTOL)
-    return Point(outcome.captured, outcome.verdict.label, outcome.nearest)
+    return run_to_verdict(near, rtol=_RTOL)
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ class Scan:
     """An assumption varied alone: ``points[case]`` in the order of its values."""
 
     assumption: Assumption
-    points: dict[str, list[Point]]
+    points: dict[str, list[Outcome]]
 
     def agrees(self, case: str) -> list[bool]:
         """Return for each value whether the verdict is the paper's."""
@@ -246,7 +244,7 @@ def scan_assumptions(
 ) -> list[Scan]:
     """Vary each assumption alone, in every case."""
     tasks = [(c, ((a.field, value),)) for a in assumptions for c in CASES for value in a.values]
-    points = iter(ordered(executor, run_case, tasks))
+    points = answers(executor, run_case, tasks)
     return [Scan(a, {c: [next(points) for _ in a.values] for c in CASES}) for a in assumptions]
 
 
@@ -259,7 +257,7 @@ def vary_together(executor: Executor, count: int = 192, seed: int = 1) -> Togeth
     values = ends[0] + unit * (ends[1] - ends[0])
     values = np.where(by_log, np.exp(values), values)
     samples = [tuple(zip(fields, row, strict=True)) for row in values.tolist()]
-    points = iter(ordered(executor, run_case, [(c, s) for c in CASES for s in samples]))
+    points = answers(executor, run_case, [(c, s) for c in CASES for s in samples])
     return Together(
         {c: np.array([next(points).captured == says for _ in samples]) for c, says in CASES.items()}
     )
@@ -329,13 +327,8 @@ class Evidence:
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self._runs: dict[str, Result] = {}
-
-    def run(self, name: str) -> Result:
-        """Return one of the paper's cases, run to its end."""
-        if name not in self._runs:
-            self._runs[name] = simulate(scene_of(name))
-        return self._runs[name]
+        #: Returns one of the paper's cases by its name, run to its end.
+        self.run = cache(lambda name: simulate(scene_of(name)))
 
     @cached_property
     def engine(self) -> SecondEngine:

@@ -8,23 +8,22 @@ two runs do not have the same touches, is flagged.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.errors import MissingPackageError, SceneError
+from capture_sim.errors import SceneError
 from capture_sim.launch.scenes import check_scene
 from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
-from capture_sim.studies.executors import ordered
-from capture_sim.studies.first_contact import run_first_contact
-from capture_sim.studies.verdict import run_to_verdict
+from capture_sim.studies.executors import answers
+from capture_sim.studies.outcome import run_first_contact, run_to_verdict
 
 
 class Quantity(NamedTuple):
@@ -242,44 +241,31 @@ def local_sensitivity(
     SceneError
         A parameter is not in the scene, or out of its range within its spread.
     """
-    base = [value_of(scene, p) for p in parameters]
-    spread = [p.reach(v) for p, v in zip(parameters, base, strict=True)]
+    at_scene, reach = _spread(scene, parameters)
     shares = (1.0, *STEPS)
-    tasks: list[Any] = [(scene, parameters, tuple(base))]
-    for number in range(len(parameters)):
-        for share in shares:
-            for sign in (-1.0, 1.0):
-                values = list(base)
-                values[number] += sign * share * spread[number]
-                tasks.append((scene, parameters, tuple(values)))
+    off = np.tile(at_scene, (len(parameters), len(shares), 2, 1))
+    for number, far in enumerate(reach):
+        off[number, :, :, number] += np.outer(shares, (-1.0, 1.0)) * far
+    points = [at_scene, *off.reshape(-1, len(parameters))]
+    tasks = [(scene, parameters, tuple(point.tolist())) for point in points]
     for _, _, values in tasks:
         # says what is out of range before anything runs
         check_scene(changed(scene, parameters, values))
-    answers = _answers(executor, tasks, report)
-    at = np.array([values for values, _ in answers[1:]]).reshape(
-        len(parameters), len(shares), 2, len(QUANTITIES)
-    )
-    touches = np.array([count for _, count in answers[1:]]).reshape(at.shape[:3])
+    (base, _), *found = answers(executor, respond, tasks, report)
+    at = np.array([values for values, _ in found]).reshape(*off.shape[:3], len(QUANTITIES))
+    touches = np.array([count for _, count in found]).reshape(off.shape[:3])
     derivatives = [
-        [
-            _converge(at[p, 1:, :, q], touches[p, 1:], float(answers[0][0][q]))
-            for q in range(len(SMOOTH))
-        ]
+        [_converge(at[p, 1:, :, q], touches[p, 1:], float(base[q])) for q in range(len(SMOOTH))]
         for p in range(len(parameters))
     ]
-    return Local(parameters, answers[0][0], derivatives, at[:, 0, 0], at[:, 0, 1])
+    return Local(parameters, base, derivatives, at[:, 0, 0], at[:, 0, 1])
 
 
-def _answers(
-    executor: Executor, tasks: Sequence[Any], report: Callable[[int, int], None] | None
-) -> list[Any]:
-    done = itertools.count(1)
-
-    def count(_: int) -> None:
-        if report is not None:
-            report(next(done), len(tasks))
-
-    return ordered(executor, respond, tasks, count)
+def _spread(scene: Scene, parameters: Sequence[Parameter]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parameters' values in a scene (p,) and how far they may be off (p,), SI."""
+    values = [value_of(scene, parameter) for parameter in parameters]
+    reach = [parameter.reach(v) for parameter, v in zip(parameters, values, strict=True)]
+    return np.array(values), np.array(reach)
 
 
 def _converge(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
@@ -298,21 +284,20 @@ def _converge(ends: np.ndarray, touches: np.ndarray, base: float) -> Derivative:
 
 
 def check_method(method: str, samples: int) -> None:
-    """Raise SceneError for a method or a number of samples that there is not.
+    """Check the method, the number of its samples, and that SALib is there.
 
     Raises
     ------
-    MissingPackageError
+    SceneError
+        It is none of them, or out of its range.
+    ImportError
         SALib is not installed.
     """
     if method not in ("morris", "sobol"):
         raise SceneError(f"method = {method!r}: allowed is morris or sobol")
     if not 4 <= samples <= 65536 or (method == "sobol" and samples & (samples - 1)):
         raise SceneError(f"samples = {samples!r}: allowed is >= 4, with sobol a power of 2")
-    try:
-        import SALib  # noqa: F401
-    except ImportError:
-        raise MissingPackageError("Morris and Sobol need SALib: pip install SALib") from None
+    import SALib  # noqa: F401
 
 
 def global_sensitivity(
@@ -347,8 +332,7 @@ def global_sensitivity(
     from SALib.sample import sobol as sobol_sample
 
     check_method(method, samples)
-    base = np.array([value_of(scene, p) for p in parameters])
-    reach = np.array([p.reach(v) for p, v in zip(parameters, base.tolist(), strict=True)])
+    base, reach = _spread(scene, parameters)
     problem = {
         "num_vars": len(parameters),
         "names": [parameter.name for parameter in parameters],
@@ -356,23 +340,17 @@ def global_sensitivity(
     }
     if method == "morris":
         points = morris_sample.sample(problem, samples, seed=seed)
+        analyze = partial(morris_analysis.analyze, problem, points, seed=seed)
+        names = ("sigma", "mu_star", "mu_star_conf")
     else:
         points = sobol_sample.sample(problem, samples, calc_second_order=False, seed=seed)
+        analyze = partial(sobol_analysis.analyze, problem, calc_second_order=False, seed=seed)
+        names = ("S1", "ST", "ST_conf")
     tasks = [(scene, parameters, tuple(point)) for point in points.tolist()]
-    answers = np.array([values for values, _ in _answers(executor, tasks, report)])
-    shape = (len(parameters), len(QUANTITIES))
-    first, total, confidence = (np.full(shape, math.nan) for _ in range(3))
-    for q in range(len(QUANTITIES)):
-        column = answers[:, q]
-        if np.ptp(column) == 0.0:
-            continue
-        if method == "morris":
-            found = morris_analysis.analyze(problem, points, column, seed=seed)
-            names = ("sigma", "mu_star", "mu_star_conf")
-        else:
-            found = sobol_analysis.analyze(problem, column, calc_second_order=False, seed=seed)
-            names = ("S1", "ST", "ST_conf")
-        for table, name in zip((first, total, confidence), names, strict=True):
-            table[:, q] = np.asarray(found[name], dtype=float)
-    captured = float(np.mean(answers[:, -1]))
+    found = np.array([values for values, _ in answers(executor, respond, tasks, report)])
+    first, total, confidence = np.full((3, len(parameters), len(QUANTITIES)), math.nan)
+    for q in np.flatnonzero(np.ptp(found, axis=0)):
+        indices = analyze(found[:, q])
+        first[:, q], total[:, q], confidence[:, q] = (indices[name] for name in names)
+    captured = float(np.mean(found[:, -1]))
     return Global(method, parameters, first, total, confidence, len(tasks), captured)

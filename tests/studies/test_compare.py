@@ -10,25 +10,12 @@ from recorded_bags import BENCH_TOPICS, rewritten
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
-from capture_sim.recording.measured import first_contact, measurements
+from capture_sim.recording.measured import first_contact
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.studies.compare import gaps
 from capture_sim.studies.measurements import Measurements, Series
 from capture_sim.viewing.studies import draw_touches, impulse_so_far
-
-
-def test_comparison_with_itself_and_with_another_run(path, other):
-    one, two = read_run(path), read_run(other)
-    at, at_other = first_contact(one), first_contact(two)
-    same = gaps(measurements(one), measurements(one), at, at, 1.0)
-    assert [f"{gap.series}.{gap.part.label}" for gap in same] == [
-        *("chaser.x", "chaser.y", "chaser.theta", "target.x", "target.y", "target.theta"),
-        *("stroke.", "torsion."),
-    ]
-    assert all(gap.largest == 0.0 for gap in same)
-    different = gaps(measurements(one), measurements(two), at, at_other, 1.0)
-    assert next(gap for gap in different if gap.series == "stroke").rms > 1e-4
 
 
 def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):

@@ -9,10 +9,8 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.errors import SceneError
 from capture_sim.results import first_cluster
-from capture_sim.studies.approach import placed
-from capture_sim.studies.capture_margin import Spread, captures, corners, margin_of
+from capture_sim.studies.approach import Spread, captures, corners, margin_of, placed
 from capture_sim.studies.design import (
     DesignTarget,
     design_buffer,
@@ -20,7 +18,7 @@ from capture_sim.studies.design import (
     find_springs,
     with_buffer,
 )
-from capture_sim.studies.first_contact import run_first_contact
+from capture_sim.studies.outcome import run_first_contact
 
 
 @pytest.fixture(scope="module")
@@ -171,36 +169,6 @@ def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
     found = find_springs(paper, target, 0.0, (500.0, 200.0), thorough=False, report=tried.append)
     assert not found.met
     assert len(tried) <= 26
-
-
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--stroke=5"], "--stroke (mm), --torsion (mrad): allowed is both or none"),
-        (["--stroke=0", "--torsion=1"], "--stroke: '0': allowed is a number > 0, in mm"),
-        (["--stroke=5", "--torsion=nan"], "--torsion: 'nan': allowed is a number > 0, in mrad"),
-        (["--peak-force=-1"], "--peak-force: '-1': allowed is a number > 0, in N"),
-        (["--spread=1,2"], "--spread 1,2: allowed is %,mm,deg"),
-        (["--spread=50,1,1"], "spread.speed = 0.5: allowed is >= 0 and <= 0.24"),
-        (["--spread=0,0,0"], "allowed is one above 0"),
-        (["--trade-off=3:1:5"], "--trade-off 3:1:5"),
-    ],
-)
-def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["design", *arguments]) == 2
-    answer = capsys.readouterr().err
-    assert said in answer
-    assert answer.count("\n") == 1
-
-
-def test_bad_targets_name_the_value():
-    with pytest.raises(SceneError, match=r"torsion = 2\.0 rad: allowed is"):
-        DesignTarget(1e-3, 2.0)
-    with pytest.raises(SceneError, match=r"axial_stroke = 0\.0 m: allowed is >= 1e-06"):
-        DesignTarget(0.0, 2e-3)
-    with pytest.raises(SceneError, match=r"peak_force = -1\.0 N: allowed is > 0"):
-        DesignTarget(1e-3, 2e-3, peak_force=-1.0)
 
 
 def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):

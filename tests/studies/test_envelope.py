@@ -21,14 +21,9 @@ from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import read_envelope, write_envelope
 from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.envelope import ROW, Plan, Slices, Span, evaluate, explore, replay
-from capture_sim.studies.envelope_runs import (
-    KeptRuns,
-    map_envelope,
-    plan_from_mapping,
-    plan_to_mapping,
-)
-from capture_sim.studies.executors import ExecutorError, InProcess, open_executor, ordered
-from capture_sim.studies.verdict import run_to_verdict
+from capture_sim.studies.envelope_runs import KeptRuns, plan_from_mapping
+from capture_sim.studies.executors import ExecutorError, InProcess, answers, open_executor
+from capture_sim.studies.outcome import run_to_verdict
 
 
 def plan(levels=1, runs=10_000, cells=3):
@@ -149,7 +144,7 @@ def test_offset_and_angle_mirrored_give_the_mirrored_map():
 def alone(tmp_path_factory):
     """A small map, run in this process; and its file."""
     folder = tmp_path_factory.mktemp("alone")
-    e = map_envelope(plan(), InProcess(), folder / "e.runs")
+    e = explore(plan(), KeptRuns(plan(), InProcess(), folder / "e.runs"))
     return e, write_envelope(e, folder / "e.parquet").read_bytes()
 
 
@@ -174,14 +169,17 @@ def test_any_reader_has_table_units_and_plan(alone, tmp_path):
     stored = json.loads(table.schema.metadata[b"capture_sim.envelope"])
     assert plan_from_mapping(stored) == plan()
     assert "c_rr" in stored["scene"]
+    with pytest.raises(SceneError, match="plan of an envelope: 'offset' is missing"):
+        plan_from_mapping({"angle": stored["angle"]})
 
 
 def test_two_processes_give_the_same_file(alone, tmp_path):
     with open_executor(2) as executor:
-        e = map_envelope(plan(), executor, tmp_path / "e.runs")
+        e = explore(plan(), KeptRuns(plan(), executor, tmp_path / "e.runs"))
         told = []  # answers come back in order
-        assert ordered(executor, math.sqrt, [4.0, 9.0, 16.0], told.append) == [2.0, 3.0, 4.0]
-        assert told == [1, 1, 1]
+        found = answers(executor, math.sqrt, [4.0, 9.0, 16.0], lambda *done: told.append(done))
+        assert list(found) == [2.0, 3.0, 4.0]
+        assert told == [(1, 3), (2, 3), (3, 3)]
     assert write_envelope(e, tmp_path / "e.parquet").read_bytes() == alone[1]
 
 
@@ -197,7 +195,7 @@ def test_a_dask_cluster_gives_the_same_file(alone, tmp_path):
         ) as cluster,
         open_executor(scheduler=cluster.scheduler_address) as executor,
     ):
-        e = map_envelope(plan(), executor, tmp_path / "e.runs")
+        e = explore(plan(), KeptRuns(plan(), executor, tmp_path / "e.runs"))
     assert write_envelope(e, tmp_path / "e.parquet").read_bytes() == alone[1]
 
 
@@ -232,7 +230,7 @@ def test_killed_half_way_and_resumed_gives_the_same_file(tmp_path, capsys):
 
 def test_half_a_row_and_runs_of_another_plan_are_not_taken(tmp_path):
     p, path = plan(0), tmp_path / "e.runs"
-    e = map_envelope(p, InProcess(), path)
+    e = explore(p, KeptRuns(p, InProcess(), path))
     whole = path.read_bytes()
     for lost in (10, len(whole) // 2, len(whole) - 100):
         path.write_bytes(whole[:-lost])
@@ -281,38 +279,6 @@ def test_ctrl_c_ends_the_command_in_a_line(tmp_path):
     assert "Traceback" not in said
 
 
-def test_plans_survive_as_plain_data():
-    p = plan()
-    assert plan_from_mapping(json.loads(json.dumps(plan_to_mapping(p)))) == p
-    with pytest.raises(SceneError, match="plan of an envelope"):
-        plan_from_mapping({"angle": {"low": 0.0}})
-
-
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--angle=0:1"], "--angle 0:1: allowed is LOW:HIGH:CELLS"),
-        (["--angle=-100:1:5"], "angle = -1.745"),
-        (["--speed=0,0.1"], "speed = 0.0 m/s: allowed is >= 0.0001"),
-        (["--speed=0.1:0.2:3"], "a list of values for one of them"),
-        (["--offset=30:-30:3"], "offset = (0.03, -0.03) m: allowed are ascending values"),
-        (["--runs=5"], "runs = 5: allowed is >= 429"),
-        (["--levels=-1"], "--levels: '-1': allowed is a whole number >= 0"),
-        (["--rtol=1"], "rtol = 1.0"),
-        (["--workers=-1"], "--workers"),
-        (["--out=x.csv"], "--out x.csv"),
-        (["--mark", "nowhere"], "nowhere"),
-    ],
-)
-def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["envelope", *arguments]) == 2
-    answer = capsys.readouterr().err
-    assert said in answer
-    assert answer.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_cluster_that_is_not_there_is_said_in_a_line(capsys):
     pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
     with (
@@ -329,5 +295,5 @@ def test_a_worker_that_the_cluster_gave_up_is_one_line():
         raise dask.scheduler.KilledWorker("run-7", SimpleNamespace(address="tcp://127.0.0.1:1"), 3)
 
     with pytest.raises(ExecutorError, match=r"^the workers were lost \(.*\); start again") as lost:
-        ordered(InProcess(), fail, [1])
+        list(answers(InProcess(), fail, [1]))
     assert "\n" not in str(lost.value)

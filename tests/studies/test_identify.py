@@ -116,13 +116,14 @@ def test_touches_behind_the_end_do_not_count():
     assert fit.undetermined == ("buffer.k_A",)  # nothing touches so early
 
 
-def test_noise_of_nothing_is_refused_in_one_line():
-    touches = located(np.zeros(1, TOUCH)).with_noise(0.0, 2.0)
-    scene = capture_sim.load_scene("tilt_0")
-    with pytest.raises(SceneError, match="noise of touches = 0 s, 2 N: allowed is > 0"):
-        identify(scene, Measurements(), ["mu"], touches=touches)
-
-
-def test_nothing_measured_is_refused():
-    with pytest.raises(SceneError, match="nothing to fit to"):
-        identify(capture_sim.load_scene(HERE), Measurements(), ("mu",))
+@pytest.mark.parametrize(
+    "touches, said",
+    [
+        (np.zeros(1, TOUCH), "noise of touches = 0 s, 2 N: allowed is > 0"),
+        (None, "nothing to fit to"),
+    ],
+)
+def test_what_cannot_be_fitted_to_is_refused(touches, said):
+    found = None if touches is None else located(touches).with_noise(0.0, 2.0)
+    with pytest.raises(SceneError, match=said):
+        identify(capture_sim.load_scene(HERE), Measurements(), ["mu"], touches=found)

@@ -88,7 +88,7 @@ def test_a_radius_of_capture_decides_cases_2_and_3(evidence):
 def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
     point = run_case((case, tuple((a.field, a.assumed) for a in ASSUMPTIONS)))
     whole = evidence.run(case)
-    assert point.verdict == whole.verdict.label
+    assert point.verdict is whole.verdict
     final = next((s for s in whole.statuses if s.final), whole.statuses[-1])
     # the run to a verdict goes on for up to 0.2 s; its nearest distance is that of the motion
 

@@ -158,25 +158,6 @@ def test_a_changed_cone_is_still_met_just_so():
     assert first["impact_speed"] == pytest.approx(0.1, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--spread=0"], "--spread: '0': allowed is a number > 0 and <= 50 %"),
-        (["--spread=90"], "--spread: '90': allowed is a number > 0 and <= 50 %"),
-        (["--workers=-1"], "--workers: '-1': allowed"),
-        (["--samples=3"], "samples = 3: allowed is >= 4"),
-        (["--method=sobol", "--samples=20"], "with sobol a power of 2"),
-        (["--set", "friction.mu=-1"], "friction.mu = -1"),
-    ],
-)
-def test_bad_input_is_said_in_a_line(arguments, said, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["sensitivity", *arguments]) == 2
-    answer = capsys.readouterr().err.strip().splitlines()
-    assert said in answer[-1]
-    assert len(answer) == 1
-
-
 def test_unknown_parameters_are_refused():
     with pytest.raises(SceneError, match=r"supports\.c_rr: allowed is a number"):
         value_of(load_scene("tilt_0"), Parameter("supports.c_rr", "1", 0.1))
