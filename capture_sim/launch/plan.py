@@ -19,6 +19,8 @@ import math
 from dataclasses import dataclass
 
 from capture_sim.errors import SceneError
+from capture_sim.kernels import plain
+from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import travel_to_wall
 from capture_sim.scene.parts import Scene
 
@@ -53,12 +55,13 @@ class LaunchPlan:
 def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
     """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
     chaser, target = scene.initial.chaser, scene.initial.target
-    along, across = math.cos(chaser.theta), math.sin(chaser.theta)
-    reach = scene.buffer.hinge_offset + scene.rest_length
-    dx = chaser.x + reach * along - target.x
-    dy = chaser.y + reach * across - target.y
-    c, s = math.cos(target.theta), math.sin(target.theta)
-    return c * dx + s * dy, c * dy - s * dx, c * along + s * across, c * across - s * along
+    s, c = math.sin(chaser.theta), math.cos(chaser.theta)
+    # straight, the buffer is part of the chaser: of length 0 at the tip
+    arm, pose = scene.buffer.hinge_offset + scene.rest_length, (chaser.x, chaser.y)
+    q = (*pose, chaser.theta, chaser.theta, 0.0, target.x, target.y, target.theta)
+    ahead = (c, s, *6 * (0.0,))
+    sine_cosine = (s, c, s, c, math.sin(target.theta), math.cos(target.theta))
+    return plain(tip_motion)((*q, *ahead), arm, *sine_cosine)
 
 
 def travel_to_touch(scene: Scene) -> float:
@@ -128,16 +131,25 @@ def plan_launch(scene: Scene) -> LaunchPlan:
         )
     coast = friction / m
     v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height
+
+    def acceleration(mass: float) -> float:
+        return (mass * g - friction) / (m + mass + pulley)
+
+    if mass is not None and acceleration(mass) <= 0.0:
+        raise SceneError(
+            f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
+            "the mass that overcomes rolling resistance"
+        )
     if height is None:
         assert v is not None
         assert mass is not None
-        a = (mass * g - friction) / (m + mass + pulley)
-        if a <= 0.0:
-            raise SceneError(
-                f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
-                "the mass that overcomes rolling resistance"
-            )
-        height = (v * v + 2.0 * coast * travel) / (2.0 * (a + coast))
+        height = (v * v + 2.0 * coast * travel) / (2.0 * (acceleration(mass) + coast))
+    assert scene.rail is not None
+    if height > scene.rail.length:
+        raise SceneError(
+            f"string.drop_height = {height!r} m: allowed is <= {scene.rail.length:g}, "
+            "rail.length: the mass must land before the rail ends"
+        )
     if mass is None:
         assert v is not None
         # height is at most the travel, so a > 0 whenever v > 0
@@ -149,18 +161,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
                 f"the least that gives {v!r} m/s in free fall"
             )
         mass = (a * (m + pulley) + friction) / (g - a)
-    a = (mass * g - friction) / (m + mass + pulley)
-    if a <= 0.0:
-        raise SceneError(
-            f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
-            "the mass that overcomes rolling resistance"
-        )
-    assert scene.rail is not None
-    if height > scene.rail.length:
-        raise SceneError(
-            f"string.drop_height = {height:.6g} m: allowed is <= {scene.rail.length:g}, "
-            "the length of the rail: the mass must land before the rail ends"
-        )
+    a = acceleration(mass)
     landing = math.sqrt(2.0 * a * height)
     left = landing * landing - 2.0 * coast * (travel - height)
     impact = math.sqrt(left) if left > 0.0 else 0.0

@@ -25,6 +25,7 @@ from capture_sim.scene.files import (
 )
 from capture_sim.scene.parts import Scene, as_mapping
 from capture_sim.scene.paths import with_current_names
+from capture_sim.scene.quantities import refuse
 
 
 def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
@@ -100,71 +101,59 @@ def check_scene(scene: Scene) -> LaunchPlan:
 
 
 def _contact(scene: Scene) -> None:
-    if scene.contact.law in NEED_POSITIVE_RESTITUTION and scene.contact.restitution <= 0.0:
-        raise SceneError(
-            f"contact.restitution = {scene.contact.restitution!r}: allowed is > 0 and <= 1 "
-            f"with the law {scene.contact.law}"
-        )
+    law, restitution = scene.contact.law, scene.contact.restitution
+    if law in NEED_POSITIVE_RESTITUTION and restitution <= 0.0:
+        raise refuse("contact.restitution", restitution, "", f"> 0 and <= 1 with the law {law}")
 
 
 def _friction(scene: Scene) -> None:
-    mu_s = scene.friction.mu_s
-    if mu_s is not None and mu_s < scene.friction.mu:
-        raise SceneError(
-            f"friction.mu_s = {mu_s!r}: allowed is >= {scene.friction.mu:g}, friction.mu, or null"
-        )
+    mu, mu_s = scene.friction.mu, scene.friction.mu_s
+    if mu_s is not None and mu_s < mu:
+        raise refuse("friction.mu_s", mu_s, "", f">= {mu:g}, friction.mu, or null")
 
 
 def _throat(scene: Scene) -> None:
-    if scene.cone.R_c < scene.probe.tip_radius:
-        raise SceneError(
-            f"cone.R_c = {scene.cone.R_c!r} m: allowed is >= {scene.probe.tip_radius:g}, the "
-            "radius of the tip, or the tip can never come to BE"
-        )
-    if scene.buffer.rest_length is not None and scene.buffer.rest_length <= scene.probe.tip_radius:
-        raise SceneError(
-            f"buffer.rest_length = {scene.buffer.rest_length!r} m: allowed is > "
-            f"{scene.probe.tip_radius:g}, the radius of the tip"
-        )
+    R_c, R_t, rest_length = scene.cone.R_c, scene.probe.tip_radius, scene.buffer.rest_length
+    if R_c < R_t:
+        why = "the radius of the tip, or the tip can never come to BE"
+        raise refuse("cone.R_c", R_c, "m", f">= {R_t:g}, {why}")
+    if rest_length is not None and rest_length <= R_t:
+        raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
 
 
 def _rates(scene: Scene) -> None:
-    ratio = scene.run.state_rate / scene.run.rate
-    if ratio < 1.0 or ratio != round(ratio):
-        raise SceneError(
-            f"run.rate = {scene.run.rate!r} Hz: allowed is run.state_rate "
-            f"({scene.run.state_rate:g} Hz) divided by a whole number"
-        )
+    state_rate, sensors = scene.run.state_rate, scene.sensors
+    rates = {"run.rate": scene.run.rate}
     for name in ("motion_capture", "load_cell"):
-        sensor = None if scene.sensors is None else getattr(scene.sensors, name)
+        sensor = getattr(sensors, name, None)
         if sensor is not None:
-            ratio = scene.run.state_rate / sensor.rate
-            if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-                raise SceneError(
-                    f"sensors.{name}.rate = {sensor.rate!r} Hz: allowed is run.state_rate "
-                    f"({scene.run.state_rate:g} Hz) divided by a whole number"
-                )
+            rates[f"sensors.{name}.rate"] = sensor.rate
+    for name, rate in rates.items():
+        ratio = state_rate / rate
+        if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+            allowed = f"run.state_rate ({state_rate:g} Hz) divided by a whole number"
+            raise refuse(name, rate, "Hz", allowed)
 
 
 def _supports(scene: Scene) -> None:
     if scene.supports is None:
         return
     for vehicle in ("chaser", "target"):
-        balls = getattr(scene.supports, vehicle).balls
+        balls = [list(ball) for ball in getattr(scene.supports, vehicle).balls]
         try:
             load = loads(scene, vehicle)
         except np.linalg.LinAlgError:
             load = np.array([math.nan])
+        allowed = ""
         if not np.all(np.isfinite(load)) or np.abs(load).max() > 1e6 * scene.gravity * 1e3:
-            raise SceneError(
-                f"supports.{vehicle}.balls = {[list(b) for b in balls]} m: allowed is three "
-                "points that do not lie in one line"
+            allowed = "three points that do not lie in one line"
+        elif load.min() < 0.0:
+            allowed = (
+                "a triangle round the centre of mass; as it is, ball "
+                f"{int(load.argmin())} would lift off"
             )
-        if load.min() < 0.0:
-            raise SceneError(
-                f"supports.{vehicle}.balls = {[list(b) for b in balls]} m: allowed is a triangle "
-                f"round the centre of mass; as it is, ball {int(load.argmin())} would lift off"
-            )
+        if allowed:
+            raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)
 
 
 def _rail(scene: Scene) -> None:
@@ -174,25 +163,20 @@ def _rail(scene: Scene) -> None:
     along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
     across = chaser.vy * math.cos(chaser.theta) - chaser.vx * math.sin(chaser.theta)
     if chaser.omega != 0.0:
-        raise SceneError(f"initial.chaser.omega = {chaser.omega!r} rad/s: allowed is 0 on the rail")
+        raise refuse("initial.chaser.omega", chaser.omega, "rad/s", "0 on the rail")
     if abs(across) > 1e-12 * max(1.0, abs(along)) or along < 0.0:
         raise SceneError(
             f"initial.chaser.vx, vy = {chaser.vx!r}, {chaser.vy!r} m/s: allowed on the rail is a "
             "velocity along the chaser's heading, forwards"
         )
-    for name in ("vx", "vy", "omega"):
+    for name, unit in (("vx", "m/s"), ("vy", "m/s"), ("omega", "rad/s")):
         value = getattr(target, name)
         if value != 0.0:
-            unit = "rad/s" if name == "omega" else "m/s"
-            raise SceneError(
-                f"initial.target.{name} = {value!r} {unit}: allowed is 0 while the scene has a rail"
-            )
-    travel = travel_to_touch(scene)
-    if scene.rail.length >= travel:
-        raise SceneError(
-            f"rail.length = {scene.rail.length!r} m: allowed is < {travel:.6g}, where the tip "
-            "meets the cone: the rail must end before the contact"
-        )
+            raise refuse(f"initial.target.{name}", value, unit, "0 while the scene has a rail")
+    travel, length = travel_to_touch(scene), scene.rail.length
+    if length >= travel:
+        why = "where the tip meets the cone: the rail must end before the contact"
+        raise refuse("rail.length", length, "m", f"< {travel:.6g}, {why}")
 
 
 def _string(scene: Scene) -> None:
@@ -201,20 +185,12 @@ def _string(scene: Scene) -> None:
         return
     if scene.rail is None:
         raise SceneError("string: allowed only with a rail to guide the chaser; rail is null")
-    given = [
-        name
-        for name in ("impact_speed", "hanging_mass", "drop_height")
-        if getattr(string, name) is not None
-    ]
+    names = ("impact_speed", "hanging_mass", "drop_height")
+    given = [name for name in names if getattr(string, name) is not None]
     if len(given) != 2:
         raise SceneError(
             f"string: {', '.join(given) if given else 'nothing'} given: allowed are exactly two of "
             "impact_speed (m/s), hanging_mass (kg), drop_height (m); the third is null and follows"
-        )
-    if string.drop_height is not None and string.drop_height > scene.rail.length:
-        raise SceneError(
-            f"string.drop_height = {string.drop_height!r} m: allowed is <= "
-            f"{scene.rail.length:g}, rail.length: the mass must land before the rail ends"
         )
     start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
     if start != 0.0:
@@ -225,27 +201,17 @@ def _string(scene: Scene) -> None:
 
 
 def _latch(scene: Scene) -> None:
-    if scene.latch is None:
-        return
     mouth = scene.cone.L_c * math.cos(scene.cone.half_angle)
-    if scene.latch.radius >= mouth:
-        raise SceneError(
-            f"latch.radius = {scene.latch.radius!r} m: allowed is < {mouth:.6g}, the cone's depth"
-        )
+    if scene.latch is not None and scene.latch.radius >= mouth:
+        raise refuse("latch.radius", scene.latch.radius, "m", f"< {mouth:.6g}, the cone's depth")
 
 
 def _start(scene: Scene) -> None:
     px, py, _, _ = tip_at_release(scene)
     cone, initial = scene.cone, scene.initial
+    walls = cone.R_c, cone.L_c, math.cos(cone.half_angle), math.sin(cone.half_angle)
     for side, name in ((1.0, "+y"), (-1.0, "-y")):
-        distance, _, _ = plain(nearest_on_wall)(
-            -(px + cone.L_T),
-            side * py,
-            cone.R_c,
-            cone.L_c,
-            math.cos(cone.half_angle),
-            math.sin(cone.half_angle),
-        )
+        distance, _, _ = plain(nearest_on_wall)(-(px + cone.L_T), side * py, *walls)
         gap = distance - scene.probe.tip_radius
         # a start at contact: the places' own rounding
         if gap < -1e-15 * max(1.0, abs(initial.chaser.x), abs(initial.target.x)):
