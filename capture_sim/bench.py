@@ -6,6 +6,7 @@ depend on how the time is cut into calls.
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -24,15 +25,7 @@ from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
 from capture_sim.model.parameters import pack
 from capture_sim.model.stiffness import stiffest_part
-from capture_sim.samples import (
-    EXTREMES,
-    SAMPLE,
-    TOUCH,
-    Event,
-    EventKind,
-    Extremes,
-    Phase,
-)
+from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Event, EventKind, Extremes, Phase
 from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.runge_kutta import set_pair
@@ -56,25 +49,21 @@ _CAUSES = {
     Status.PILE_UP: "more than 100 events fell on one instant",
 }
 
-
 _AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
-_compiled = False
 
 
+@functools.cache
 def compile_kernels() -> None:
     """Load the compiled kernels, or compile them where this source has not run before.
 
     Takes some ten seconds the first time; called on its own it keeps that out of timings.
     """
-    global _compiled
-    if not _compiled:
-        in_worker(_use_kernels)
-        _compiled = True
 
+    def use() -> None:
+        bench = Bench(load_scene("paper_designed"))
+        bench.advance(bench.times(0, 2))
 
-def _use_kernels() -> None:
-    bench = Bench(load_scene("paper_designed"))
-    bench.advance(bench.times(0, 2))
+    in_worker(use)
 
 
 class Statistics(NamedTuple):
@@ -128,7 +117,9 @@ class Bench:
         self._touches: list[np.void] = []
         self._unread: list[np.ndarray] = []
         self._asked = -math.inf  # last sample time asked for, s
-        detail = self._describe_release()
+        detail = "no string"
+        if scene.string is not None:
+            detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
         self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
     def _begin(self) -> None:
@@ -145,11 +136,6 @@ class Bench:
             mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
             still = not np.any(y[8:11]) and not run["on_rail"]
             mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
-
-    def _describe_release(self) -> str:
-        if self.scene.string is None:
-            return "no string"
-        return f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
 
     @property
     def done(self) -> bool:
