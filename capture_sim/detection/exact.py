@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.kernels import entry_kernel, kernel, records
-from capture_sim.model.equations import tip_motion
+from capture_sim.kernels import entry_kernel, kernel, plain, records
+from capture_sim.model.equations import tip_in_cone
 from capture_sim.model.geometry import nearest_on_wall
-from capture_sim.model.trig import sine_cosine
 from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
 
@@ -297,10 +296,7 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
         for i in range(8):
             y[i] = sample.q[i]
             y[8 + i] = sample.v[i]
-        sS, cS = sine_cosine(y[2])
-        sP, cP = sine_cosine(y[3])
-        sT, cT = sine_cosine(y[7])
-        _, _, wx, wy = tip_motion(y, c.a, sS, cS, sP, cP, sT, cT)
+        _, _, wx, wy = tip_in_cone(y, c)
         if max(abs(sample.axial_stroke), abs(sample.torsion) * c.rest_length) > c.contact_gap:
             feel_push(c, memory, t, axial, lateral)
         place = Place(t, axial, lateral, -wx, wy, 0.0, 0.0, 1)
@@ -320,33 +316,22 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
     return samples.size
 
 
-@entry_kernel
-def decide_place(criteria, memories, place, stood, rounding):
-    """Do as :func:`decide`."""
-    decide(criteria, memories[0], place, stood, rounding)
+_hit_unseen, _enter = plain(hit_unseen), plain(enter)
 
 
-@entry_kernel
-def feel_push_at(criteria, memories, t, axial, lateral):
-    """Do as :func:`feel_push`."""
-    feel_push(criteria, memories[0], t, axial, lateral)
-
-
-def decide_at_end(criteria: Criteria, memory: np.void, rounding: float) -> None:
+def decide_at_end(criteria: Criteria, memory: Any, rounding: float) -> None:
     """Give the verdict of a run that ended with its last place, see :func:`decide`."""
-    still = memory["speed"] < criteria.still_speed
-    outwards = memory["outwards"] > 0.0
-    at_wall = memory["nearest_gap"] < criteria.contact_gap
-    unseen = memory["nearest_gap"] < criteria.contact_gap + memory["fastest"] * rounding
-    met = memory["state"] == CaptureState.CONTACT or (still and at_wall) or (outwards and unseen)
+    still, outwards = memory.speed < criteria.still_speed, memory.outwards > 0.0
+    at_wall = memory.nearest_gap < criteria.contact_gap
+    unseen = _hit_unseen(criteria, memory, rounding)
+    met = memory.state == CaptureState.CONTACT or (still and at_wall) or (outwards and unseen)
     if not met:
         state, cause = CaptureState.MISSED, Cause.END_WITHOUT_CONTACT
     elif outwards and not still:
         state, cause = CaptureState.REBOUND, Cause.END_MOVING_OUT
     else:
         state, cause = CaptureState.STUCK, Cause.END_SHORT
-    memory["state"], memory["cause"] = state, cause
-    memory["since"], memory["value"] = memory["t"], memory["distance"]
+    _enter(memory, state, cause, memory.t, memory.distance)
 
 
 _REASONS = {
@@ -452,15 +437,15 @@ class ExactDetector:
         cut
             The run was ended before its end: what was not decided by then stays so.
         """
-        memory, row = self._memory[0], self._row[0]
+        memory, row = self._memory.view(np.recarray)[0], self._row[0]
         if math.isnan(row["distance"]):
             if not cut:
-                memory["state"], memory["cause"] = CaptureState.MISSED, Cause.NOT_MEASURED
+                memory.state, memory.cause = CaptureState.MISSED, Cause.NOT_MEASURED
         elif not (self.final or cut):
             decide_at_end(self._criteria, memory, 0.0)
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
-        row["time_in_state"] = row["t"] - memory["since"]
+        row["time_in_state"] = row["t"] - memory.since
         return self._status(row.tolist())
 
     def _status(self, row: Any) -> CaptureStatus:

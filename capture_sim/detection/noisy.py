@@ -15,6 +15,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from itertools import pairwise
 from statistics import mean, median
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,13 +28,13 @@ from capture_sim.detection.exact import (
     Cause,
     Criteria,
     Place,
+    decide,
     decide_at_end,
-    decide_place,
-    feel_push_at,
+    feel_push,
     new_memory,
     reason,
 )
-from capture_sim.kernels import plain, records
+from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
 from capture_sim.scene.parts import Scene
 
@@ -57,8 +58,8 @@ _SAME = 1e-12
 #: A stand is looked for over this many ``still_time`` as well, where speeds scatter.
 _LONGEST_STAND = 4.0
 
-# a few hundred measurements a second: not worth a compiled function of its own
-_tip_motion = plain(tip_motion)
+# a few hundred measurements a second: not worth compiled functions of their own
+_tip_motion, _decide, _feel_push = plain(tip_motion), plain(decide), plain(feel_push)
 
 
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:
@@ -105,6 +106,24 @@ class NoiseEstimate:
         return self._count >= ENOUGH
 
 
+class MeasuredTip(NamedTuple):
+    """The tip in the cone's frame, as measured: axial and lateral.
+
+    Attributes
+    ----------
+    place
+        m.
+    rigid
+        Where it would be with the buffer at rest, which moves smoothly, m.
+    rate
+        Of ``place``, m/s; None where it is not measured.
+    """
+
+    place: tuple[float, float]
+    rigid: tuple[float, float]
+    rate: tuple[float, float] | None
+
+
 class TipPath:
     """Follows the tip; hands out its places in order of time, each once.
 
@@ -128,9 +147,7 @@ class TipPath:
         self._radius, self._delay, self._clean, self._gap = radius, delay, clean, gap
         self._keep = keep + 2.0 * delay
         self._t: list[float] = []
-        self._tip: list[tuple[float, float]] = []
-        self._rigid: list[tuple[float, float]] = []
-        self._rate: list[tuple[float, float] | None] = []
+        self._tips: list[MeasuredTip] = []
         self._noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer_noise = (0.0, 0.0)
         self._deviation = (0.0, 0.0)
@@ -155,34 +172,16 @@ class TipPath:
         return max(self._gap, 3.0 * self._interval)
 
     def add(
-        self,
-        t: float,
-        tip: tuple[float, float],
-        rigid: tuple[float, float],
-        rate: tuple[float, float] | None,
-        buffer_noise: tuple[float, float] = (0.0, 0.0),
+        self, t: float, tip: MeasuredTip, buffer_noise: tuple[float, float] = (0.0, 0.0)
     ) -> list[Place]:
-        """Add a measurement; return the places that it completes.
+        """Add a measurement at ``t`` (s); return the places that it completes.
 
-        Parameters
-        ----------
-        t
-            s.
-        tip
-            Axial and lateral place of the tip, m.
-        rigid
-            ... and where it would be with the buffer at rest: that moves smoothly.
-        rate
-            Rates of ``tip`` where they are measured, m/s.
-        buffer_noise
-            What the buffer's own measurements add to the scatter of ``tip``, m.
+        ``buffer_noise``: what the buffer's measurements add to the scatter of ``tip``, m.
         """
         self._buffer_noise = buffer_noise
         if not self._t or t > self._t[-1]:
             self._t.append(t)
-            self._tip.append(tip)
-            self._rigid.append(rigid)
-            self._rate.append(rate)
+            self._tips.append(tip)
             self._learn()
             self._forget()
             if self._half_window == 0.0 and len(self._t) > 1 and self._handed_out == self._t[-2]:
@@ -193,9 +192,7 @@ class TipPath:
             if self._t[place] == t:
                 return []
             self._t.insert(place, t)
-            self._tip.insert(place, tip)
-            self._rigid.insert(place, rigid)
-            self._rate.insert(place, rate)
+            self._tips.insert(place, tip)
         return self._hand_out(self._t[-1], self._half_window)
 
     def finish(self) -> list[Place]:
@@ -206,7 +203,7 @@ class TipPath:
         """Return the place at ``t`` from a polynomial through [begin, end]."""
         i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
         times = np.array(self._t[i:k]) - t
-        tips = np.array(self._tip[i:k])
+        tips = np.array([tip.place for tip in self._tips[i:k]])
         spread = max(float(np.abs(times).max()), 1e-9)
         kept = np.ones(times.size, dtype=bool)
         sigma = np.maximum(self._deviation, 1e-12)
@@ -221,18 +218,9 @@ class TipPath:
             if off[worst] <= OUTLIER or n <= max(degree + 2, 0.8 * times.size):
                 break
             kept[worst] = False
-        variance = float(inverse[0, 0]) * np.square(self._deviation)
+        variance = max(float(inverse[0, 0]), 0.0) * np.square(self._deviation)
         rates = coefficients[1] / spread if len(coefficients) > 1 else np.zeros(2)
-        return Place(
-            t,
-            float(coefficients[0, 0]),
-            float(coefficients[0, 1]),
-            float(rates[0]),
-            float(rates[1]),
-            float(variance[0]),
-            float(variance[1]),
-            n,
-        )
+        return Place(t, *coefficients[0].tolist(), *rates.tolist(), *variance.tolist(), size=n)
 
     def rate_over(self, begin: float, end: float) -> tuple[float, float]:
         """Return the mean speed over a while and its standard deviation, m/s."""
@@ -242,7 +230,7 @@ class TipPath:
             return math.inf, math.inf
         times -= times.mean()
         square = float(times @ times)
-        rates = times @ np.array(self._tip[i:k]) / square
+        rates = times @ np.array([tip.place for tip in self._tips[i:k]]) / square
         return math.hypot(*rates), math.hypot(*self._deviation) / math.sqrt(2.0 * square)
 
     def _learn(self) -> None:
@@ -250,7 +238,7 @@ class TipPath:
         t = self._t[-4:]
         if len(t) == 4 and t[3] - t[0] <= 3.0 * self.gap:
             w_0, w_1, w_2, w_3 = third_difference(t)
-            p_0, p_1, p_2, p_3 = self._rigid[-4:]
+            p_0, p_1, p_2, p_3 = (tip.rigid for tip in self._tips[-4:])
             for i in (0, 1):
                 self._noise[i].add(w_0 * p_0[i] + w_1 * p_1[i] + w_2 * p_2[i] + w_3 * p_3[i])
         self._count += 1
@@ -272,7 +260,7 @@ class TipPath:
 
     def _forget(self) -> None:
         while self._t[0] < self._t[-1] - self._keep:
-            del self._t[0], self._tip[0], self._rigid[0], self._rate[0]
+            del self._t[0], self._tips[0]
 
     def _hand_out(self, newest: float, wait: float) -> list[Place]:
         first = bisect_right(self._t, self._handed_out)
@@ -289,36 +277,17 @@ class TipPath:
     def _at(self, i: int) -> Place:
         t = self._t[i]
         if self._half_window == 0.0:
-            rate = self._rate[i]
-            if rate is None:
-                rate = self._difference(i)
-            return Place(t, *self._tip[i], *rate)
-        begin, end = t - self._half_window, t + self._half_window
-        return self.fit(t, begin, end, 2)
+            tip = self._tips[i]
+            return Place(t, *tip.place, *(tip.rate or self._difference(i)))
+        return self.fit(t, t - self._half_window, t + self._half_window, 2)
 
     def _difference(self, i: int) -> tuple[float, float]:
         """Return the mean rate since the measurement before, m/s."""
         if i == 0:
             return 0.0, 0.0
         dt = self._t[i] - self._t[i - 1]
-        (a0, l0), (a1, l1) = self._tip[i - 1], self._tip[i]
+        (a0, l0), (a1, l1) = self._tips[i - 1].place, self._tips[i].place
         return (a1 - a0) / dt, (l1 - l0) / dt
-
-
-def _compile(criteria: Criteria) -> None:
-    """Have the criteria compiled before a run, not at its first measurement."""
-    memory, place = records(new_memory()), Place(0.0, 0.0, 0.0, 0.0, 0.0)
-    decide_place(criteria, memory, place, False, 0.0)
-    feel_push_at(criteria, memory, 0.0, 0.0, 0.0)
-
-
-class _Tip(NamedTuple):
-    """The tip in the cone's frame, as measured."""
-
-    axial: float
-    lateral: float
-    rigid: tuple[float, float]  # where it would be with the buffer at rest
-    rate: tuple[float, float] | None
 
 
 class NoisyDetector:
@@ -344,8 +313,9 @@ class NoisyDetector:
         self.aligner = Aligner(limits.max_data_gap)
         self._scene = scene
         self._criteria = Criteria.of(scene)
-        self._memory = records(new_memory())
-        _compile(self._criteria)
+        memory = new_memory()
+        named = zip(memory.dtype.names or (), *memory.tolist(), strict=True)
+        self._memory = SimpleNamespace(**dict(named))
         self._path = TipPath(
             radius=limits.capture_radius,
             delay=limits.max_delay,
@@ -354,7 +324,7 @@ class NoisyDetector:
             keep=_LONGEST_STAND * limits.min_still_time,
         )
         self._place: Place | None = None  # the last that was decided on
-        self._last: tuple[Observation, _Tip] | None = None
+        self._last: tuple[Observation, MeasuredTip] | None = None
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_SMOOTHED)
 
@@ -370,7 +340,7 @@ class NoisyDetector:
 
     @property
     def _state(self) -> CaptureState:
-        return CaptureState(int(self._memory["state"][0]))
+        return CaptureState(int(self._memory.state))
 
     def measure(self, source: Source, t: float, values: Values) -> list[CaptureStatus]:
         """Take a measurement of one source; return the statuses that it completes.
@@ -391,10 +361,8 @@ class NoisyDetector:
             self._last = (seen, tip)
             self._buffer.append((seen.t, seen.stroke, seen.torsion))
             if self._state is CaptureState.APPROACH and self._pushed():
-                feel_push_at(self._criteria, self._memory, seen.t, tip.axial, tip.lateral)
-        for place in self._path.add(
-            seen.t, (tip.axial, tip.lateral), tip.rigid, tip.rate, self._buffer_scatter()
-        ):
+                _feel_push(self._criteria, self._memory, seen.t, *tip.place)
+        for place in self._path.add(seen.t, tip, self._buffer_scatter()):
             self._decide(place)
         return self._status(seen, tip)
 
@@ -410,10 +378,10 @@ class NoisyDetector:
             The run was ended before its end: what was not decided by then stays so.
         """
         rest = [self.update(seen) for seen in self.aligner.flush()]
-        memory = self._memory[0]
+        memory = self._memory
         if self._last is None:
             if not cut:
-                memory["state"], memory["cause"] = CaptureState.MISSED, Cause.NOT_MEASURED
+                memory.state, memory.cause = CaptureState.MISSED, Cause.NOT_MEASURED
             nowhere = (math.nan,) * 3
             seen = Observation(0.0, nowhere, nowhere, math.nan, math.nan)
             return [self._status(seen, self._tip(seen))]
@@ -424,8 +392,8 @@ class NoisyDetector:
             if last.size > 1:
                 # the end of a fit is its weakest place: one more of the last second
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)
-                memory["outwards"] = end.axial * end.axial_rate + end.lateral * end.lateral_rate
-                memory["speed"] = math.hypot(end.axial_rate, end.lateral_rate)
+                memory.outwards = end.axial * end.axial_rate + end.lateral * end.lateral_rate
+                memory.speed = math.hypot(end.axial_rate, end.lateral_rate)
             decide_at_end(self._criteria, memory, self._rounding)
         return [*rest, self._status(*self._last)]
 
@@ -448,10 +416,9 @@ class NoisyDetector:
         return 3.0 / 16.0 * 2.0 * self._path.half_window
 
     def _decide(self, place: Place) -> None:
-        memory = self._memory[0]
         if self._place is not None and place.t - self._place.t > self._path.gap:
             # nobody knows what happened meanwhile
-            memory["zone_since"] = memory["still_since"] = math.nan
+            self._memory.zone_since = self._memory.still_since = math.nan
         limits, stood = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
             # a speed is known only after a while: the same question for longer times
@@ -459,7 +426,7 @@ class NoisyDetector:
                 begin = place.t - times * limits.still_time
                 speed, unsure = self._path.rate_over(begin, place.t)
                 stood = stood or speed + GUARD * unsure < limits.still_speed
-        decide_place(limits, self._memory, place, stood, self._rounding)
+        _decide(limits, self._memory, place, stood, self._rounding)
         self._place = place
 
     def _pushed(self) -> bool:
@@ -488,7 +455,7 @@ class NoisyDetector:
         stroke, torsion = (noise.deviation for noise in self._buffer_noise)
         return stroke, torsion * self._criteria.rest_length
 
-    def _tip(self, seen: Observation) -> _Tip:
+    def _tip(self, seen: Observation) -> MeasuredTip:
         """Return the tip in the cone's frame from the measured poses and buffer."""
         a, h_0, front = self._criteria.a, self._criteria.rest_length, self._scene.cone.L_T
         theta, phi, theta_T = seen.chaser[2], seen.chaser[2] + seen.torsion, seen.target[2]
@@ -503,23 +470,22 @@ class NoisyDetector:
         at_rest = (*seen.chaser, theta, h_0, *target, *rates)
         bx, by, _, _ = _tip_motion(at_rest, a, sS, cS, sS, cS, sT, cT)
         known = seen.chaser_rate is not None and seen.target_rate is not None
-        rate = (-wx, wy) if known else None
-        return _Tip(-(px + front), py, (-(bx + front), by), rate)
+        return MeasuredTip((-(px + front), py), (-(bx + front), by), (-wx, wy) if known else None)
 
-    def _status(self, seen: Observation, tip: _Tip) -> CaptureStatus:
-        rate, place, memory = tip.rate, self._place, self._memory[0]
+    def _status(self, seen: Observation, tip: MeasuredTip) -> CaptureStatus:
+        rate, place, memory = tip.rate, self._place, self._memory
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
         return CaptureStatus(
             t=seen.t,
             state=self._state,
             final=self._state > CaptureState.CONTACT,
-            distance=math.hypot(tip.axial, tip.lateral),
-            axial_offset=tip.axial,
-            lateral_offset=tip.lateral,
+            distance=math.hypot(*tip.place),
+            axial_offset=tip.place[0],
+            lateral_offset=tip.place[1],
             relative_attitude=seen.chaser[2] - seen.target[2],
             relative_speed=math.nan if rate is None else math.hypot(*rate),
-            nearest_distance=float(memory["nearest"]),
-            time_in_state=seen.t - float(memory["since"]),
-            reason=reason(self._criteria, int(memory["cause"]), float(memory["value"])),
+            nearest_distance=float(memory.nearest),
+            time_in_state=seen.t - float(memory.since),
+            reason=reason(self._criteria, int(memory.cause), float(memory.value)),
         )

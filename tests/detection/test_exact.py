@@ -92,52 +92,48 @@ def test_staying_in_the_zone_is_a_capture_after_the_dwell(scene):
     assert statuses[-1].time_in_state == pytest.approx(statuses[-1].t - captured.t)
 
 
-def test_visiting_the_zone_for_less_than_the_dwell_is_none(scene):
-    path = lead((0.1, 0.0, 0), (0.003, 2e-4, 0.5), (0.003, 2e-4, 0.1), (0.05, 0.0, 0.5))
-    assert verdict(scene, path)[-1].state is CaptureState.REBOUND
+# the face at lateral 0.03 is met where the tip is R_t away from it
+TO_THE_FACE = (0.1, 0.03, 0), (0.03625, 0.03, 0.6)
 
 
-def test_passing_be_inside_the_throat_is_a_capture(scene):
-    path = lead((0.101, 0.0, 0), (-0.02, 0.0, 0.3))
-    final = verdict(scene, path)[-1]
-    assert (final.state, final.reason) == (CaptureState.CAPTURED, "tip passed BE")
+AWAY = (0.2, 0.0, 0), (0.15, 0.0, 0.5)
+IN_ZONE = (0.003, 2e-4, 0.5), (0.003, 2e-4, 0.1)  # for less than the dwell
+VERDICTS = [
+    ([(0.1, 0.0, 0), *IN_ZONE, (0.05, 0.0, 0.5)], "rebound", "retreated 20 mm from 3.01 mm"),
+    # past BE, inside the throat and outside of it
+    ([(0.101, 0.0, 0), (-0.02, 0.0, 0.3)], "captured", "tip passed BE"),
+    ([(0.1, 0.09, 0), (-0.02, 0.09, 0.5)], "missed", "tip passed the cone by"),
+    ([*AWAY, (0.2, 0.0, 0.5)], "missed", "tip passed the cone by"),
+    # a run that ends: on its way, at the wall, leaving it
+    (AWAY, "missed", "no contact before the run ended"),
+    (TO_THE_FACE, "stuck", "run ended with the tip 47.05 mm short of BE"),
+    ([*TO_THE_FACE, (0.045, 0.03, 0.2)], "rebound", "run ended with the tip 54.08 mm from BE and"),
+]
 
 
-def test_passing_be_outside_the_throat_is_a_miss(scene):
-    path = lead((0.1, 0.09, 0), (-0.02, 0.09, 0.5))
-    assert verdict(scene, path)[-1].state is CaptureState.MISSED
+@pytest.mark.parametrize("legs, label, reason", VERDICTS, ids=[row[2] for row in VERDICTS])
+def test_verdict_of_a_path(scene, legs, label, reason):
+    final = verdict(scene, lead(*legs))[-1]
+    assert (final.state.label, final.final) == (label, True)
+    assert final.reason.startswith(reason)
 
 
 def test_retreat_after_contact_is_a_rebound(scene):
-    # the face at lateral 0.03 is met where the tip is R_t away from it
-    path = lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.09, 0.01, 0.5))
-    statuses = verdict(scene, path)
+    statuses = verdict(scene, lead(*TO_THE_FACE, (0.09, 0.01, 0.5)))
     assert CaptureState.CONTACT in {s.state for s in statuses}
     rebound = next(s for s in statuses if s.state is CaptureState.REBOUND)
     assert rebound.distance > rebound.nearest_distance + scene.detector.min_retreat
     assert statuses[-1].state is CaptureState.REBOUND
 
 
-def test_retreat_without_contact_is_a_miss(scene):
-    path = lead((0.2, 0.0, 0), (0.15, 0.0, 0.5), (0.2, 0.0, 0.5))
-    assert verdict(scene, path)[-1].state is CaptureState.MISSED
-
-
 def test_standing_short_of_be_is_stuck(scene):
-    path = lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.03625, 0.03, 2.0))
-    statuses = verdict(scene, path)
+    statuses = verdict(scene, lead(*TO_THE_FACE, (0.03625, 0.03, 2.0)))
     stuck = next(s for s in statuses if s.state is CaptureState.STUCK)
     assert stuck.t == pytest.approx(0.6 + scene.detector.min_still_time, abs=0.05)
     assert statuses[-1].final
 
 
-def test_a_run_that_ends_early_still_gets_a_verdict(scene):
-    approach = verdict(scene, lead((0.2, 0.0, 0), (0.15, 0.0, 0.5)))[-1]
-    assert (approach.state, approach.final) == (CaptureState.MISSED, True)
-    touching = verdict(scene, lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6)))[-1]
-    assert touching.state is CaptureState.STUCK
-    leaving = verdict(scene, lead((0.1, 0.03, 0), (0.03625, 0.03, 0.6), (0.045, 0.03, 0.2)))[-1]
-    assert leaving.state is CaptureState.REBOUND
+def test_nothing_measured_is_a_miss(scene):
     for nothing in (ExactDetector(scene).finish(), NoisyDetector(scene).finish()[-1]):
         assert (nothing.state, nothing.reason) == (CaptureState.MISSED, "nothing was measured")
         assert math.isnan(nothing.distance)
@@ -147,9 +143,9 @@ def test_a_run_that_is_cut_gets_no_verdict_that_it_has_not_come_to(scene):
     def cut(*legs):
         return verdict(scene, lead(*legs), cut=True)[-1]
 
-    before = cut((0.2, 0.0, 0), (0.15, 0.0, 0.5))
+    before = cut(*AWAY)
     assert (before.state, before.final) == (CaptureState.APPROACH, False)
-    touching = cut((0.1, 0.03, 0), (0.03625, 0.03, 0.6))
+    touching = cut(*TO_THE_FACE)
     assert (touching.state, touching.final) == (CaptureState.CONTACT, False)
     held = cut((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5))
     assert (held.state, held.final) == (CaptureState.CAPTURED, True)

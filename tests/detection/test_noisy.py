@@ -13,7 +13,13 @@ from observations import observation
 from capture_sim import load_scene, simulate
 from capture_sim.detection.align import Aligner, Observation, Source
 from capture_sim.detection.exact import CaptureState
-from capture_sim.detection.noisy import NoiseEstimate, NoisyDetector, TipPath, third_difference
+from capture_sim.detection.noisy import (
+    MeasuredTip,
+    NoiseEstimate,
+    NoisyDetector,
+    TipPath,
+    third_difference,
+)
 
 MISS = ("initial.target.x=0.55", "initial.target.y=-0.085")
 RUNS = {
@@ -58,6 +64,10 @@ def path():
     return TipPath(radius=0.005, delay=0.25, clean=5e-5, gap=0.1, keep=4.0)
 
 
+def seen_at(axial, lateral, rate=None):
+    return MeasuredTip((axial, lateral), (axial, lateral), rate)
+
+
 def test_the_path_errs_by_what_it_says():
     """The normalised error of the fitted places has unit variance, and no bias."""
     rng = np.random.default_rng(2)
@@ -69,8 +79,7 @@ def test_the_path_errs_by_what_it_says():
         smoothed = path()
         places = []
         for k in range(t.size):
-            tip = tuple(seen[k])
-            places += smoothed.add(float(t[k]), tip, tip, None)
+            places += smoothed.add(float(t[k]), seen_at(*seen[k]))
         # well apart: neighbours share their measurements
         for place in (p for p in places if p.size > 1 and abs(p.t - round(p.t, 0)) < 1e-9):
             k = round(place.t * 100)
@@ -86,8 +95,7 @@ def test_many_measurements_are_used_without_a_place_for_each():
     rng = np.random.default_rng(5)
     smoothed, places = path(), []
     for k in range(2000):
-        tip = tuple(1e-3 * rng.standard_normal(2) + [0.1, 0.0])
-        places += smoothed.add(k / 1000, tip, tip, None)
+        places += smoothed.add(k / 1000, seen_at(*(1e-3 * rng.standard_normal(2) + [0.1, 0.0])))
     late = [p for p in places if p.t > 1.0]
     assert 0.0 < smoothed.half_window < 0.25
     assert np.diff([p.t for p in late]) == pytest.approx(0.003)
@@ -101,7 +109,7 @@ def test_an_outlier_does_not_move_the_path():
         tip = tuple(1e-3 * rng.standard_normal(2) + [0.1, 0.0])
         if k == 100:
             tip = (0.4, 0.3)  # markers swapped
-        places += smoothed.add(k / 100, tip, tip, None)
+        places += smoothed.add(k / 100, seen_at(*tip))
     near = [p for p in places if 0.8 < p.t < 1.2]
     assert len(near) > 30
     assert max(abs(p.axial - 0.1) for p in near) < 2e-3
@@ -111,7 +119,7 @@ def test_clean_measurements_are_taken_as_they_are():
     smoothed = path()
     for k in range(300):
         tip = (0.1 - 0.0003 * k, 0.01)
-        (place,) = smoothed.add(k / 100, tip, tip, (-0.03, 0.0))
+        (place,) = smoothed.add(k / 100, seen_at(*tip, (-0.03, 0.0)))
         assert (place.t, place.axial, place.lateral) == (k / 100, *tip)
         assert (place.axial_variance, place.lateral_variance) == (0.0, 0.0)
 
@@ -129,7 +137,7 @@ def test_order_of_arrival_does_not_matter_to_a_noisy_path():
     for order in (seen, swapped):
         smoothed = path()
         for t, tip in order:
-            smoothed.add(t, tip, tip, None)
+            smoothed.add(t, seen_at(*tip))
         smoothed._deviation = (1e-3, 1e-3)
         results.append(smoothed.fit(1.5, 1.25, 1.75, 2))
     assert results[0] == results[1]
