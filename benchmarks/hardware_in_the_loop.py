@@ -26,7 +26,7 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import WAYS, compensation, critical_damping, gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import NOTHING, ContactRig, WallLaw
+from capture_sim.hardware.walls import NOTHING, WallLaw, contact_rig
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "hardware_in_the_loop.md"
 BEGIN, END = "<!-- measured: {} -->", "<!-- end of measured -->"
@@ -54,7 +54,7 @@ def table(head, rows):
 def first_touch(scene, law, lag, step, t_end, substeps, mass=None):
     """Close the loop in one process, a rig that answers ``lag`` steps late; its first touch."""
     loop = Loop(LoopStage(scene, step, substeps), mass=mass)
-    close(loop, late(ContactRig(scene, law).wrench, lag), t_end, touches=1)
+    close(loop, late(contact_rig(scene, law), lag), t_end, touches=1)
     return loop.touches[0]
 
 
@@ -127,7 +127,7 @@ class Case:
             law = WallLaw(0.0, drag=critical_damping(self.felt, linear, delay))
         for _ in range(4 if self.mass and chosen.model else 1):
             loop = Loop(LoopStage(self.scene, STEP, 40), chosen, law, mass=self.mass)
-            channel = late(ContactRig(self.scene, self.law).wrench, lag)
+            channel = late(contact_rig(self.scene, self.law), lag)
             close(loop, channel, self.t_end + (4 * delay if self.mass else 0.0))
             law = loop.fit.law if chosen.model else law
         nth = 3 if chosen.model and not self.mass else 0

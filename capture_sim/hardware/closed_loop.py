@@ -292,7 +292,7 @@ class Loop:
         """Begin a touch with the first row of the trace that has a force."""
         fx, fy = first[6:]
         nx, ny = fx / math.hypot(fx, fy), fy / math.hypot(fx, fy)
-        tip = self._tip_of(first)
+        tip = self.stage.tip_at(first)
         speed = -(tip.vx * nx + tip.vy * ny)
         mass = self.stage.effective_mass(nx, ny) if self._mass is None else self._mass
         self._touch = Touch(tip.t, speed, 0.5 * mass * speed**2)
@@ -307,7 +307,7 @@ class Loop:
         best, most = tip, 0.0
         loaded: np.ndarray = np.any(self.stage.trace[:, 6:8] != 0.0, axis=1)
         for row in self.stage.trace[loaded & ~loaded[-1]]:
-            there = self._tip_of(row)._replace(t=tip.t)
+            there = self.stage.tip_at(row)
             walls = self._walls.touching(there)
             unknown = self.fit.ignorance(walls[0]) if len(walls) == 1 else 0.0
             if unknown > most:
@@ -337,10 +337,6 @@ class Loop:
             rates = rates + 0.5 * span * accelerations
         return predicted(tip, delay, rates, accelerations)
 
-    def _tip_of(self, row: np.ndarray) -> TipState:
-        x, y, theta, vx, vy, omega = row[:6].tolist()
-        return TipState(self.stage.t, x + self.stage.scene.cone.L_T, y, theta, vx, vy, omega)
-
     def _stop(self, why: str) -> None:
         raise SafeStopError(
             f"stopped at t = {self.stage.t:.6g} s: {why}: allowed is <= {self._limit:g} J"
@@ -351,10 +347,6 @@ def _work(wrench: Wrench, start: TipState, end: TipState) -> float:
     """Return the work of a wrench on the tip from one place to another, J."""
     fx, fy, torque = wrench
     return fx * (end.x - start.x) + fy * (end.y - start.y) + torque * (end.theta - start.theta)
-
-
-def _scaled(wrench: Wrench, share: float) -> Wrench:
-    return wrench[0] * share, wrench[1] * share, wrench[2] * share
 
 
 #: What comes out of the rig and the way to it: the step's number, the place sent then and the

@@ -77,17 +77,16 @@ def gain_rate(exponent: float) -> float:
 
     Notes
     -----
-    By quadrature over z = x / x_max, v = v_0 sqrt(1 - z^(p + 1)), with
-    x_max^(p + 1) = (p + 1) m v_0^2 / (2 K); z = 1 - s^2 takes the root's end away.
+    With n = p + 1, z = x / x_max and v = v_0 sqrt(1 - z^n) the duration is
+    2 / n B(1 / n, 1 / 2) x_max / v_0, the integral of F' v^2 dt p B(p / n, 3 / 2) m v_0^3 / x_max.
     """
-    s, weights = np.polynomial.legendre.leggauss(200)
-    s = 0.5 * (s + 1.0)
-    z = 1.0 - s**2
-    root = np.sqrt(1.0 - z ** (exponent + 1.0))
-    # in units of x_max and v_0: duration, and the integral of F' v^2 dt over m v_0^2
-    duration = float(np.sum(2.0 * weights * s / root))
-    stiffness = 0.5 * (exponent + 1.0) * exponent * z ** (exponent - 1.0)
-    return duration * float(np.sum(2.0 * weights * s * stiffness * root))
+    n = exponent + 1.0
+    return 2.0 * exponent / n * _beta(1.0 / n, 0.5) * _beta(exponent / n, 1.5)
+
+
+def _beta(a: float, b: float) -> float:
+    """Return Euler's integral of t^(a - 1) (1 - t)^(b - 1) from 0 to 1."""
+    return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
 
 
 def critical_delay(

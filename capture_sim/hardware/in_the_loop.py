@@ -125,7 +125,11 @@ class LoopStage:
     @property
     def tip(self) -> TipState:
         """Where the tip is now."""
-        x, y, theta, vx, vy, omega = tip_state(self._system, self._y)
+        return self.tip_at(tip_state(self._system, self._y))
+
+    def tip_at(self, row: np.ndarray | tuple[float, ...]) -> TipState:
+        """Return the tip of a row of :attr:`trace`, as of now."""
+        x, y, theta, vx, vy, omega = map(float, row[:6])
         return TipState(self.t, x + self.scene.cone.L_T, y, theta, vx, vy, omega)
 
     @property

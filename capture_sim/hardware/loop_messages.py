@@ -20,6 +20,7 @@ from capture_sim.messages.convert import (
     stamps_ns,
     wrenches,
 )
+from capture_sim.messages.measurements import pose_values, twist_values
 
 
 def stamp_of(message: Any) -> float:
@@ -59,17 +60,9 @@ def tip_of(message: Any) -> TipState:
     """
     _check_frame(message)
     pose, twist = message.pose.pose, message.twist.twist
-    theta = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-    cos, sin = math.cos(theta), math.sin(theta)
-    tip = TipState(
-        t=stamp_of(message),
-        x=pose.position.x,
-        y=pose.position.y,
-        theta=theta,
-        vx=cos * twist.linear.x - sin * twist.linear.y,
-        vy=sin * twist.linear.x + cos * twist.linear.y,
-        omega=twist.angular.z,
-    )
+    place = pose_values(pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
+    rates = twist_values(place[2], twist.linear.x, twist.linear.y, twist.angular.z)
+    tip = TipState(stamp_of(message), *place, *rates)
     if not all(math.isfinite(value) for value in tip):
         raise MessageError(f"{tip}: allowed are finite numbers")
     return tip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from capture_sim.kernels import plain
@@ -99,27 +101,6 @@ class Walls:
         return fx, fy, torque
 
 
-class ContactRig:
-    """A contact in place of hardware: walls of a law.
-
-    Parameters
-    ----------
-    scene
-        The cone and the tip.
-    law
-        Of either wall.
-    stick
-        N, by which a wall holds the tip back while it comes out.
-    """
-
-    def __init__(self, scene: Scene, law: WallLaw, stick: float = 0.0) -> None:
-        self._walls, self._law, self._stick = Walls(scene), law, stick
-
-    def wrench(self, tip: TipState) -> Wrench:
-        """Return what the walls do to the tip."""
-        fx, fy, torque = self._walls.wrench(self._law, tip)
-        for wall in self._walls.touching(tip) if self._stick else ():
-            if wall.rate < 0.0:
-                fx -= self._stick * wall.nx
-                fy -= self._stick * wall.ny
-        return fx, fy, torque
+def contact_rig(scene: Scene, law: WallLaw) -> Callable[[TipState], Wrench]:
+    """Return a contact in place of hardware: what a scene's walls, of a law, do to the tip."""
+    return partial(Walls(scene).wrench, law)

@@ -9,13 +9,13 @@ from typing import Any
 
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
-from capture_sim.hardware.walls import ContactRig, TipState, WallLaw
+from capture_sim.hardware.walls import TipState, WallLaw, contact_rig
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode, run
 
 
 class ContactRigNode(BenchNode):
-    """Walls with a law, see :class:`capture_sim.hardware.walls.ContactRig`."""
+    """Walls with a law, see :func:`capture_sim.hardware.walls.contact_rig`."""
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)
@@ -33,7 +33,7 @@ class ContactRigNode(BenchNode):
         friction = self.declare("friction", 0.0, "coefficient, of a wall", low=0.0, high=10.0)
         lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
         law = WallLaw(stiffness, exponent, stiffness * damping, friction=friction)
-        self._rig = ContactRig(load_scene(name, overrides), law)
+        self._rig = contact_rig(load_scene(name, overrides), law)
         self._places: deque[TipState] = deque(maxlen=lag + 1)
         self.open((TIP_WRENCH,))
         self.listen(TIP, self._answer)
@@ -47,7 +47,7 @@ class ContactRigNode(BenchNode):
     def _answer(self, message: Any) -> None:
         self._places.append(tip_of(message))
         place = self._places[0]
-        self.send(TIP_WRENCH, wrench_message(self.messages, place.t, self._rig.wrench(place)))
+        self.send(TIP_WRENCH, wrench_message(self.messages, place.t, self._rig(place)))
 
 
 def main(args: Sequence[str] | None = None) -> int:

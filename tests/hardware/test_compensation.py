@@ -22,7 +22,7 @@ from capture_sim.hardware.compensation import (
     predicted,
 )
 from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import NOTHING, ContactRig, TipState, Touching, WallLaw, Walls
+from capture_sim.hardware.walls import NOTHING, TipState, Touching, WallLaw, Walls, contact_rig
 
 PLATE = 2000.0  # N/m
 WAYS = (
@@ -51,9 +51,23 @@ class Met:
         if law is None and chosen.hybrid:
             law = WallLaw(0.0, drag=critical_damping(self.felt, self.linear, (lag + 0.5) * 1e-3))
         loop = Loop(LoopStage(self.scene, 1e-3, 40), chosen, law or self.law, mass=self.mass)
-        channel = late(ContactRig(self.scene, true or self.law, stick).wrench, lag)
+        rig = contact_rig(self.scene, true or self.law)
+        channel = late(sticky(rig, Walls(self.scene), stick) if stick else rig, lag)
         close(loop, wrap(loop, channel) if wrap else channel, t_end or self.t_end + 4e-3 * lag)
         return loop
+
+
+def sticky(rig, walls, stick):
+    """A rig that also holds the tip back by ``stick`` (N) while it comes out of a wall."""
+
+    def wrench(tip):
+        fx, fy, torque = rig(tip)
+        for wall in walls.touching(tip):
+            if wall.rate < 0.0:
+                fx, fy = fx - stick * wall.nx, fy - stick * wall.ny
+        return fx, fy, torque
+
+    return wrench
 
 
 # slow: at a delay of a whole touch the tip is to stay within the plate's reach, 15 mm
@@ -184,7 +198,7 @@ def test_the_observer_knows_what_the_rig_has_given(lag, damping):
         return lambda k, place: places.append(place) or channel(k, place)
 
     (touch,) = contact("plate").loop("none", lag, true=law, wrap=noted).touches[:1]
-    taken = path_work(ContactRig(SLOW, law), places)
+    taken = path_work(contact_rig(SLOW, law), places)
     assert touch.port == pytest.approx(min(taken, 0.0), abs=2e-3 * touch.energy)
 
 
@@ -196,7 +210,7 @@ def path_work(rig, places):
         h = b.t - a.t
         for u, weight in zip(0.5 * (s + 1.0), 0.5 * w, strict=True):
             at = TipState(0.0, *(p + (q - p) * u for p, q in zip(a[1:], b[1:], strict=True)))
-            fx, fy, torque = rig.wrench(at)
+            fx, fy, torque = rig(at)
             total += weight * h * (fx * at.vx + fy * at.vy + torque * at.omega)
     return total
 
@@ -204,7 +218,7 @@ def path_work(rig, places):
 def test_passivity_turns_the_paper_contact_at_1_khz():
     """The impulse of a touch a third of a step long is that of the true contact."""
     true = Loop(LoopStage(PAPER, 1e-5, 10))
-    close(true, late(ContactRig(PAPER, contact("paper").law).wrench, 0), 0.005, 1)
+    close(true, late(contact_rig(PAPER, contact("paper").law), 0), 0.005, 1)
     loop = contact("paper").loop("passivity", 0)
     assert len(loop.touches) >= 4
     assert loop.touches[0].impulse == pytest.approx(true.touches[0].impulse, rel=0.05)

@@ -11,7 +11,7 @@ from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import compensation, critical_damping
 from capture_sim.hardware.in_the_loop import LoopStage, WrenchHold
-from capture_sim.hardware.walls import ContactRig, WallLaw
+from capture_sim.hardware.walls import WallLaw, contact_rig
 
 BOUND = 0.02  # J; the vehicles approach with 0.056 J
 PLATE = 2000.0  # N/m
@@ -74,8 +74,8 @@ def test_no_fault_gives_the_vehicles_more_than_the_bound():
             law = WallLaw(0.0, drag=damper)
         loop = Loop(LoopStage(scene, 1e-3, 10), chosen, law, BOUND, mass)
         hold = WrenchHold(timeout=0.05, force_limit=500.0)
-        rig = ContactRig(scene, WallLaw(PLATE, damping=rng.uniform(0.0, 0.5) * PLATE / 0.1))
-        why = close(loop, faulty(late(rig.wrench, lag), hold, kind, start, size), 0.45)
+        rig = contact_rig(scene, WallLaw(PLATE, damping=rng.uniform(0.0, 0.5) * PLATE / 0.1))
+        why = close(loop, faulty(late(rig, lag), hold, kind, start, size), 0.45)
         # the energy of the bodies and springs; what is compensated never makes any
         bound = BOUND * (1.0 + 1e-6) if way == "none" else 1e-8
         assert loop.work <= bound, (seed, way, kind)
@@ -90,9 +90,9 @@ def test_a_rig_that_gives_energy_is_stopped_by_it(way, kind):
     scene = load_scene("_loop")
     loop = Loop(LoopStage(scene, 1e-3, 10), compensation(way), WallLaw(PLATE), BOUND, 11.17)
     hold = WrenchHold(timeout=0.05, force_limit=500.0)
-    rig = ContactRig(scene, WallLaw(PLATE))
+    rig = contact_rig(scene, WallLaw(PLATE))
     start = 80 if kind == "wrong sign" else 165
-    why = close(loop, faulty(late(rig.wrench, 2), hold, kind, start, 0.0), 0.9)
+    why = close(loop, faulty(late(rig, 2), hold, kind, start, 0.0), 0.9)
     if way != "hybrid":  # its virtual spring keeps the tip out, and the rig from giving as much
         assert "allowed is <= 0.02 J" in why
     assert loop.work <= (BOUND if way == "none" else 1e-8)

@@ -14,7 +14,7 @@ from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
-from capture_sim.hardware.walls import NOTHING, ContactRig, TipState, WallLaw
+from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, contact_rig
 from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 from capture_sim.samples import EventKind
@@ -118,10 +118,10 @@ def test_effective_mass_is_what_an_impulse_meets():
         n = (math.cos(angle), math.sin(angle))
         at(stage, q, np.zeros(8))
         mass = stage.effective_mass(*n)
-        stage.advance((0.0, 0.0, 0.0))
+        stage.advance(NOTHING)
         rest = stage.tip
         at(stage, q, np.zeros(8))
-        stage.advance((n[0], n[1], 0.0))
+        stage.advance((*n, 0.0))
         pushed = stage.tip
         gained = (pushed.vx - rest.vx) * n[0] + (pushed.vy - rest.vy) * n[1]
         assert gained == pytest.approx(stage.step / mass, rel=1e-6)
@@ -143,7 +143,7 @@ def test_the_loop_begins_behind_the_rail():
     assert stage.v == pytest.approx(end.v)
     steps = math.floor((touch.t - end.t) / 1e-3)
     for _ in range(steps):
-        stage.advance((0.0, 0.0, 0.0))
+        stage.advance(NOTHING)
     (there,) = simulate(scene, t_end=end.t + steps * 1e-3).q[-1:]
     assert stage.q == pytest.approx(there, abs=1e-7)
 
@@ -168,7 +168,7 @@ def test_stops_and_latch_are_met_as_by_the_offline_bench(until):
     stage.take_law(WallLaw(scene.contact_stiffness, 1.5), gated=False)
     energy = stage.energy
     for _ in range(round(until / 1e-3)):
-        stage.advance((0.0, 0.0, 0.0))
+        stage.advance(NOTHING)
     assert stage.q == pytest.approx(run.q[-1], abs=2e-6)
     assert stage.v == pytest.approx(run.v[-1], abs=2e-4)
     assert stage.energy - energy == pytest.approx(0.0, abs=1e-7)
@@ -184,7 +184,7 @@ def test_stops_and_latch_are_met_as_by_the_offline_bench(until):
 def first_touch(scene, law, lag, step, t_end, substeps, mass=None):
     """The loop closed in one process; the delay is that of ``lag`` steps and half a step."""
     loop = Loop(LoopStage(scene, step, substeps), mass=mass)
-    assert close(loop, late(ContactRig(scene, law).wrench, lag), t_end, touches=1) == ""
+    assert close(loop, late(contact_rig(scene, law), lag), t_end, touches=1) == ""
     return loop.touches[0]
 
 

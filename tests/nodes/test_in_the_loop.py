@@ -13,7 +13,7 @@ from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop
 from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import ContactRig, WallLaw
+from capture_sim.hardware.walls import WallLaw, contact_rig
 
 PLATE = 2000.0  # N/m
 
@@ -68,11 +68,11 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
     ages = [round(age / 1e-3) for age in found["ages"]]
     assert min(ages[5:]) >= 2
     loop = Loop(LoopStage(plate, 1e-3, 40), mass=plate_mass(plate))
-    rules = ContactRig(plate, WallLaw(PLATE))
+    rules = contact_rig(plate, WallLaw(PLATE))
     places = deque([loop.place], maxlen=1001)
     for age in ages:
         place = places[-1 - age]
-        places.append(loop.advance(place.t, rules.wrench(place)))
+        places.append(loop.advance(place.t, rules(place)))
     assert found["touches"][0]["work"] == pytest.approx(loop.touches[0].work, rel=1e-9)
     assert found["touches"][0]["work"] > 0.0
 
