@@ -57,6 +57,13 @@ BAD = [
     ("detector.capture_radius=0", ["detector.capture_radius = 0 m", "> 0"]),
     ("detector.capture_radius=5", ["detector.capture_radius = 5 m", "> 0 and <= 1"]),
     ("detector.min_retreat=20", ["detector.min_retreat = 20 m", "> 0 and <= 1"]),
+    ("sensors.motion_capture.rate=300", ["sensors.motion_capture.rate = 300.0 Hz", "whole number"]),
+    ("sensors.load_cell.rate=2000", ["sensors.load_cell.rate = 2000.0 Hz", "whole number"]),
+    ("sensors.load_cell.bandwidth=0", ["sensors.load_cell.bandwidth = 0 Hz: allowed is > 0"]),
+    ("sensors.load_cell.order=third", ["sensors.load_cell.order", "one of first, second"]),
+    ("sensors.motion_capture.position_noise=-1", ["position_noise = -1 m", ">= 0"]),
+    ("sensors.seed=-1", ["sensors.seed = -1", ">= 0"]),
+    ("sensors.seed=1.5", ["sensors.seed = 1.5", "whole number"]),
     ("name=../../evil", ["name = '../../evil'", "up to 64 letters", "digits and _ . -"]),
     ("name=sub/evil", ["name = 'sub/evil'", "beginning with neither . nor -"]),
     ("name='a b \"c\"'", ["name = 'a b \"c\"'", "up to 64 letters"]),
@@ -111,9 +118,10 @@ def test_missing_file_and_unknown_name():
 
 @pytest.mark.parametrize("name", scene_names())
 def test_scene_survives_being_written_and_read(name):
-    scene = load_scene(name)
-    assert load_scene_text(scene.to_yaml()) == scene
-    assert scene.name == name
+    for changes in ([], ["sensors.motion_capture={}", "sensors.load_cell={}"]):
+        scene = load_scene(name, changes)
+        assert load_scene_text(scene.to_yaml()) == scene
+        assert scene.name == name
 
 
 def test_file_extends_and_overrides_reach_every_value(tmp_path):
@@ -165,12 +173,6 @@ def test_inertia_of_probe_and_cylinder_are_those_of_the_shared_figures():
     assert as_mapping(scene)["cone"]["half_angle"] == pytest.approx(0.7853981633974483)
 
 
-@pytest.fixture
-def no_line_yet():
-    """Each line about an earlier name is written once in a process."""
-    paths._warn.cache_clear()
-
-
 BEFORE = """\
 extends: tilt_0
 buffer: {a: 0.14}
@@ -183,7 +185,8 @@ detector: {radius: 0.004, dwell: 0.3, contact_gap: 1.0e-4, leave: 0.03, still_sp
 """
 
 
-def test_earlier_names_are_read_with_a_line_that_names_the_new_ones(tmp_path, caplog, no_line_yet):
+def test_earlier_names_are_read_with_a_line_that_names_the_new_ones(tmp_path, caplog):
+    paths._warn.cache_clear()  # a line is written once in a process
     path = tmp_path / "before.yaml"
     path.write_text(BEFORE)
     scene = load_scene(path, ["cone.beta=0.7", "string.drop_height=0.05"])
@@ -200,7 +203,8 @@ def test_earlier_names_are_read_with_a_line_that_names_the_new_ones(tmp_path, ca
     assert scene.title.endswith("with cone.half_angle=0.7, string.drop_height=0.05")
 
 
-def test_recorded_scene_with_earlier_names_is_read_without_a_word(caplog, no_line_yet):
+def test_recorded_scene_with_earlier_names_is_read_without_a_word(caplog):
+    paths._warn.cache_clear()
     scene = load_scene("tilt_0")
     text = scene.to_yaml()
     for old, new in RENAMED:
