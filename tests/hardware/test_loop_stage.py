@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
-from benchmarks.hardware_in_the_loop import plate_mass
+from benchmarks.hardware_in_the_loop import first_touch, plate_mass
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage, SafeStopError, WrenchHold
 from capture_sim.hardware.loop_messages import tip_message, tip_of, wrench_message, wrench_of
-from capture_sim.hardware.walls import NOTHING, TipState, WallLaw, contact_rig
+from capture_sim.hardware.walls import NOTHING, TipState, WallLaw
 from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 from capture_sim.samples import EventKind
@@ -179,13 +178,6 @@ def test_stops_and_latch_are_met_as_by_the_offline_bench(until):
 
 
 # what a delay does
-
-
-def first_touch(scene, law, lag, step, t_end, substeps, mass=None):
-    """The loop closed in one process; the delay is that of ``lag`` steps and half a step."""
-    loop = Loop(LoopStage(scene, step, substeps), mass=mass)
-    assert close(loop, late(contact_rig(scene, law), lag), t_end, touches=1) == ""
-    return loop.touches[0]
 
 
 def test_an_elastic_contact_without_delay_makes_no_energy(plate):
