@@ -58,6 +58,26 @@ class EventKind(Named):
 #: Order of ``q`` and ``v``.
 COORDINATES = ("x_S", "y_S", "theta_S", "theta_P", "h", "x_T", "y_T", "theta_T")
 
+#: The fields of a sample that make up the energy ledger, J.
+ENERGIES = (
+    "kinetic",
+    "elastic_axial",
+    "elastic_torsion",
+    "elastic_contact",
+    "elastic_latch",
+    "elastic_stop",
+    "work_string",
+    "dissipated_axial",
+    "dissipated_torsion",
+    "dissipated_contact",
+    "dissipated_friction",
+    "dissipated_rolling",
+    "dissipated_latch",
+    "dissipated_stop",
+    "dissipated_landing",
+    "energy_residual",
+)
+
 #: One sample of everything; fields and units as in msg/BenchState.msg.
 SAMPLE = np.dtype(
     [
@@ -86,22 +106,7 @@ SAMPLE = np.dtype(
         ("string_tension", "f8"),
         ("mass_height", "f8"),
         ("mass_speed", "f8"),
-        ("kinetic", "f8"),
-        ("elastic_axial", "f8"),
-        ("elastic_torsion", "f8"),
-        ("elastic_contact", "f8"),
-        ("elastic_latch", "f8"),
-        ("elastic_stop", "f8"),
-        ("work_string", "f8"),
-        ("dissipated_axial", "f8"),
-        ("dissipated_torsion", "f8"),
-        ("dissipated_contact", "f8"),
-        ("dissipated_friction", "f8"),
-        ("dissipated_rolling", "f8"),
-        ("dissipated_latch", "f8"),
-        ("dissipated_stop", "f8"),
-        ("dissipated_landing", "f8"),
-        ("energy_residual", "f8"),
+        *((name, "f8") for name in ENERGIES),
     ]
 )
 
@@ -208,24 +213,3 @@ class Event:
     wall: int = 0
     detail: str = ""
     touch: np.void | None = field(default=None, compare=False)
-
-
-#: The fields of a sample that make up the energy ledger, J.
-ENERGIES = (
-    "kinetic",
-    "elastic_axial",
-    "elastic_torsion",
-    "elastic_contact",
-    "elastic_latch",
-    "elastic_stop",
-    "work_string",
-    "dissipated_axial",
-    "dissipated_torsion",
-    "dissipated_contact",
-    "dissipated_friction",
-    "dissipated_rolling",
-    "dissipated_latch",
-    "dissipated_stop",
-    "dissipated_landing",
-    "energy_residual",
-)

@@ -11,8 +11,6 @@ from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
-from capture_sim.interrupts import in_worker
-from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import CRITERIA, EPOCH_NS, stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
 from capture_sim.messages.telemetry import DetectorTelemetry
@@ -56,7 +54,6 @@ class CaptureDetectorNode(Participant):
 
     def work(self) -> int:
         """Take part until the process is to end; return the exit status."""
-        in_worker(lambda: NoisyDetector(load_scene("tilt_0")))  # loads what a run would wait for
         if self._scene is not None:
             self.announce(self._scene.name, self._scene)
             self.get_logger().info(f"judged by {self._scene.name} until Ctrl-C")
