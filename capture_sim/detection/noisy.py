@@ -220,7 +220,8 @@ class TipPath:
             kept[worst] = False
         variance = max(float(inverse[0, 0]), 0.0) * np.square(self._deviation)
         rates = coefficients[1] / spread if len(coefficients) > 1 else np.zeros(2)
-        return Place(t, *coefficients[0].tolist(), *rates.tolist(), *variance.tolist(), size=n)
+        numbers = *coefficients[0].tolist(), *rates.tolist(), *variance.tolist()
+        return Place._make((t, *numbers, n))
 
     def rate_over(self, begin: float, end: float) -> tuple[float, float]:
         """Return the mean speed over a while and its standard deviation, m/s."""
