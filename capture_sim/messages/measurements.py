@@ -45,16 +45,19 @@ def detector_sources(scene: Scene) -> dict[Topic, Source]:
 
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
-_POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
-_TWIST = ("linear.x", "linear.y", "angular.z")
+#: What :func:`pose_values` and :func:`twist_values` take of geometry_msgs' Pose and Twist.
+POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
+TWIST = ("linear.x", "linear.y", "angular.z")
+#: Stroke (m), torsion (rad) and their rates in BufferState.
+BUFFER = ("axial_stroke", "torsion", "axial_rate", "torsion_rate")
 #: The numbers that a measurement is made of, by the type of its message.
 _NUMBERS = {
     "nav_msgs/msg/Odometry": (
-        *(f"pose.pose.{name}" for name in _POSE),
-        *(f"twist.twist.{name}" for name in _TWIST),
+        *(f"pose.pose.{name}" for name in POSE),
+        *(f"twist.twist.{name}" for name in TWIST),
     ),
-    "geometry_msgs/msg/PoseStamped": tuple(f"pose.{name}" for name in _POSE),
-    "capture_sim/msg/BufferState": ("axial_stroke", "torsion", "axial_rate", "torsion_rate"),
+    "geometry_msgs/msg/PoseStamped": tuple(f"pose.{name}" for name in POSE),
+    "capture_sim/msg/BufferState": BUFFER,
 }
 
 

@@ -15,10 +15,11 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages import topics
 from capture_sim.recording.measured import (
     first_contact_in,
+    forces_in,
+    magnitude,
     measured_sources,
     release_of,
     touches_of,
-    wrench,
 )
 from capture_sim.recording.read import Run
 from capture_sim.results import first_cluster
@@ -148,8 +149,8 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
     for name, by_topic in measured_sources(run, release).items():
         found.setdefault(name, {}).update(by_topic)
     if run.columns(topics.LOAD_CELL):
-        t, force = wrench(run, topics.LOAD_CELL, release)
-        found.setdefault("force", {})[topics.LOAD_CELL.name] = Series(t, np.hypot(*force.T))
+        force = magnitude(forces_in(run, topics.LOAD_CELL, release))
+        found.setdefault("force", {})[topics.LOAD_CELL.name] = force
     # the detector's own path: the nearest place so far
     nearest = [(status.t, status.nearest_distance) for status in run.statuses]
     near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)

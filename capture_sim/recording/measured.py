@@ -6,7 +6,6 @@ the contact's wrench.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.messages import topics
 from capture_sim.messages.convert import EPOCH_NS, HINGE_JOINT, SLIDE_JOINT, LaunchAction
+from capture_sim.messages.measurements import BUFFER, POSE, TWIST, pose_values, twist_values
 from capture_sim.messages.topics import Topic
 from capture_sim.recording.read import Columns, Run
 from capture_sim.samples import EventKind
@@ -39,19 +39,14 @@ def stamps_of(columns: Columns) -> np.ndarray:
 
 def poses_of(columns: Columns, at: str) -> np.ndarray:
     """Return the poses that stand at a path, (n, 3): x, y (m), heading (rad)."""
-    z, w = (columns[f"{at}.orientation.{axis}"].tolist() for axis in "zw")
-    # by math, as the detector's node does it: NumPy's differ in the last bit
-    heading = 2.0 * np.array(list(map(math.atan2, z, w)))
-    return np.stack([columns[f"{at}.position.x"], columns[f"{at}.position.y"], heading], axis=1)
+    numbers = (columns[f"{at}.{name}"].tolist() for name in POSE)
+    return np.array(list(map(pose_values, *numbers)))
 
 
 def rates_of(odometry: Columns, heading: np.ndarray) -> np.ndarray:
     """Return the rates of an odometry's poses in the world, (n, 3): m/s, m/s, rad/s."""
-    c, s = np.cos(heading), np.sin(heading)
-    # the twist is in the vehicle's own frame
-    vx, vy = odometry["twist.twist.linear.x"], odometry["twist.twist.linear.y"]
-    rates = (c * vx - s * vy, s * vx + c * vy, odometry["twist.twist.angular.z"])
-    return np.stack(rates, axis=-1)
+    numbers = (odometry[f"twist.twist.{name}"].tolist() for name in TWIST)
+    return np.array(list(map(twist_values, heading.tolist(), *numbers)))
 
 
 def series_of(columns: Columns, release: int, values: np.ndarray) -> Series:
@@ -176,8 +171,8 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
             series = series_of(run.columns(topic), release, buffer[name])
             found.setdefault(name, {})[topic.name] = series
     if run.columns(topics.CONTACT_WRENCH):
-        t, force = wrench(run, topics.CONTACT_WRENCH, release)
-        found["force"] = {topics.CONTACT_WRENCH.name: Series(t, np.hypot(*force.T))}
+        force = magnitude(forces_in(run, topics.CONTACT_WRENCH, release))
+        found["force"] = {topics.CONTACT_WRENCH.name: force}
     return found
 
 
@@ -201,7 +196,7 @@ def first_contact_in(run: Run) -> tuple[float, Topic] | None:
         at = _since(columns, release_of(run))
         return (float(at[met[0]]), topics.CONTACT_STATE) if met.size else None
     topic = topics.CONTACT_WRENCH if run.columns(topics.CONTACT_WRENCH) else topics.LOAD_CELL
-    met_at = first_above(*wrench(run, topic, release_of(run)))
+    met_at = first_above(*forces_in(run, topic, release_of(run)))
     return None if met_at is None else (met_at, topic)
 
 
@@ -236,7 +231,7 @@ def touches_of(
             t = _since(columns, release)
             touches = in_messages(t, *(columns[n] for n in ("touches", "peak_force", "in_touch")))
         else:
-            t, force = wrench(run, topic, release)
+            t, force = forces_in(run, topic, release)
             seen = () if scene is None else (_attitude(measurements(run, released), t), scene.cone)
             touches = in_force(t, force, *seen)
         interval = Series(t, t).interval
@@ -267,14 +262,18 @@ def _since(columns: Columns, release: int) -> np.ndarray:
     return (stamps_of(columns) - release) / 1e9
 
 
-def wrench(run: Run, topic: Topic, release: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,), s, and force (n, 2), N, in the frame of the message."""
+def forces_in(run: Run, topic: Topic, release: int) -> Series:
+    """Return the force of a topic's wrenches, (n, 2), N, in the frame of the message."""
     columns = run.columns(topic)
     if not columns:
-        return np.zeros(0), np.zeros((0, 2))
+        return Series(np.zeros(0), np.zeros((0, 2)))
     force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
-    series = series_of(columns, release, force)
-    return series.t, series.values
+    return series_of(columns, release, force)
+
+
+def magnitude(force: Series) -> Series:
+    """Return the magnitude of a planar force, N."""
+    return Series(force.t, np.hypot(*force.values.T))
 
 
 def buffers_in(run: Run) -> dict[Topic, Columns]:
@@ -282,8 +281,8 @@ def buffers_in(run: Run) -> dict[Topic, Columns]:
     names = ("stroke", "torsion", "stroke_rate", "torsion_rate")
     found: dict[Topic, Columns] = {}
     if state := run.columns(topics.BUFFER_STATE):
-        fields = ("axial_stroke", "torsion", "axial_rate", "torsion_rate")
-        found[topics.BUFFER_STATE] = {n: state[f] for n, f in zip(names, fields, strict=True)}
+        values = (state[field] for field in BUFFER)
+        found[topics.BUFFER_STATE] = dict(zip(names, values, strict=True))
     joints = run.columns(topics.JOINT_STATES)
     known = list(joints["name"][0]) if joints else []
     if {HINGE_JOINT, SLIDE_JOINT} <= set(known) and joints["position"].ndim == 2:
@@ -291,7 +290,7 @@ def buffers_in(run: Run) -> dict[Topic, Columns]:
         if velocity.shape != position.shape:  # a bench may leave them empty
             velocity = np.gradient(position, stamps_of(joints) / 1e9, axis=0)
         both = [known.index(SLIDE_JOINT), known.index(HINGE_JOINT)]
-        values = (*position[:, both].T, *velocity[:, both].T)
+        values = (column for columns in (position, velocity) for column in columns[:, both].T)
         found[topics.JOINT_STATES] = dict(zip(names, values, strict=True))
     return found
 

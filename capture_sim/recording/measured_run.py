@@ -23,6 +23,7 @@ from capture_sim.model.equations import tip_motion
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.measured import (
     buffers_in,
+    forces_in,
     poses_of,
     rates_of,
     release_of,
@@ -271,20 +272,15 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         before = np.searchsorted(series.t, t, side="right") - 1
         return np.asarray(series.values[np.maximum(before, 0), 0].astype(int))
 
-    wrench, contact, string = (
-        run.columns(topic)
-        for topic in (topics.CONTACT_WRENCH, topics.CONTACT_STATE, topics.STRING_STATE)
-    )
     optional: dict[str, np.ndarray] = {}
-    if wrench:
-        force = (wrench["wrench.force.x"], wrench["wrench.force.y"])
-        optional["tip_force"] = at(series(topics.CONTACT_WRENCH, *force))
-    if contact:
+    if run.columns(topics.CONTACT_WRENCH):
+        optional["tip_force"] = at(forces_in(run, topics.CONTACT_WRENCH, release))
+    if contact := run.columns(topics.CONTACT_STATE):
         for name in ("normal_force", "peak_force"):
             optional[name] = at(series(topics.CONTACT_STATE, contact[name]))
         for name, field in (("walls", "walls"), ("begun", "touches")):
             optional[name] = held(series(topics.CONTACT_STATE, contact[field]))
-    if string:
+    if string := run.columns(topics.STRING_STATE):
         names = ("tension", "mass_height", "mass_speed")
         values = at(series(topics.STRING_STATE, *(string[name] for name in names)))
         phase = held(series(topics.STRING_STATE, string["phase"]))
