@@ -12,7 +12,7 @@ import yaml
 from mcap.records import Attachment, Channel, DataEnd, Metadata, Schema
 
 from capture_sim.errors import RecordingError
-from capture_sim.recording.bag_metadata import FILE_NAME
+from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER
 from capture_sim.recording.scan import (
     UNPACKED_RATIO,
     Damage,
@@ -94,7 +94,7 @@ def bag_files(path: Path) -> list[Path]:
         return [path]
     try:
         listed = yaml.safe_load((path / FILE_NAME).read_text(encoding="utf-8"))
-        names = listed["rosbag2_bagfile_information"]["relative_file_paths"]
+        names = listed[IN_FOLDER]["relative_file_paths"]
         files = [path / Path(str(name)).name for name in names]  # nothing outside the folder
     except OSError:  # the recorder was killed: the files tell their order by their numbers
         files = sorted(path.glob("[!.]*.mcap"), key=_number)

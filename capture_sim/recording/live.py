@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +24,7 @@ from capture_sim.messages.topics import (
     TOPICS,
     Topic,
 )
-from capture_sim.recording.bag_metadata import FILE_NAME, TopicEntry, bag_metadata, in_folder
+from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER, bag_metadata, dump
 from capture_sim.recording.completeness import Completeness, TopicCount
 from capture_sim.recording.write import RunWriter
 
@@ -124,14 +124,9 @@ class RecordingFiles:
         if not self._split:
             return
         parts = [*self._finished, self._writer]
-        topics: dict[str, TopicEntry] = {}
-        for entry in (entry for part in parts for entry in part.topic_entries()):
-            known = topics.get(entry.name)
-            topics[entry.name] = replace(entry, count=entry.count + (known.count if known else 0))
-        files = [part.file_entry for part in parts]
-        text = bag_metadata(list(topics.values()), files, self._writer.run_id)
-        with whole_file(self.path / FILE_NAME) as part:
-            part.write_text(in_folder(text), encoding="utf-8")
+        whole = {IN_FOLDER: bag_metadata([part.bag for part in parts], self._writer.run_id)}
+        with whole_file(self.path / FILE_NAME) as file:
+            file.write_text(dump(whole), encoding="utf-8")
 
     def give_up(self) -> None:
         """Close the file as far as that is possible."""

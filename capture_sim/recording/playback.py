@@ -14,7 +14,7 @@ import numpy as np
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import decoded, typestore
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
-from capture_sim.recording.bag_metadata import profiles_in
+from capture_sim.recording.bag_file import profiles_in
 from capture_sim.recording.contents import Contents, bag_files, read_contents
 
 

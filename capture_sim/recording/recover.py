@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from mmap import mmap
 from pathlib import Path
 
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
-from mcap.writer import MCAP0_MAGIC, Writer
+from mcap.writer import MCAP0_MAGIC
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, whole_file
@@ -23,7 +22,7 @@ from capture_sim.messages.topics import (
     Topic,
     topic_named,
 )
-from capture_sim.recording.bag_metadata import FileEntry, TopicEntry, bag_metadata, profiles_in
+from capture_sim.recording.bag_file import BAG_METADATA, BagFile, TopicEntry, profiles_in
 from capture_sim.recording.contents import bag_files
 from capture_sim.recording.scan import (
     UNPACKED_RATIO,
@@ -36,8 +35,6 @@ from capture_sim.recording.scan import (
     scan,
 )
 from capture_sim.recording.write import (
-    BAG_METADATA,
-    CHUNK_SIZE,
     DEFINITIONS_ATTACHMENT,
     RECOVERY_METADATA,
     RUN_METADATA,
@@ -94,7 +91,7 @@ def recover(
     target = free_path(path.with_name(f"{path.stem}_recovered.mcap")) if out is None else Path(out)
     try:
         with whole_file(target, replace=False) as beside, beside.open("xb") as file:
-            rescue = _Rescue(Writer(file, chunk_size=CHUNK_SIZE, enable_data_crcs=True))
+            rescue = _Rescue(BagFile(file, target.name))
             for part in files:
                 try:
                     rescue.add(part, ratio)
@@ -102,7 +99,7 @@ def recover(
                     if len(files) == 1:
                         raise
                     rescue.lost.append(f"all of {error}")
-            if not rescue.by_topic.total():
+            if rescue.bag.span is None:
                 raise NothingWholeError(f"{path}: nothing to recover: no whole chunk in it")
             return rescue.finish(target, several=len(files) > 1)
     except FileExistsError:
@@ -177,18 +174,13 @@ class _Part:
 class _Rescue:
     """Writes what is whole of one or more files into a new one as it is found."""
 
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        writer.start("ros2")
+    def __init__(self, bag: BagFile) -> None:
+        self.bag = bag
+        self._writer = bag.writer
         self.lost: list[str] = []
-        #: Messages written, by topic.
-        self.by_topic: Counter[str] = Counter()
         self._parts: list[_Part] = []
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[tuple[str, str, str], int] = {}  # by topic, type, encoding
-        self._entries: dict[int, TopicEntry] = {}
         self._telling: dict[int, Topic] = {}  # that tell of the run
-        self._span: tuple[int, int] | None = None  # log times, ns
         self._done = {BAG_METADATA}  # attachments and metadata that are written; it is made anew
         self._run: RunDescription | None = None
         self._released: int | None = None  # log time, ns
@@ -250,13 +242,9 @@ class _Rescue:
         if self.lost or unconfirmed:
             entries = {"lost": "\n".join(self.lost), "unconfirmed": "\n".join(unconfirmed)}
             self._writer.add_metadata(RECOVERY_METADATA, entries)
-        assert self._span is not None
-        file = FileEntry(target.name, *self._span, self.by_topic.total())
-        text = bag_metadata(list(self._entries.values()), [file], {})
-        self._writer.add_metadata(BAG_METADATA, {"serialized_metadata": text})
-        self._writer.finish()
+        self.bag.finish({})
         chunks = sum(part.chunks for part in self._parts)
-        return Recovery(target, chunks, dict(self.by_topic), tuple(self.lost), tuple(unconfirmed))
+        return Recovery(target, chunks, self.bag.counts, tuple(self.lost), tuple(unconfirmed))
 
     def _take(self, part: _Part, found: Whole) -> None:
         record, checked = found.record, False
@@ -288,12 +276,7 @@ class _Rescue:
             if not channel:
                 part.unknown += 1
                 continue
-            self._writer.add_message(channel, log_time, data, *more)
-            entry = self._entries[channel]
-            entry.count += 1
-            self.by_topic[entry.name] += 1
-            first, last = self._span or (log_time, log_time)
-            self._span = min(first, log_time), max(last, log_time)
+            self.bag.add(channel, log_time, data, *more)
             if channel in self._telling:
                 self._hear(self._telling[channel], log_time, data)
 
@@ -306,20 +289,12 @@ class _Rescue:
         type_name = "" if schema is None else schema.name
         key = (known.topic, type_name, known.message_encoding)
         if key not in self._channels:
-            schema_id = 0
-            if schema is not None:
-                text = (schema.name, schema.encoding, bytes(schema.data))
-                if text not in self._schemas:
-                    self._schemas[text] = self._writer.register_schema(*text)
-                schema_id = self._schemas[text]
-            made = self._writer.register_channel(
-                known.topic, known.message_encoding, schema_id, known.metadata
-            )
-            self._channels[key] = made
-            self.by_topic.setdefault(known.topic, 0)
             profiles = profiles_in(known.metadata.get("offered_qos_profiles", ""))
             type_hash = known.metadata.get("topic_type_hash", "")
-            self._entries[made] = TopicEntry(known.topic, type_name, profiles, type_hash, 0)
+            entry = TopicEntry(known.topic, type_name, profiles, type_hash, 0)
+            definition = schema and (schema.name, schema.encoding, bytes(schema.data))
+            made = self.bag.add_topic(entry, known.message_encoding, definition, known.metadata)
+            self._channels[key] = made
             topic = topic_named(known.topic)
             if topic in (RUN_INFO, LAUNCH_COMMAND, BENCH_STATE) and topic.type_name == type_name:
                 self._telling[made] = topic

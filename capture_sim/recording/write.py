@@ -10,20 +10,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
-from mcap.writer import IndexType, Writer
+from mcap.writer import IndexType
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import is_device
 from capture_sim.messages.convert import EPOCH_NS, RunDescription
 from capture_sim.messages.definitions import schema_text, type_hash
 from capture_sim.messages.topics import TOPICS, Topic
-from capture_sim.recording.bag_metadata import (
-    FileEntry,
-    TopicEntry,
-    bag_metadata,
-    dump,
-    qos_profile,
-)
+from capture_sim.recording.bag_file import BagFile, TopicEntry, dump, qos_profile
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"
@@ -36,10 +30,6 @@ RUN_METADATA = "capture_sim"
 END_METADATA = "capture_sim_end"
 #: Name of the metadata record that says what a recovered file lacks.
 RECOVERY_METADATA = "capture_sim_recovery"
-#: Name of the metadata record that rosbag2 reads.
-BAG_METADATA = "rosbag2"
-#: Uncompressed size of a chunk, bytes: what a kill can lose at most.
-CHUNK_SIZE = 128 * 1024
 
 
 class RunWriter:
@@ -61,6 +51,11 @@ class RunWriter:
     name
         That the file will have; of the path unless given.
 
+    Attributes
+    ----------
+    bag : BagFile
+        What is in the file so far.
+
     Raises
     ------
     RecordingError
@@ -77,21 +72,16 @@ class RunWriter:
         name: str = "",
     ) -> None:
         self.path = path
-        self._name = name or path.name
         self._run = run
-        self._counts: dict[Topic, int] = {}
         self._channels: dict[Topic, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._first_time: int | None = None
-        self._last_time = EPOCH_NS
         #: Entries for the metadata record at the end.
         self.closing: dict[str, str] = {}
         self._file: IO[bytes] | None = None
         with self._checked():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb" if is_device(path) else "xb")
-            self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
-            self._writer.start("ros2")
+            self.bag = BagFile(self._file, name or path.name)
+            self._writer = self.bag.writer
             self._writer.add_metadata(RUN_METADATA, {**describing(run), **(metadata or {})})
             for attached in (
                 (SCENE_ATTACHMENT, "application/yaml", run.scene.encode()),
@@ -99,7 +89,7 @@ class RunWriter:
             ):
                 self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *attached)
             for topic in topics:
-                self._channel(topic)
+                self._channels[topic] = _add(topic, self.bag)
             self._file.flush()
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
@@ -115,19 +105,15 @@ class RunWriter:
         if self._file is None:
             raise RecordingError(f"{self.path}: already closed")
         if time is None:
-            time = self._last_time
+            time = self.bag.span[1] if self.bag.span else EPOCH_NS
         try:
-            channel = self._channels.get(topic) or self._channel(topic)
-            count = self._counts[topic]
-            self._writer.add_message(channel, time, data, time, count)
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._channels[topic] = _add(topic, self.bag)
+            self.bag.add(channel, time, data, time)
         except OSError:
             with self._checked():
                 raise
-        self._counts[topic] = count + 1
-        if time > self._last_time:
-            self._last_time = time
-        if self._first_time is None or time < self._first_time:
-            self._first_time = time
 
     def flush(self) -> None:
         """End the chunk in progress and hand all to the operating system."""
@@ -143,9 +129,7 @@ class RunWriter:
             self._writer.flush()
             if self.closing:
                 self._writer.add_metadata(END_METADATA, self.closing)
-            text = bag_metadata(self.topic_entries(), [self.file_entry], self.run_id)
-            self._writer.add_metadata(BAG_METADATA, {"serialized_metadata": text})
-            self._writer.finish()
+            self.bag.finish(self.run_id)
             self._file.close()
             self._file = None
 
@@ -162,27 +146,8 @@ class RunWriter:
     @property
     def span(self) -> float:
         """Time from the first to the last message so far, s."""
-        first = self._last_time if self._first_time is None else self._first_time
-        return (self._last_time - first) / 1e9
-
-    @property
-    def file_entry(self) -> FileEntry:
-        """What a bag's metadata holds of the file."""
-        start = EPOCH_NS if self._first_time is None else self._first_time
-        return FileEntry(self._name, start, self._last_time, sum(self._counts.values()))
-
-    def topic_entries(self) -> list[TopicEntry]:
-        """Return what a bag's metadata holds of the topics."""
-        return [
-            TopicEntry(
-                topic.absolute_name,
-                topic.type_name,
-                [qos_profile(topic)],
-                type_hash(topic.type_name),
-                count,
-            )
-            for topic, count in self._counts.items()
-        ]
+        first, last = self.bag.span or (0, 0)
+        return (last - first) / 1e9
 
     def __enter__(self) -> Self:
         return self
@@ -198,11 +163,6 @@ class RunWriter:
         else:  # what is there stays readable; the first error is the one to show
             with suppress(RecordingError):
                 self.close()
-
-    def _channel(self, topic: Topic) -> int:
-        self._counts[topic] = 0
-        self._channels[topic] = _register(self._writer, topic, self._schemas)
-        return self._channels[topic]
 
     @contextmanager
     def _checked(self) -> Iterator[None]:
@@ -231,17 +191,12 @@ def describing(run: RunDescription) -> dict[str, str]:
     }
 
 
-def _register(writer: Writer, topic: Topic, schemas: dict[str, int]) -> int:
-    """Write a topic's type, unless it is known, and the topic; return the topic's id."""
-    type_name = topic.type_name
-    if type_name not in schemas:
-        text = schema_text(type_name).encode()
-        schemas[type_name] = writer.register_schema(type_name, "ros2msg", text)
-    metadata = {
-        "offered_qos_profiles": _offered(topic),
-        "topic_type_hash": type_hash(type_name),
-    }
-    return writer.register_channel(topic.absolute_name, "cdr", schemas[type_name], metadata)
+def _add(topic: Topic, bag: BagFile) -> int:
+    """Write a topic of the bench; return the channel's id."""
+    name, digest = topic.type_name, type_hash(topic.type_name)
+    entry = TopicEntry(topic.absolute_name, name, [qos_profile(topic)], digest, 0)
+    metadata = {"offered_qos_profiles": _offered(topic), "topic_type_hash": digest}
+    return bag.add_topic(entry, "cdr", (name, "ros2msg", schema_text(name).encode()), metadata)
 
 
 @cache
@@ -252,7 +207,7 @@ def _offered(topic: Topic) -> str:
 def _definitions(topics: Sequence[Topic]) -> bytes:
     """Return an MCAP file of types and topics alone, with the ids that the recording has."""
     file = io.BytesIO()
-    writer = Writer(
+    bag = BagFile(
         file,
         index_types=IndexType.NONE,
         repeat_channels=False,
@@ -261,9 +216,7 @@ def _definitions(topics: Sequence[Topic]) -> bytes:
         use_statistics=False,
         use_summary_offsets=False,
     )
-    writer.start("ros2")
-    schemas: dict[str, int] = {}
     for topic in topics:
-        _register(writer, topic, schemas)
-    writer.finish()
+        _add(topic, bag)
+    bag.writer.finish()
     return file.getvalue()
