@@ -122,7 +122,8 @@ class BagFile:
 def bag_metadata(files: Sequence[BagFile], custom: Mapping[str, str]) -> dict[str, object]:
     """Return what ``metadata.yaml`` holds of a bag under :data:`IN_FOLDER`."""
     spans = [file.span or (EPOCH_NS, EPOCH_NS) for file in files]
-    counts = [sum(file.counts.values()) for file in files]
+    by_topic = [file.counts for file in files]
+    counts = [sum(of.values()) for of in by_topic]
     topics = {topic.name: topic for file in files for topic in file.topics.values()}
     return {
         "version": 9,
@@ -138,7 +139,7 @@ def bag_metadata(files: Sequence[BagFile], custom: Mapping[str, str]) -> dict[st
                     "offered_qos_profiles": list(topic.qos_profiles),
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": sum(file.counts.get(topic.name, 0) for file in files),
+                "message_count": sum(of.get(topic.name, 0) for of in by_topic),
             }
             for topic in topics.values()
         ],
