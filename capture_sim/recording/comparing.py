@@ -14,9 +14,7 @@ import numpy as np
 from capture_sim.errors import RecordingError
 from capture_sim.messages import topics
 from capture_sim.recording.measured import (
-    first_contact_in,
-    forces_in,
-    magnitude,
+    first_contact,
     measured_sources,
     release_of,
     touches_of,
@@ -145,12 +143,8 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
         exact = dict(measured_in(samples).items())
         exact[DISTANCE] = Series(samples["t"], samples["tip_distance"])
         found = {name: {topics.BENCH_STATE.name: series} for name, series in exact.items()}
-    release = release_of(run)
-    for name, by_topic in measured_sources(run, release).items():
+    for name, by_topic in measured_sources(run, release_of(run)).items():
         found.setdefault(name, {}).update(by_topic)
-    if run.columns(topics.LOAD_CELL):
-        force = magnitude(forces_in(run, topics.LOAD_CELL, release))
-        found.setdefault("force", {})[topics.LOAD_CELL.name] = force
     # the detector's own path: the nearest place so far
     nearest = [(status.t, status.nearest_distance) for status in run.statuses]
     near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
@@ -180,7 +174,7 @@ def _finest(name: str, mine: Mapping[str, Series], theirs: Mapping[str, Series])
 def _comparable(
     run: Run, sources: Mapping[str, Mapping[str, Series]], choice: Mapping[str, str]
 ) -> Comparable:
-    met = first_contact_in(run)
+    met = first_contact(run)
     if met is None:
         raise RecordingError(f"{run.path}: no contact in it to align with")
     series = {name: sources[name][topic] for name, topic in choice.items()}

@@ -170,19 +170,14 @@ def measured_sources(run: Run, release: int) -> dict[str, dict[str, Series]]:
         for name in ("stroke", "torsion"):
             series = series_of(run.columns(topic), release, buffer[name])
             found.setdefault(name, {})[topic.name] = series
-    if run.columns(topics.CONTACT_WRENCH):
-        force = magnitude(forces_in(run, topics.CONTACT_WRENCH, release))
-        found["force"] = {topics.CONTACT_WRENCH.name: force}
+    for topic in (topics.CONTACT_WRENCH, topics.LOAD_CELL):
+        if run.columns(topic):
+            t, force = forces_in(run, topic, release)
+            found.setdefault("force", {})[topic.name] = Series(t, np.hypot(*force.T))
     return found
 
 
-def first_contact(run: Run) -> float | None:
-    """Return when the tip first met the cone, s; None if it never did."""
-    met = first_contact_in(run)
-    return None if met is None else met[0]
-
-
-def first_contact_in(run: Run) -> tuple[float, Topic] | None:
+def first_contact(run: Run) -> tuple[float, Topic] | None:
     """Return when the tip first met the cone, s, and in which topic; None if it never did.
 
     From the located event, else from the contact's topic, else from a force above its noise.
@@ -269,11 +264,6 @@ def forces_in(run: Run, topic: Topic, release: int) -> Series:
         return Series(np.zeros(0), np.zeros((0, 2)))
     force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
     return series_of(columns, release, force)
-
-
-def magnitude(force: Series) -> Series:
-    """Return the magnitude of a planar force, N."""
-    return Series(force.t, np.hypot(*force.values.T))
 
 
 def buffers_in(run: Run) -> dict[Topic, Columns]:

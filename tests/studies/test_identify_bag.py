@@ -159,7 +159,7 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
     # noise of the cell, and 1 % of shape
     assert found.peak == pytest.approx(true["peak_force"], rel=0.01, abs=4.0 * CELL_NOISE)
     # the release is 0.35 s after the first pose, from which the bag's own time counts
-    met = first_contact(read_run(bag))
+    met = first_contact(read_run(bag))[0]
     assert met == pytest.approx(true["start"][0] + STOOD, abs=1.0 / CELL)
 
 
