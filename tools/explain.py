@@ -34,10 +34,11 @@ from capture_sim.viewing.shapes import (
     hinge_in_world,
     rail_shapes,
     state_shapes,
+    tip_in_cone,
     tip_in_world,
     wall,
 )
-from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, verdict
+from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, in_contact, verdict
 
 # of the drawing, so that small motions are seen
 _STROKE, _TORSION = -0.035, 0.14  # m, rad
@@ -225,7 +226,7 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
     touch, decided = first_touch(run), decided_at(run)
     begin = 0.0 if touch is None else max(touch.t - 0.15, 0.0)
     end = float(run.samples["t"][-1]) if decided is None else decided
-    frames = []
+    frames, touching = [], in_contact(run)
     count = pictures or int((end - begin) * _FPS * _SLOWER) + 1
     for t in np.linspace(begin, end, count):
         figure = new_figure(9.6, 4.0)
@@ -237,11 +238,16 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
         word = verdict(run) if t >= end else f"1/{_SLOWER} of real time"
         bench.set_title(f"{scene.name}, {t:.2f} s: {word}", fontsize=14, loc="left")
         draw_shapes(cone, cone_shapes(scene).values(), 1e3)
-        upto = _Part(run, run.samples[run.samples["t"] <= t])
-        draw_path(cone, upto)
-        last = upto.samples[-1]
-        centre = np.array([-last["tip_axial"], last["tip_lateral"]])
-        tip = Shape(circle(centre, scene.probe.tip_radius), style.BLACK, 1.0, style.BLUE, order=3.0)
+        upto = run.samples["t"] <= t
+        samples = run.samples[upto]
+        draw_path(cone, scene, samples, touching[upto], style.BLUE)
+        tip = Shape(
+            circle(tip_in_cone(samples)[-1], scene.probe.tip_radius),
+            style.BLACK,
+            1.0,
+            style.BLUE,
+            order=3.0,
+        )
         draw_shapes(cone, [tip], 1e3)
         cone.set(xlim=(-85, 40), ylim=(-80, 80), aspect="equal")
         cone.set_title("the tip in the cone", fontsize=14)
@@ -256,15 +262,6 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
     with whole_file(path) as part:
         small[0].save(part, save_all=True, append_images=small[1:], duration=times, loop=0)
     return path
-
-
-class _Part:
-    """A run up to some time."""
-
-    def __init__(self, run: ViewableRun, samples: np.ndarray) -> None:
-        self.scene, self.samples, self.trace = run.scene, samples, None
-        self.touches, self.events, self.statuses = run.touches, run.events, run.statuses
-        self.extremes = None
 
 
 def main(folder: Path) -> None:

@@ -10,12 +10,15 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
 from capture_sim.viewing.rerun_server import LOCALHOST, program
 from capture_sim.viewing.rerun_stream import ALIGNED
+
+_PATIENCE = 300.0  # s, with a viewer on a busy machine
 
 
 def main():
@@ -25,59 +28,70 @@ def main():
     parser.add_argument("--at", type=float, metavar="S", help="since the first touch, s")
     parser.add_argument("--size", default="1600x900", help="pixels (1600x900)")
     options = parser.parse_args()
+    with opened(options.recording, options.size) as client:
+        if options.at is not None:
+            client.set_time(ALIGNED, duration=options.at, play_state="paused")
+        options.picture.write_bytes(settled(client))
+    print(f"picture in {options.picture}")
+
+
+@contextmanager
+def opened(recording, size="1600x900"):
+    """Open a recording in a viewer; yield its client when all of it is loaded."""
     with socket.socket() as probe:
         probe.bind((LOCALHOST, 0))
         port = probe.getsockname()[1]
     viewer = subprocess.Popen(
         [
-            *(str(program()), str(options.recording), "--headless", "--renderer", "vulkan"),
-            *("--bind", LOCALHOST, "--port", str(port), "--window-size", options.size),
+            *(str(program()), str(recording), "--headless", "--renderer", "vulkan"),
+            *("--bind", LOCALHOST, "--port", str(port), "--window-size", size),
             "--hide-welcome-screen",
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
     try:
-        client = connected(port, viewer)
-        wait_for(lambda: client.get_state().views and not client.get_state().loading)
-        if options.at is not None:
-            client.set_time(ALIGNED, duration=options.at, play_state="paused")
-        options.picture.write_bytes(settled(client))
+        client = tried(
+            viewer, lambda: ViewerClient.connect(f"rerun+http://{LOCALHOST}:{port}/proxy")
+        )
+        tried(viewer, lambda: loaded(client.get_state()))
+        yield client
     finally:
         viewer.terminate()
-        viewer.wait(10)
-    print(f"picture in {options.picture}")
+        viewer.wait(60)
 
 
-def connected(port, viewer):
-    for _ in range(120):
-        if viewer.poll() is not None:
-            sys.exit("the viewer ended: it found no Vulkan driver, most likely")
+def loaded(state):
+    if not state.recordings or not state.views or state.loading:
+        raise TimeoutError("the recording is not loaded")
+
+
+def tried(viewer, action):
+    """Return what an action returns, tried again while it fails and the viewer lives."""
+    deadline = time.monotonic() + _PATIENCE
+    while True:
         try:
-            return ViewerClient.connect(f"rerun+http://{LOCALHOST}:{port}/proxy")
+            return action()
         except Exception:
+            if viewer.poll() is not None:
+                sys.exit("the viewer ended: it found no Vulkan driver, most likely")
+            if time.monotonic() > deadline:
+                raise
             time.sleep(0.25)
-    sys.exit("the viewer does not answer")
 
 
-def wait_for(true):
-    for _ in range(80):
-        if true():
-            return
-        time.sleep(0.25)
-    sys.exit("the recording is not loaded")
-
-
-def settled(client):
-    """Take pictures until two in a row are equal."""
-    before = b""
-    for _ in range(40):
-        time.sleep(0.6)
-        now = client.take_screenshot()
-        if now == before:
-            break
+def settled(client, view=None):
+    """Return a picture of all or of one view, taken until two in a row are equal."""
+    before, deadline = b"", time.monotonic() + _PATIENCE
+    while True:
+        time.sleep(0.5)
+        try:
+            now = client.take_screenshot(view)
+        except TimeoutError:  # the machine is busy
+            now = b""
+        if now == before != b"" or time.monotonic() > deadline:
+            return now
         before = now
-    return now
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
@@ -31,6 +32,28 @@ def new_figure(width: float, height: float, *, arranged: bool = True) -> Figure:
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)  # none of pyplot's global state
     return figure
+
+
+def subplots(
+    width: float,
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    grid: Any = "both",
+    font: float = style.FONT,
+    **options: Any,
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure, inches, and its axes (rows, columns), in the common look.
+
+    ``grid`` says along which axis there is one: "x", "y", "both", None; ``font`` is the size of
+    labels, in points; ``options`` go on to matplotlib's ``Figure.subplots``.
+    """
+    figure = new_figure(width, height)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for each in axes.flat:
+        dress(each, grid, font)
+    return figure, axes
 
 
 def rows_of_axes(
@@ -61,18 +84,14 @@ def rows_of_axes(
     return found
 
 
-def set_fonts(all_axes: Iterable[Axes], size: float = style.FONT) -> None:
-    """Give labels and numbers of axes their size, in points."""
-    for axes in all_axes:
-        axes.tick_params(labelsize=size - 1.5)
-        axes.xaxis.label.set_fontsize(size)
-        axes.yaxis.label.set_fontsize(size)
-
-
-def grid(axes: Axes, axis: Any = "both") -> None:
-    """Draw a light grid behind everything."""
-    axes.grid(axis=axis, color=style.LIGHT, lw=0.6)
-    axes.set_axisbelow(True)
+def dress(axes: Axes, grid: Any = "both", font: float = style.FONT) -> None:
+    """Give axes a light grid behind everything, and labels and numbers their size, in points."""
+    if grid:
+        axes.grid(axis=grid, color=style.LIGHT, lw=0.6)
+        axes.set_axisbelow(True)
+    axes.tick_params(labelsize=font - 1.5)
+    axes.xaxis.label.set_fontsize(font)
+    axes.yaxis.label.set_fontsize(font)
 
 
 def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> None:

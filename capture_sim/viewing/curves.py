@@ -6,11 +6,14 @@ As in the paper, a line is solid while the tip touches the cone and dashed while
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
+from capture_sim.viewing.shapes import CHASER, TARGET
 from capture_sim.viewing.source import (
     ViewableRun,
     distinct_names,
@@ -65,76 +68,160 @@ class Trace(NamedTuple):
     values: np.ndarray  # (n,) or (n, k), SI units
 
 
-class Panel(NamedTuple):
-    """One quantity over time.
+class Limit(NamedTuple):
+    """A level that a quantity is to reach or not to pass: name, value in its unit, colour."""
+
+    name: str
+    value: float
+    colour: str
+
+
+class Quantity(NamedTuple):
+    """A quantity over time.
 
     Attributes
     ----------
     title
         In words.
-    axis
-        Label with unit.
-    curve
-        Times (n,), s, and values (n,) of a run, in the axis' unit.
-    sampled
-        Whether the times are those of the samples: then the line tells contact from flight.
+    label
+        Of its axis.
+    unit
+        Of its axis.
     factor
         How many of the unit to the SI unit.
+    si
+        Of samples (n,): values (n,), or (n, k) of several curves, in the SI unit.
+    sign
+        What its sign means.
     from_zero
         Whether the axis begins at zero.
+    located
+        Of a run: times (n,), s, and values (n,), SI, that show the touches between the samples
+        too.  None where the samples are all: then the line tells contact from flight.
+    limits
+        Of a scene, in the unit.
     """
 
     title: str
-    axis: str
-    curve: Callable[[ViewableRun], tuple[np.ndarray, np.ndarray]]
-    sampled: bool = False
-    factor: float = 1.0
+    label: str
+    unit: str
+    factor: float
+    si: Callable[[np.ndarray], np.ndarray]
+    sign: str = ""
     from_zero: bool = False
+    located: Callable[[ViewableRun], tuple[np.ndarray, np.ndarray]] | None = None
+    limits: Callable[[Scene], tuple[Limit, ...]] = lambda _: ()
+
+    @property
+    def axis(self) -> str:
+        """The axis' label with its unit."""
+        return f"{self.label}{self.sign and f' ({self.sign})'}  [{self.unit}]"
+
+    def of(self, samples: np.ndarray) -> np.ndarray:
+        """Return its values in samples (n,), in its unit."""
+        return np.asarray(self.si(samples) * self.factor)
+
+    def curve(self, run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+        """Return times (n,), s, and values (n,), in its unit, of a run."""
+        if self.located is None:
+            return run.samples["t"], self.of(run.samples)
+        t, values = self.located(run)
+        return t, values * self.factor
 
 
-def _of_samples(quantity: style.Quantity, title: str, *, from_zero: bool = False) -> Panel:
-    return Panel(
-        title,
-        quantity.axis,
-        lambda run: (run.samples["t"], quantity.of(run.samples)),
-        sampled=True,
-        factor=quantity.factor,
-        from_zero=from_zero,
+def _depth(samples: np.ndarray) -> np.ndarray:
+    """Return how deep the tip is in a wall that it touches, (n,), m."""
+    # of the walls that are touched: latches hold the tip in their place
+    touched = (samples["walls"][:, None] & np.array([1, 2])) != 0
+    return np.asarray(np.where(touched, samples["penetration"], 0.0).max(axis=1))
+
+
+def _depth_with_ends(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+    """Return times, s, and depth, m, (n,): zero at the located ends, or a touch looks longer."""
+    touches = run.touches
+    t = np.concatenate([run.samples["t"], touches["start"], touches["end"]])
+    t, first = np.unique(t, return_index=True)
+    return t, np.concatenate([_depth(run.samples), np.zeros(2 * len(touches))])[first]
+
+
+def _rate(index: int) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda samples: np.asarray(samples["v"][:, index])
+
+
+def _stops(scene: Scene) -> tuple[Limit, ...]:
+    if scene.stops is None:
+        return ()
+    return (
+        Limit("stop, inwards", -scene.stops.compression * 1e3, style.GREY),
+        Limit("stop, outwards", scene.stops.extension * 1e3, style.GREY),
     )
 
 
-def penetration(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,), s, and how deep the tip is in a wall that it touches, (n,), um."""
-    samples, touches = run.samples, run.touches
-    # of the walls that are touched: latches hold the tip in their place
-    touched = (samples["walls"][:, None] & np.array([1, 2])) != 0
-    deepest = np.where(touched, samples["penetration"], 0.0).max(axis=1) * 1e6
-    # zero at the located ends, so that no touch looks longer than it was
-    t = np.concatenate([samples["t"], touches["start"], touches["end"]])
-    deepest = np.concatenate([deepest, np.zeros(2 * len(touches))])
-    t, first = np.unique(t, return_index=True)
-    return t, deepest[first]
+def _zone(scene: Scene) -> tuple[Limit, ...]:
+    return (Limit("capture zone", scene.detector.capture_radius * 1e3, style.ZONE),)
 
+
+FORCE = Quantity(
+    "Contact force with every touch",
+    "normal contact force",
+    "N",
+    1.0,
+    lambda samples: samples["normal_force"].sum(axis=1),
+    from_zero=True,
+    located=normal_force_with_peaks,
+)
+PENETRATION = Quantity(
+    "Penetration of the tip into the wall",
+    "penetration",
+    "µm",
+    1e6,
+    _depth,
+    from_zero=True,
+    located=_depth_with_ends,
+)
+STROKE = Quantity(
+    "Axial buffer",
+    "axial stroke",
+    "mm",
+    1e3,
+    itemgetter("axial_stroke"),
+    "compression < 0",
+    limits=_stops,
+)
+TORSION = Quantity("Torsional buffer", "torsion", "mrad", 1e3, itemgetter("torsion"), "ccw > 0")
+DISTANCE = Quantity(
+    "Distance of the tip to BE",
+    "tip to the centre of BE",
+    "mm",
+    1e3,
+    itemgetter("tip_distance"),
+    from_zero=True,
+    limits=_zone,
+)
 
 #: By name of their figure's file.
 PANELS = {
-    "impact_force": Panel(
-        "Contact force with every touch",
-        "normal contact force  [N]",
-        normal_force_with_peaks,
-        from_zero=True,
-    ),
-    "intrusion": Panel(
-        "Penetration of the tip into the wall", "penetration  [µm]", penetration, from_zero=True
-    ),
-    "axial_performance": _of_samples(style.STROKE, "Axial buffer"),
-    "torsional_performance": _of_samples(style.TORSION, "Torsional buffer"),
-    "distance": _of_samples(style.DISTANCE, "Distance of the tip to BE", from_zero=True),
+    "impact_force": FORCE,
+    "intrusion": PENETRATION,
+    "axial_performance": STROKE,
+    "torsional_performance": TORSION,
+    "distance": DISTANCE,
 }
+
+#: Rates of x, y and theta: a row each; of chaser and target: a column each.
+VELOCITIES = tuple(
+    tuple(
+        Quantity(vehicle, label, unit, 1e3, _rate(first + row))
+        for vehicle, first in (("chaser", CHASER[0]), ("target", TARGET[0]))
+    )
+    for row, (label, unit) in enumerate(
+        (("velocity x", "mm/s"), ("velocity y", "mm/s"), ("angular velocity", "mrad/s"))
+    )
+)
 
 
 def as_shown(
-    runs: Runs, labels: Sequence[str] | None = None, *, aligned: bool = False
+    runs: Runs, labels: Sequence[str] | None = None, *, aligned: bool = False, first: int = 0
 ) -> list[Shown]:
     """Give every run its label, colour and origin of time.
 
@@ -146,6 +233,8 @@ def as_shown(
         One each; None takes the scenes' names.
     aligned
         Count each run's time from its first touch.
+    first
+        Number of the first run among others, for its colour.
 
     Raises
     ------
@@ -162,7 +251,7 @@ def as_shown(
     for i, (run, name) in enumerate(zip(several, names, strict=True)):
         touch = first_touch(run)
         origin = touch.t if aligned and touch is not None else 0.0
-        shown.append(Shown(run, name, style.run_colour(i), origin, in_contact(run)))
+        shown.append(Shown(run, name, style.run_colour(first + i), origin, in_contact(run)))
     return shown
 
 

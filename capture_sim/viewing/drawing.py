@@ -1,149 +1,48 @@
-"""The bench from above and the tip's way through the cone, drawn with matplotlib."""
+"""What pictures of runs are made of: the cone and the tip's way in it, quantities over time."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
 
-from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes
-from capture_sim.viewing.shapes import (
-    CHASER,
-    TARGET,
-    Box,
-    chaser_box,
-    cone_shapes,
-    placed,
-    rail_shapes,
-    state_shapes,
-    target_box,
-    tip_in_cone,
-    wall,
-    wall_name_place,
-)
-from capture_sim.viewing.source import (
-    ViewableRun,
-    contacts,
-    first_touch,
-    in_contact,
-    start_word,
-    strongest,
-)
+from capture_sim.viewing.curves import Quantity, Shown, Window, split
+from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
 
 _MM = 1e3
-LETTERS = "abcdefgh"
-_ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
-# of a letter from its dot, points, the best first: above, below, beside, then farther away
-_LETTER_PLACES = (
-    *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
-    *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
-)
+_FREE: Any = {"lw": 1.3, "ls": style.FREE_LINE}
 
 
-def draw_bench(axes: Axes, run: ViewableRun, colour: str = style.BLUE) -> str:
-    """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
-
-    Returns
-    -------
-    str
-        What is seen, in words.
-    """
-    scene, start = run.scene, run.samples["q"][0]
-    touch = first_touch(run)
-    then = run.samples["q"][-1] if touch is None else touch.q
-    moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
-    shapes = rail_shapes(scene) + state_shapes(scene, then, colour)
-    if moved:
-        shapes += state_shapes(scene, start, colour, ghost=True, both=False)
-    draw_shapes(axes, shapes)
-    degrees = round(float(np.rad2deg(then[TARGET[2]])))
-    _name(axes, "chaser", chaser_box(scene), then[list(CHASER)])
-    _name(axes, f"target\n{degrees:+d}°" if degrees else "target\n0°", target_box(scene), then[5:])
-    axes.set_aspect("equal")
-    axes.margins(0.03)
-    axes.set_xlabel("x in the world  [m]")
-    axes.set_ylabel("y  [m]")
-    when = "end of the run" if touch is None else "first touch"
-    return f"at the {start_word(scene)} and at the {when}" if moved else f"at the {when}"
+def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
+    """Draw the ways of the tip's centre in the cone, one for each that differs."""
+    several, scenes = len(shown) > 1, [one.run.scene for one in shown]
+    for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
+        _draw_cone(axes, scene)
+    axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
+    axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
+    for one in shown:
+        draw_path(axes, one.run.scene, one.run.samples, one.touching, one.colour)
+        if several:
+            axes.plot([], [], color=one.colour, lw=3.2, label=one.label)
+    colour = style.GREY if several else shown[0].colour
+    axes.plot([], [], color=colour, label="centre, free", **_FREE)
+    axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
+    across, upwards = frame_bounds(scenes[0])
+    axes.set(aspect="equal", xlim=across, ylim=upwards)
+    axes.set_xlabel("x in the cone's frame, from BE  [mm]")
+    axes.set_ylabel("y in the cone's frame  [mm]")
+    axes.legend(loc="upper right", fontsize=style.SMALL, framealpha=1.0).set_zorder(10)
 
 
-def _name(axes: Axes, text: str, box: Box, pose: np.ndarray) -> None:
-    """Write along a body's front-to-rear axis, in its middle."""
-    middle = placed(np.array([[(box.back + box.front) / 2, 0.0]]), *pose)[0]
-    axes.text(
-        float(middle[0]),
-        float(middle[1]),
-        text,
-        ha="center",
-        va="center",
-        fontsize=style.SMALL,
-        rotation=float(np.rad2deg(pose[2])),
-        zorder=4,  # over the ghost and the balls
-        bbox={"facecolor": style.LIGHT, "edgecolor": "none", "pad": 2.0},
-    )
-
-
-class Moment(NamedTuple):
-    """An instant worth a picture of the tip."""
-
-    t: float  # s
-    place: np.ndarray  # tip's centre in the cone's frame, (2,), m
-    meaning: str
-
-
-def key_moments(run: ViewableRun) -> list[Moment]:
-    """Return first touch, strongest touch, then latching or nearest approach and end.
-
-    The end counts only where it lies within the frame.
-    """
-    samples = run.samples
-    t, places = samples["t"], tip_in_cone(samples)
-    found: list[Moment] = []
-
-    def add(time: float, meaning: str) -> None:
-        place = np.array([np.interp(time, t, places[:, i]) for i in (0, 1)])
-        found.append(Moment(time, place, meaning))
-
-    touch = first_touch(run)
-    if touch is not None:
-        peak_time, peak = strongest(run)
-        first_end = min((end for start, end in contacts(run) if start == touch.t), default=touch.t)
-        if peak > 0.0 and touch.t <= peak_time <= first_end:
-            add(touch.t, f"first touch, {peak:.0f} N")
-        else:
-            add(touch.t, "first touch")
-            if peak > 0.0:
-                add(peak_time, f"strongest, {peak:.0f} N")
-    latched = next((e for e in run.events if e.kind is EventKind.LATCHED), None)
-    if latched is not None:
-        add(latched.t, "latched")
-    else:
-        nearest = int(np.argmin(samples["tip_distance"]))
-        add(float(t[nearest]), f"nearest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
-        (left, right), (low, high) = frame_bounds(run.scene)
-        x, y = places[-1] * _MM
-        if nearest == len(t) - 1:
-            # as of a run that was broken off: one place, one letter
-            found[-1] = found[-1]._replace(meaning=f"{found[-1].meaning} (end)")
-        elif left < x < right and low < y < high:
-            add(float(t[-1]), "end of the run")
-    return sorted(found, key=lambda moment: moment.t)
-
-
-def draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw walls, bound of the tip's centre and capture zone, and explain them."""
-    explained = bool(axes.get_legend_handles_labels()[1])
+def _draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw walls with their names, bound of the tip's centre and capture zone."""
     draw_shapes(axes, cone_shapes(scene).values(), _MM)
     axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
-    if not explained:
-        axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
-        axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
     for side, (*_, name) in style.WALLS.items():
         x, y = wall_name_place(scene.cone, side) * _MM
         axes.text(
@@ -160,81 +59,18 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
         )
 
 
-def draw_path(axes: Axes, run: ViewableRun, colour: str = style.BLUE) -> None:
+def draw_path(
+    axes: Axes, scene: Scene, samples: np.ndarray, touching: np.ndarray, colour: str
+) -> None:
     """Draw the way of the tip's centre: solid while it touches, dashed while it does not."""
-    (left, right), (low, high) = frame_bounds(run.scene)
-    way = tip_in_cone(run.samples) * _MM
-    touching = in_contact(run)
-    touching[1:] |= touching[:-1]  # what lies between two samples belongs to the earlier
+    (left, right), (low, high) = frame_bounds(scene)
+    way = tip_in_cone(samples) * _MM
     # what lies far outside of the frame needs no line
     near = (way > (left - 50.0, low - 50.0)).all(axis=1)
     near &= (way < (right + 50.0, high + 50.0)).all(axis=1)
-    way, touching = way[near], touching[near]
-    axes.plot(*way.T, color=colour, lw=1.3, ls=style.FREE_LINE, zorder=5)
-    axes.plot(*np.where(touching[:, None], way, np.nan).T, color=colour, lw=3.2, zorder=5)
-
-
-def label_path(axes: Axes, colour: str = style.BLUE) -> None:
-    """Explain the way's dashes in the legend."""
-    axes.plot([], [], color=colour, lw=1.3, ls=style.FREE_LINE, label="centre, free")
-    axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
-
-
-def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str = style.BLUE) -> None:
-    """Draw the tip as a circle at each moment, marked a, b, c..."""
-    radius = scene.probe.tip_radius * _MM
-    halo = [patheffects.withStroke(linewidth=3, foreground="white")]
-    offsets = _letter_places(scene, moments)
-    for i, moment in enumerate(moments):
-        x, y = moment.place * _MM
-        axes.add_patch(
-            Circle((x, y), radius, facecolor=colour, alpha=0.14, edgecolor="none", zorder=3)
-        )
-        axes.add_patch(
-            Circle((x, y), radius, facecolor="none", edgecolor=style.GREY, lw=1.1, zorder=3)
-        )
-        axes.plot(x, y, "o", ms=6.5, color=style.BLACK, mec="white", zorder=7)
-        axes.annotate(
-            LETTERS[i],
-            (x, y),
-            xytext=offsets[i],
-            textcoords="offset points",
-            fontsize=14,
-            fontweight="bold",
-            ha="center",
-            va="center",
-            path_effects=halo,
-            zorder=8,
-        )
-
-
-def _letter_places(scene: Scene, moments: list[Moment]) -> list[tuple[float, float]]:
-    """Return where each moment's letter stands, points from its dot, clear of the others."""
-    (left, right), _ = frame_bounds(scene)
-    # before it is laid out, the width of the axes is known about
-    dots = np.array([moment.place for moment in moments]).reshape(-1, 2) * _MM
-    dots *= _ABOUT_WIDTH / (right - left)
-    letters: list[np.ndarray] = []
-    chosen: list[tuple[float, float]] = []
-    for i, dot in enumerate(dots):
-        # up and down in turn, so that near ones part
-        sign = 1 if i % 2 == 0 else -1
-        others = np.delete(dots, i, axis=0)
-
-        def room(
-            place: tuple[float, float], dot: np.ndarray = dot, others: np.ndarray = others
-        ) -> float:
-            """Return how far a letter is from what it must not cover; 1 is enough."""
-            at = dot + place
-            from_letters = [float(np.linalg.norm(at - other)) / 17.0 for other in letters]
-            from_dots = [float(np.linalg.norm(at - other)) / 10.0 for other in others]
-            return min([1.0, *from_letters, *from_dots])
-
-        # max takes the first of those that are equally good
-        place = max([(float(x), float(sign * y)) for x, y in _LETTER_PLACES], key=room)
-        letters.append(dot + place)
-        chosen.append(place)
-    return chosen
+    in_touch, _ = split(way[near], touching[near])
+    axes.plot(*way[near].T, color=colour, zorder=5, **_FREE)
+    axes.plot(*in_touch.T, color=colour, lw=3.2, zorder=5)
 
 
 def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -246,11 +82,27 @@ def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]
     return (float(lip[0] - 1.5 * margin), float(lip[1] + 0.1 * margin)), (-top, top)
 
 
-def frame_cone(axes: Axes, scene: Scene) -> None:
-    """Fit the axes to the cone, same scale in x and y."""
-    across, upwards = frame_bounds(scene)
-    axes.set_aspect("equal")
-    axes.set_xlim(across)
-    axes.set_ylim(upwards)
-    axes.set_xlabel("x in the cone's frame, from BE  [mm]")
-    axes.set_ylabel("y in the cone's frame  [mm]")
+def draw_quantity(axes: Axes, quantity: Quantity, shown: Sequence[Shown], window: Window) -> None:
+    """Draw a quantity over time, as far as it lies in the window, so that the axis fits it."""
+    limits = {limit for one in shown for limit in quantity.limits(one.run.scene)}
+    for limit in sorted(limits, key=lambda limit: limit.value):
+        name = f"{limit.name}, {limit.value:g} {quantity.unit}"
+        if quantity.from_zero:
+            axes.axhspan(0.0, limit.value, color=limit.colour, alpha=0.2, lw=0, label=name)
+        else:
+            axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":", label=name)
+    if quantity.sign:
+        axes.axhline(0.0, color=style.GREY, lw=0.8)
+    for one in shown:
+        t, values = quantity.curve(one.run)
+        inside = (t - one.origin >= window[0]) & (t - one.origin <= window[1])
+        t, values = t[inside] - one.origin, values[inside]
+        if quantity.located is None:
+            touch, free = split(values, one.touching[inside])
+            axes.plot(t, free, color=one.colour, lw=1.4, ls=style.FREE_LINE)
+            axes.plot(t, touch, color=one.colour, lw=2.1, solid_capstyle="butt")
+        else:
+            axes.plot(t, values, color=one.colour, lw=1.5)
+    if quantity.from_zero:
+        axes.set_ylim(bottom=0.0)
+    axes.set_ylabel(quantity.axis)

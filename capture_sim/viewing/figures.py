@@ -13,7 +13,9 @@ through :func:`capture_sim.viewing.source.resolved` to see them whole.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+import string
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,36 +25,31 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
+from matplotlib.transforms import Bbox
 
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import draw_shapes, grid, new_figure, set_fonts
+from capture_sim.viewing.canvas import draw_shapes, subplots
 from capture_sim.viewing.curves import (
     PANELS,
+    STROKE,
+    VELOCITIES,
+    Quantity,
     Runs,
     Shown,
     Trace,
     Window,
     as_shown,
     common_window,
-    split,
     time_label,
 )
-from capture_sim.viewing.drawing import draw_cone, draw_path, frame_cone, label_path
-from capture_sim.viewing.shapes import (
-    CHASER,
-    TARGET,
-    chaser_box,
-    placed,
-    state_shapes,
-    target_box,
-    tip_in_world,
-)
+from capture_sim.viewing.drawing import draw_quantity, draw_trajectory
+from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes, tip_in_world
 from capture_sim.viewing.source import ViewableRun, first_touch, start_word, time_window
 
-_MM = 1e3
 _MANY = 3  # runs beyond which a legend covers too much of its axes
 _ENTRY = 2.3  # inches, about the width of an entry of a legend
 _TRACES = (style.BLACK, style.BROWN, style.GREY)
+_TRACE: Any = {"marker": "o", "ls": "", "ms": 5, "mfc": "none", "mew": 1.5, "zorder": 3}
 _MARGIN = 0.02  # m, round the vehicles
 _PANEL = 5.4  # inches, width of a picture of a strip
 
@@ -68,17 +65,11 @@ def over_time(
 ) -> Figure:
     """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
     shown = as_shown(runs, labels, aligned=aligned)
-    span = common_window(shown, window)
-    figure = new_figure(8.0, 4.6)
-    axes = figure.subplots()
-    _draw_panel(axes, panel, shown, span)
-    for i, trace in enumerate(traces):
-        _draw_trace(axes, i, trace, trace.values * PANELS[panel].factor, span)
-    _finish_time_axis(axes, shown, span)
-    contact = PANELS[panel].sampled
+    figure, [[axes]] = subplots(8.0, 4.6)
+    _draw_over_time([axes], [PANELS[panel]], shown, window, traces)
+    contact = PANELS[panel].located is None
     if contact or len(shown) > 1:
-        _label_runs(axes, shown, traces, contact=contact, outside=len(shown) > _MANY)
-    set_fonts([axes])
+        _label_runs(axes, shown, contact=contact, outside=len(shown) > _MANY)
     return figure
 
 
@@ -99,17 +90,13 @@ def sheet(
 ) -> Figure:
     """Draw four panels over one time."""
     shown = as_shown(runs, labels, aligned=aligned)
-    span = common_window(shown, window)
-    figure = new_figure(12.5, 8.2)
-    axes_grid = figure.subplots(2, 2, sharex=True)
-    for letter, axes, panel in zip("abcd", axes_grid.flat, panels, strict=True):
-        _draw_panel(axes, panel, shown, span)
-        _finish_time_axis(axes, shown, span)
+    figure, axes_grid = subplots(12.5, 8.2, 2, 2, sharex=True)
+    _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, window)
+    for letter, axes in zip("abcd", axes_grid.flat, strict=True):
         axes.set_title(f"({letter})", fontsize=style.FONT, loc="left")
     for axes in axes_grid[0]:
         axes.set_xlabel("")
     _label_runs(axes_grid[1, 0], shown, outside=True)
-    set_fonts(figure.axes)
     return figure
 
 
@@ -124,24 +111,20 @@ buffer_results = partial(
 def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the way of the tip's centre in the cone (Figures 7 and 8c), all in one cone."""
     shown = as_shown(runs, labels)
-    figure = new_figure(7.4, 7.6)
-    axes = figure.subplots()
-    _draw_trajectory(axes, shown)
-    set_fonts([axes])
+    figure, [[axes]] = subplots(7.4, 7.6, grid=None)
+    draw_trajectory(axes, shown)
     return figure
 
 
 def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the ways of the tip's centre side by side, each in its own cone (Figure 13)."""
     shown = as_shown(runs, labels)
-    figure = new_figure(5.4 * len(shown), 6.2)
-    row = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
+    figure, [row] = subplots(5.4 * len(shown), 6.2, 1, len(shown), grid=None, sharey=True)
     for axes, one in zip(row, shown, strict=True):
-        _draw_trajectory(axes, [one])
+        draw_trajectory(axes, [one])
         axes.set_title(one.label, fontsize=style.FONT, fontweight="bold")
         if axes is not row[0]:
             axes.set_ylabel("")
-    set_fonts(row)
     return figure
 
 
@@ -159,50 +142,45 @@ def velocities(
     and target, m/s and rad/s.
     """
     shown = as_shown(runs, labels, aligned=aligned)
-    span = common_window(shown, window)
-    figure = new_figure(11.0, 8.2)
-    rows = figure.subplots(3, 2, sharex=True, sharey="row")
-    parts = ("velocity x\n[mm/s]", "velocity y\n[mm/s]", "angular velocity\n[mrad/s]")
-    for column, (vehicle, first) in enumerate((("chaser", 0), ("target", 5))):
-        rows[0, column].set_title(vehicle, fontsize=style.FONT, fontweight="bold")
-        for row, name in enumerate(parts):
-            axes = rows[row, column]
-            for one in shown:
-                _draw_line(axes, one, one.run.samples["v"][:, first + row] * _MM, span)
-            for i, trace in enumerate(traces):
-                index = row + first if trace.values.shape[1] == 8 else row + 3 * column
-                _draw_trace(axes, i, trace, trace.values[:, index] * _MM, span)
-            _finish_time_axis(axes, shown, span)
-            if row < 2:
-                axes.set_xlabel("")
-            if column == 0:
-                axes.set_ylabel(name)
-    _label_runs(rows[0, 1], shown, traces, outside=True)
-    set_fonts(figure.axes)
+    figure, rows = subplots(11.0, 8.2, 3, 2, sharex=True, sharey="row")
+    sides = [
+        trace._replace(values=trace.values[:, [*CHASER, *TARGET]])
+        if trace.values.shape[1] == 8
+        else trace
+        for trace in traces
+    ]
+    for column, (vehicle, axes) in enumerate(zip(("chaser", "target"), rows.T, strict=True)):
+        quantities = [row[column] for row in VELOCITIES]
+        rates = [t._replace(values=t.values[:, 3 * column :]) for t in sides]
+        _draw_over_time(axes, quantities, shown, window, rates)
+        axes[0].set_title(vehicle, fontsize=style.FONT, fontweight="bold")
+    for axes in rows[:-1].flat:
+        axes.set_xlabel("")
+    for left, right in rows:
+        left.set_ylabel(left.get_ylabel().replace("  [", "\n["))
+        right.set_ylabel("")
+    _label_runs(rows[0, 1], shown, outside=True)
     return figure
 
 
 def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw force over stroke of the axial buffer; the loops' area is what its damper took."""
     shown = as_shown(runs, labels)
-    figure = new_figure(7.4, 5.6)
-    axes = figure.subplots()
+    figure, [[axes]] = subplots(7.4, 5.6)
     for one in shown:
         samples = one.run.samples
         taken = samples["dissipated_axial"][-1] * 1e3
         axes.plot(
-            style.STROKE.of(samples),
+            STROKE.of(samples),
             samples["axial_force"],
             color=one.colour,
             lw=1.5,
             label=f"{one.label}: {taken:.1f} mJ in the damper",
         )
-    axes.set_xlabel(style.STROKE.axis)
+    axes.set_xlabel(STROKE.axis)
     axes.set_ylabel("force of spring and damper  [N]")
-    grid(axes)
     # above: inside, the loops are everywhere
     figure.legend(loc="outside upper center", fontsize=style.SMALL)
-    set_fonts([axes])
     return figure
 
 
@@ -232,33 +210,33 @@ def snapshots(
     first
         Number of the first run among others, for its colour.
     """
-    shown = [
-        one._replace(colour=style.run_colour(first + i))
-        for i, one in enumerate(as_shown(runs, labels))
-    ]
+    shown = as_shown(runs, labels, first=first)
     instants = [
         np.asarray(times, float) if times is not None else snapshot_times(one.run, count)
         for one in shown
     ]
-    (left, low), (right, high) = _frame([one.run for one in shown], instants)
     # a single strip is laid in two columns, read line by line
-    columns, rows = len(shown), max(map(len, instants))
-    if len(shown) == 1:
-        columns, rows = 2, -(-rows // 2)
-    panel = _PANEL * (high - low) / (right - left) + 0.12
-    figure = new_figure((_PANEL + 0.75) * columns, rows * panel + 1.5)
-    axes_grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    strips = [axes_grid.ravel()] if len(shown) == 1 else list(axes_grid.T)
-    for strip, one, when in zip(strips, shown, instants, strict=True):
+    single, rows = len(shown) == 1, max(map(len, instants))
+    columns, rows = (2, -(-rows // 2)) if single else (len(shown), rows)
+    figure, axes_grid = subplots(1.0, 1.0, rows, columns, grid=None, sharex=True, sharey=True)
+    seen = []
+    for strip, one, when in zip(
+        [axes_grid.ravel()] if single else axes_grid.T, shown, instants, strict=True
+    ):
         for axes in strip[len(when) :]:
             axes.set_axis_off()
-        for i, (axes, t) in enumerate(zip(strip, when, strict=False)):
-            _draw_instant(axes, one, float(t), chr(ord("a") + i))
-            axes.set(xlim=(left, right), ylim=(low, high))
-        if len(shown) > 1:
+        for letter, axes, t in zip(string.ascii_lowercase, strip, when, strict=False):
+            _draw_instant(axes, one, float(t), letter)
+            seen.append(axes.dataLim)
+        if not single:
             strip[0].set_title(one.label, fontsize=style.FONT + 1, fontweight="bold")
-    if len(shown) == 1:
+    if single:
         figure.suptitle(shown[0].label, fontsize=style.FONT + 1, fontweight="bold")
+    left, low, right, high = Bbox.union(seen).padded(_MARGIN).extents
+    high += 0.09 * (right - left)  # room for the caption
+    axes_grid[0, 0].set(xlim=(left, right), ylim=(low, high))  # of all
+    panel = _PANEL * (high - low) / (right - left) + 0.12
+    figure.set_size_inches((_PANEL + 0.75) * columns, rows * panel + 1.5)
     for axes in axes_grid[-1]:
         axes.set_xlabel("x in the world  [m]")
     for axes in axes_grid[:, 0]:
@@ -272,7 +250,6 @@ def snapshots(
         ncols=2,
         fontsize=style.SMALL,
     )
-    set_fonts(figure.axes)
     return figure
 
 
@@ -320,98 +297,32 @@ def _way_line(one: Shown, way: np.ndarray | None = None) -> Line2D:
     return Line2D(x, y, color=one.colour, lw=1.8, zorder=2.5)
 
 
-def _frame(
-    runs: Sequence[ViewableRun], instants: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower left and upper right corner of what is seen at these times, m."""
-    corners = []
-    for run, times in zip(runs, instants, strict=True):
-        for t in times:
-            q = state_at(run, float(t))
-            corners.append(placed(chaser_box(run.scene).corners, *q[list(CHASER)]))
-            corners.append(placed(target_box(run.scene).corners, *q[list(TARGET)]))
-    points = np.concatenate(corners)
-    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
-    high[1] += 0.09 * (high - low)[0]  # room for the caption
-    return low, high
-
-
-def _draw_panel(axes: Axes, name: str, shown: Sequence[Shown], window: Window) -> None:
-    panel = PANELS[name]
-    if name == "distance":
-        for radius in sorted({one.run.scene.detector.capture_radius for one in shown}):
-            label = f"capture zone, {radius * _MM:g} mm"
-            axes.axhspan(0.0, radius * _MM, color=style.ZONE, alpha=0.2, lw=0, label=label)
-    if panel.sampled and not panel.from_zero:
-        axes.axhline(0.0, color=style.GREY, lw=0.8)
-    for one in shown:
-        t, values = panel.curve(one.run)
-        if panel.sampled:
-            _draw_line(axes, one, values, window)
-        else:
-            inside = (t - one.origin >= window[0]) & (t - one.origin <= window[1])
-            axes.plot(t[inside] - one.origin, values[inside], color=one.colour, lw=1.5)
-        stops = one.run.scene.stops if name == "axial_performance" else None
-        for stop in () if stops is None else (-stops.compression, stops.extension):
-            axes.axhline(stop * _MM, color=style.BLACK, lw=1.2, ls=":")
-    if panel.from_zero:
-        axes.set_ylim(bottom=0.0)
-    axes.set_ylabel(panel.axis)
-
-
-def _draw_line(axes: Axes, one: Shown, values: np.ndarray, window: Window) -> None:
-    """Draw values of the samples, (n,), that lie in the window, so that the axis fits them."""
-    t = one.time
-    inside = (t >= window[0]) & (t <= window[1])
-    touch, free = split(values[inside], one.touching[inside])
-    axes.plot(t[inside], free, color=one.colour, lw=1.4, ls=style.FREE_LINE)
-    axes.plot(t[inside], touch, color=one.colour, lw=2.1, solid_capstyle="butt")
-
-
-def _draw_trace(axes: Axes, i: int, trace: Trace, values: np.ndarray, window: Window) -> None:
-    """Draw a curve from elsewhere as thirty points, so that the line under it is seen."""
-    evenly = np.searchsorted(trace.t, np.linspace(*window, 30))
-    some = np.unique(evenly[evenly < len(trace.t)])
-    axes.plot(trace.t[some], values[some], **_trace_look(i))
-
-
-def _trace_look(i: int) -> dict[str, Any]:
-    """Return how the i-th curve from elsewhere is drawn, in the axes as in the legend."""
-    return {
-        "marker": "o",
-        "ls": "",
-        "ms": 5,
-        "mfc": "none",
-        "mew": 1.5,
-        "color": _TRACES[i % len(_TRACES)],
-        "zorder": 3,
-    }
-
-
-def _draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
-    several = len(shown) > 1
-    drawn: list[Any] = []
-    for one in shown:
-        shape = (one.run.scene.cone, one.run.scene.probe.tip_radius)
-        if shape not in drawn:
-            draw_cone(axes, one.run.scene)
-            drawn.append(shape)
-    for one in shown:
-        draw_path(axes, one.run, one.colour)
-        if several:
-            axes.plot([], [], color=one.colour, lw=3.2, label=one.label)
-    label_path(axes, style.GREY if several else shown[0].colour)
-    frame_cone(axes, shown[0].run.scene)
-    axes.legend(loc="upper right", fontsize=style.SMALL, framealpha=1.0).set_zorder(10)
+def _draw_over_time(
+    all_axes: Iterable[Axes],
+    quantities: Iterable[Quantity],
+    shown: Sequence[Shown],
+    window: Window | None,
+    traces: Sequence[Trace] = (),
+) -> None:
+    """Draw a quantity in each axes over one time; of the traces, a column in each."""
+    start, end = window = common_window(shown, window)
+    for i, (axes, quantity) in enumerate(zip(all_axes, quantities, strict=True)):
+        draw_quantity(axes, quantity, shown, window)
+        for trace, colour in zip(traces, itertools.cycle(_TRACES), strict=False):
+            # thirty points, so that the line under them is seen
+            evenly = np.searchsorted(trace.t, np.linspace(start, end, 30))
+            some = np.unique(evenly[evenly < len(trace.t)])
+            values = trace.values.reshape(len(trace.t), -1)[some, i] * quantity.factor
+            axes.plot(trace.t[some], values, color=colour, label=trace.label, **_TRACE)
+        # a touch at the start is off the frame
+        axes.set_xlim(start - 0.01 * (end - start), end)
+        if end - start < 0.01:  # long numbers
+            axes.locator_params(axis="x", nbins=5)
+        axes.set_xlabel(f"{time_label(shown)}  [s]")
 
 
 def _label_runs(
-    axes: Axes,
-    shown: Sequence[Shown],
-    traces: Sequence[Trace] = (),
-    *,
-    contact: bool = True,
-    outside: bool = False,
+    axes: Axes, shown: Sequence[Shown], *, contact: bool = True, outside: bool = False
 ) -> None:
     """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
     if len(shown) > 1:
@@ -421,8 +332,6 @@ def _label_runs(
     if contact:
         axes.plot([], [], color=tone, lw=2.1, label="in contact")
         axes.plot([], [], color=tone, lw=1.4, ls=style.FREE_LINE, label="free")
-    for i, trace in enumerate(traces):
-        axes.plot([], [], label=trace.label, **_trace_look(i))
     figure = axes.get_figure(root=True)
     if outside and figure is not None:
         found = dict[str, Artist]()
@@ -439,16 +348,6 @@ def _label_runs(
         )
     else:
         axes.legend(fontsize=style.SMALL, framealpha=0.9, loc="best", handlelength=2.2)
-
-
-def _finish_time_axis(axes: Axes, shown: Sequence[Shown], window: Window) -> None:
-    """Set limits, grid and the label of the time axis; a touch at its start is off the frame."""
-    length = window[1] - window[0]
-    axes.set_xlim(window[0] - 0.01 * length, window[1])
-    if length < 0.01:  # long numbers
-        axes.locator_params(axis="x", nbins=5)
-    grid(axes)
-    axes.set_xlabel(f"{time_label(shown)}  [s]")
 
 
 #: Name of the file and function of each figure.

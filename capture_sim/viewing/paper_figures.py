@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from capture_sim.studies.paper import CASES, DOCKING, Evidence, Scan
 from capture_sim.viewing import figures, style
-from capture_sim.viewing.canvas import new_figure
+from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import Trace
 from capture_sim.viewing.figures import snapshots
 from capture_sim.viewing.source import resolved
@@ -94,12 +95,12 @@ FIGURES = {
 def draw_assumptions(scans: Sequence[Scan]) -> Figure:
     """Return a figure with a panel for each assumption: a strip for each case's verdicts."""
     rows = math.ceil(len(scans) / _COLUMNS)
-    figure = new_figure(6.2 * _COLUMNS, 0.9 + 3.0 * rows)
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
-    for panel in panels[len(scans) :]:
-        panel.set_axis_off()
-    for panel, scan in zip(panels, scans, strict=False):
-        _draw_scan(panel, scan)
+    figure, panels = subplots(6.2 * _COLUMNS, 0.9 + 3.0 * rows, rows, _COLUMNS, grid="y", font=13.5)
+    for panel, scan in itertools.zip_longest(panels.flat, scans):
+        if scan is None:
+            panel.set_axis_off()
+        else:
+            _draw_scan(panel, scan)
     marks = [
         Line2D([], [], ls="", marker=m, color=c, ms=9, label=t)
         for m, c, t in (
@@ -137,6 +138,4 @@ def _draw_scan(axes: Axes, scan: Scan) -> None:
     axes.set_yticks(range(len(CASES)), [case.removeprefix("paper_") for case in CASES])
     axes.set_ylim(len(CASES) - 0.5, -0.5)
     axes.set_title(of.name + (f"  [{of.unit}]" if of.unit else ""), fontsize=14)
-    axes.tick_params(labelsize=11.5 if not named or len(x) <= 6 else 9)
-    axes.tick_params(axis="y", labelsize=12)
-    axes.grid(axis="y", color=style.LIGHT, lw=0.6)
+    axes.tick_params(axis="x", labelsize=11.5 if not named or len(x) <= 6 else 9)

@@ -3,62 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from string import ascii_lowercase
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from capture_sim.samples import EventKind
-from capture_sim.viewing import style
-from capture_sim.viewing.canvas import grid, new_figure, rows_of_axes, set_fonts
-from capture_sim.viewing.drawing import (
-    LETTERS,
-    draw_bench,
-    draw_cone,
-    draw_path,
-    draw_tip,
-    frame_cone,
-    key_moments,
-    label_path,
+from capture_sim.scene.parts import Scene
+from capture_sim.viewing import shapes, source, style
+from capture_sim.viewing.canvas import draw_shapes, dress, new_figure, rows_of_axes
+from capture_sim.viewing.curves import (
+    DISTANCE,
+    STROKE,
+    TORSION,
+    Quantity,
+    Shown,
+    Window,
+    as_shown,
 )
-from capture_sim.viewing.source import (
-    ViewableRun,
-    contacts,
-    decided_at,
-    distinct_names,
-    headline,
-    open_touches,
-    start_word,
-    strongest,
-    time_window,
-    verdict,
-)
+from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, frame_bounds
+from capture_sim.viewing.source import ViewableRun
 
+_MM = 1e3
 _FONT = 13.5
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
+_ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
+# of a letter from its dot, points, the best first: above, below, beside, then farther away
+_LETTER_PLACES = (
+    *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
+    *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
+)
 
 
 def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     """Return the figure of one run, under its label or its scene's name."""
-    title = headline(run, label)
+    [one] = as_shown(run)
+    title = source.headline(run, label)
     # titles have y=1.0, or matplotlib measures all ticks to place them
     figure = new_figure(15.5, 10.0, arranged=False)
     figure.suptitle(title, fontsize=19, fontweight="bold", y=0.993)
     top = 0.42 + 0.33 * len(title.splitlines())
     bench, cone = rows_of_axes(figure, (1.05, 6.85), top, [(1.65, 0.95), (6.0, 0.0)])
     several = [(2.5, 0.43), (1.6, 0.43), (1.6, 0.43), (1.6, 0.0)]
-    force, stroke, torsion, distance = rows_of_axes(figure, (8.4, 15.38), top, several)
-    seen = draw_bench(bench, run)
-    bench.set_title(f"From above, {seen}", fontsize=_FONT + 1, y=1.0)
-    _draw_trajectory(cone, run, style.BLUE)
-    _draw_force(force, run, style.BLUE)
-    _draw_buffer(stroke, run, style.STROKE, "Buffer, axial")
-    _draw_buffer(torsion, run, style.TORSION, "Buffer, torsion")
-    _draw_distance(distance, run, style.BLUE)
-    _finish_time_axes(run, force, stroke, torsion, distance)
-    set_fonts(figure.axes, _FONT)
+    over_time = rows_of_axes(figure, (8.4, 15.38), top, several)
+    bench.set_title(f"From above, {draw_bench(bench, one)}", fontsize=_FONT + 1, y=1.0)
+    _draw_trajectory(cone, one, "The tip in the cone, the chaser comes from the left")
+    _draw_over_time(over_time, one, (STROKE, TORSION, DISTANCE))
     return figure
 
 
@@ -67,54 +62,42 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
 
     These are the scenes' names, numbered where they are the same, unless given.
     """
-    if labels is None:
-        labels = distinct_names([run.scene.name for run in runs])
-    titles = [headline(run, label, _COLUMN) for run, label in zip(runs, labels, strict=True)]
+    shown = as_shown(runs, labels)
+    titles = [source.headline(one.run, one.label, _COLUMN) for one in shown]
     figure = new_figure(6.0 * len(runs), 14.0, arranged=False)
     top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
     rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
-    sides = [(6.0 * i + 1.05, 6.0 * i + 5.82) for i in range(len(runs))]
-    columns = [rows_of_axes(figure, side, top, rows) for side in sides]
-    for i, (run, title) in enumerate(zip(runs, titles, strict=True)):
-        bench, cone, force, distance = columns[i]
-        colour = style.run_colour(i)
-        seen = draw_bench(bench, run, colour)
+    benches = []
+    for i, (one, title) in enumerate(zip(shown, titles, strict=True)):
+        sides = (6.0 * i + 1.05, 6.0 * i + 5.82)
+        bench, cone, *over_time = rows_of_axes(figure, sides, top, rows)
+        seen = draw_bench(bench, one)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
-        dashed = f"dashed: at the {start_word(run.scene)}" if " and " in seen else seen
+        dashed = f"dashed: at the {source.start_word(one.run.scene)}" if " and " in seen else seen
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
-        _draw_trajectory(cone, run, colour)
-        cone.set_title("The tip in the cone", fontsize=_FONT + 1, y=1.0)
-        _draw_force(force, run, colour)
-        _draw_distance(distance, run, colour, "zone:")
-        _finish_time_axes(run, force, distance)
-    _give_common_limits([column[0] for column in columns])
-    set_fonts(figure.axes, _FONT)
+        benches.append(bench)
+        _draw_trajectory(cone, one, "The tip in the cone")
+        _draw_over_time(over_time, one, (DISTANCE,))
+    # of one size, so that they can be compared
+    for side in ("x", "y"):
+        ends = np.array([getattr(axes, f"get_{side}lim")() for axes in benches])
+        for axes in benches:
+            axes.set(**{f"{side}lim": (ends[:, 0].min(), ends[:, 1].max())})
     return figure
 
 
-def _give_common_limits(row: Sequence[Axes]) -> None:
-    """Let axes of one row show the same, so that they are of one size."""
-    for get, put in (("get_xlim", "set_xlim"), ("get_ylim", "set_ylim")):
-        ends = np.array([getattr(axes, get)() for axes in row])
-        for axes in row:
-            getattr(axes, put)(ends[:, 0].min(), ends[:, 1].max())
-
-
-def _draw_trajectory(axes: Axes, run: ViewableRun, colour: str) -> None:
-    moments = key_moments(run)
-    draw_cone(axes, run.scene)
-    draw_path(axes, run, colour)
-    label_path(axes, colour)
-    draw_tip(axes, run.scene, moments, colour)
-    frame_cone(axes, run.scene)
-    axes.set_title("The tip in the cone, the chaser comes from the left", fontsize=_FONT + 1, y=1.0)
-    axes.legend(loc="upper right", fontsize=_FONT - 1, framealpha=1.0).set_zorder(10)
+def _draw_trajectory(axes: Axes, one: Shown, title: str) -> None:
+    moments = key_moments(one.run)
+    draw_trajectory(axes, [one])
+    draw_tip(axes, one.run.scene, moments, one.colour)
+    dress(axes, None, _FONT)
+    axes.set_title(title, fontsize=_FONT + 1, y=1.0)
     axes.text(
         0.985,
         0.015,
         "\n".join(
             f"{letter}  {moment.t:.3f} s  {moment.meaning}"
-            for letter, moment in zip(LETTERS, moments, strict=False)
+            for letter, moment in zip(ascii_lowercase, moments, strict=False)
         ),
         transform=axes.transAxes,
         ha="right",
@@ -125,92 +108,31 @@ def _draw_trajectory(axes: Axes, run: ViewableRun, colour: str) -> None:
     )
 
 
-def _draw_force(axes: Axes, run: ViewableRun, colour: str) -> None:
-    t = run.samples["t"]
-    for column, (side, (marker, _, name)) in enumerate(style.WALLS.items()):
-        force = run.samples["normal_force"][:, column]
-        axes.plot(t, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
-        touches = run.touches[run.touches["wall"] == side]
-        when, peak = touches["peak_time"], touches["peak_force"]
-        axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
-        count = len(touches) + [wall for _, wall in open_touches(run)].count(side)
-        label = f"{name}: {count} touches"
-        look: dict[str, Any] = {"color": colour, "mfc": colour if side > 0 else "white", "ms": 6}
-        axes.plot(when, peak, marker, label=label, **look)
-    _, highest = strongest(run)
-    axes.set_yscale("log")
-    axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(highest, 1.0))
-    axes.set_ylabel("normal force\n[N], log scale")
-    axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
-    axes.set_title(
-        f"Contact force: up to {highest:.0f} N (markers: peaks)", fontsize=_FONT + 1, y=1.0
-    )
-
-
-def _draw_buffer(axes: Axes, run: ViewableRun, quantity: style.Quantity, title: str) -> None:
-    values = quantity.of(run.samples)
-    shown = _plot_shown(axes, run, values, style.BLUE)
-    axes.axhline(0.0, color=style.GREY, lw=0.8)
-    axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
-    spread = f"{shown.min():.3g} to {shown.max():.3g} {quantity.unit}"
-    axes.set_title(f"{title} ({quantity.sign}): {spread}", fontsize=_FONT + 1, y=1.0)
-
-
-def _draw_distance(
-    axes: Axes, run: ViewableRun, colour: str, zone: str = "green: capture zone,"
-) -> None:
-    distance = style.DISTANCE.of(run.samples)
-    radius = run.scene.detector.capture_radius * style.DISTANCE.factor
-    _plot_shown(axes, run, distance, colour)
-    axes.axhspan(0.0, radius, color=style.ZONE, alpha=0.25, lw=0)
-    axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("distance\n[mm]")
-    # within the axes, the zone's name would lie under the curve or the verdict
-    nearest = f"Tip to BE: nearest {distance.min():.1f} mm"
-    axes.set_title(f"{nearest} ({zone} {radius:g} mm)", fontsize=_FONT + 1, y=1.0)
-    start, end = time_window(run)
-    for event in run.events:
-        if event.kind is EventKind.LATCHED and start <= event.t <= end:
-            _mark(axes, run, event.t, "latched", style.GREY, 0.95)
-    decided = decided_at(run)
-    # of a run that is cut, it may lie outside
-    if decided is not None and start <= decided <= end:
-        look = style.VERDICTS.get(run.statuses[-1].state)
-        _mark(axes, run, decided, verdict(run), look.colour if look else style.BLACK, 0.72)
-
-
-def _plot_shown(axes: Axes, run: ViewableRun, values: np.ndarray, colour: str) -> np.ndarray:
-    """Plot and return what lies in the window of time, so that the axis fits it."""
-    t = run.samples["t"]
-    start, end = time_window(run)
-    shown = (t >= start) & (t <= end)
-    axes.plot(t[shown], values[shown], color=colour, lw=1.7)
-    return np.asarray(values[shown])
-
-
-def _mark(axes: Axes, run: ViewableRun, t: float, text: str, colour: str, height: float) -> None:
-    """Mark an instant; the text stands left of it, or right where it would leave the axes."""
-    start, end = time_window(run)
-    side = -1 if t - start > 0.3 * (end - start) else 1
-    axes.axvline(t, color=colour, lw=2.0)
-    axes.annotate(
-        text,
-        (t, height),
-        xycoords=axes.get_xaxis_transform(),
-        xytext=(7 * side, 0),
-        textcoords="offset points",
-        ha="right" if side < 0 else "left",
-        va="top",
-        fontsize=_FONT,
-        fontweight="bold",
-        color=colour,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.9, "pad": 1},
-    )
-
-
-def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
-    touching = [(start, end - start) for start, end in contacts(run)]
-    for axes in all_axes:
+def _draw_over_time(all_axes: Sequence[Axes], one: Shown, quantities: Sequence[Quantity]) -> None:
+    """Draw the contact force, quantities, and over all of them when the tip touches."""
+    run, window = one.run, source.time_window(one.run)
+    titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
+    _draw_force(all_axes[0], one)
+    inside = (one.time >= window[0]) & (one.time <= window[1])
+    for axes, quantity in zip(all_axes[1:], quantities, strict=True):
+        # when it touches is shaded here: no dashes
+        draw_quantity(axes, quantity, [one._replace(touching=np.ones_like(inside))], window)
+        values = quantity.of(run.samples)
+        low, high = values[inside].min(), values[inside].max()
+        if quantity is DISTANCE:
+            [zone] = quantity.limits(run.scene)
+            titles.append(f"Tip to BE: nearest {values.min():.1f} mm (zone: {zone.value:g} mm)")
+            _mark_verdict(axes, run, window)
+            axes.set_ylabel("distance\n[mm]")
+        else:
+            spread = f"{low:.3g} to {high:.3g} {quantity.unit}"
+            titles.append(f"{quantity.title} ({quantity.sign}): {spread}")
+            axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
+    touches = source.every_touch(run)
+    touching = [(start, end - start) for start, end in touches[["start", "end"]].tolist()]
+    for axes, title in zip(all_axes, titles, strict=True):
+        dress(axes, "both", _FONT)
+        axes.set_title(title, fontsize=_FONT + 1, y=1.0)
         axes.broken_barh(
             touching,
             (0.0, 1.0),
@@ -221,7 +143,200 @@ def _finish_time_axes(run: ViewableRun, *all_axes: Axes) -> None:
             alpha=0.4,
             zorder=0,
         )
-        axes.set_xlim(time_window(run))
+        axes.set_xlim(window)
         axes.tick_params(labelbottom=axes is all_axes[-1])
-        grid(axes)
-    all_axes[-1].set_xlabel(f"time since the {start_word(run.scene)}  [s]   (shaded: in contact)")
+    all_axes[-1].set_xlabel(
+        f"time since the {source.start_word(run.scene)}  [s]   (shaded: in contact)"
+    )
+
+
+def _draw_force(axes: Axes, one: Shown) -> None:
+    """Draw the force of each wall, with each touch's peak, on a logarithmic axis."""
+    run, colour = one.run, one.colour
+    for column, (side, (marker, _, name)) in enumerate(style.WALLS.items()):
+        force = run.samples["normal_force"][:, column]
+        axes.plot(one.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
+        touches = source.every_touch(run)
+        touches = touches[touches["wall"] == side]
+        when, peak = touches["peak_time"], touches["peak_force"]
+        axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
+        label = f"{name}: {len(touches)} touches"
+        look: dict[str, Any] = {"color": colour, "mfc": colour if side > 0 else "white", "ms": 6}
+        axes.plot(when, peak, marker, label=label, **look)
+    axes.set_yscale("log")
+    axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(source.strongest(run)[1], 1.0))
+    axes.set_ylabel("normal force\n[N], log scale")
+    axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
+
+
+def _mark_verdict(axes: Axes, run: ViewableRun, window: Window) -> None:
+    """Mark when it latched and when it was decided, where that is in the window."""
+    decided = source.decided_at(run)
+    moments = [
+        (e.t, "latched", style.GREY, 0.95) for e in run.events if e.kind is EventKind.LATCHED
+    ]
+    if decided is not None:
+        look = style.VERDICTS.get(run.statuses[-1].state)
+        moments.append((decided, source.verdict(run), look.colour if look else style.BLACK, 0.72))
+    start, end = window
+    for t, text, colour, height in moments:
+        if not start <= t <= end:
+            continue
+        # left of the line, or right where it would leave the axes
+        side = -1 if t - start > 0.3 * (end - start) else 1
+        axes.axvline(t, color=colour, lw=2.0)
+        axes.annotate(
+            text,
+            (t, height),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(7 * side, 0),
+            textcoords="offset points",
+            ha="right" if side < 0 else "left",
+            va="top",
+            fontsize=_FONT,
+            fontweight="bold",
+            color=colour,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.9, "pad": 1},
+        )
+
+
+def draw_bench(axes: Axes, one: Shown) -> str:
+    """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
+
+    Returns
+    -------
+    str
+        What is seen, in words.
+    """
+    run, scene, start = one.run, one.run.scene, one.run.samples["q"][0]
+    touch = source.first_touch(run)
+    then = run.samples["q"][-1] if touch is None else touch.q
+    moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
+    seen = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, one.colour)
+    if moved:
+        seen += shapes.state_shapes(scene, start, one.colour, ghost=True, both=False)
+    draw_shapes(axes, seen)
+    degrees = round(float(np.rad2deg(then[shapes.TARGET[2]])))
+    _name(axes, "chaser", shapes.chaser_box(scene), then[list(shapes.CHASER)])
+    _name(
+        axes,
+        f"target\n{degrees:+d}°" if degrees else "target\n0°",
+        shapes.target_box(scene),
+        then[5:],
+    )
+    axes.set_aspect("equal")
+    axes.margins(0.03)
+    dress(axes, None, _FONT)
+    axes.set_xlabel("x in the world  [m]")
+    axes.set_ylabel("y  [m]")
+    when = "end of the run" if touch is None else "first touch"
+    return f"at the {source.start_word(scene)} and at the {when}" if moved else f"at the {when}"
+
+
+def _name(axes: Axes, text: str, box: shapes.Box, pose: np.ndarray) -> None:
+    """Write along a body's front-to-rear axis, in its middle."""
+    middle = shapes.placed(np.array([[(box.back + box.front) / 2, 0.0]]), *pose)[0]
+    axes.text(
+        float(middle[0]),
+        float(middle[1]),
+        text,
+        ha="center",
+        va="center",
+        fontsize=style.SMALL,
+        rotation=float(np.rad2deg(pose[2])),
+        zorder=4,  # over the ghost and the balls
+        bbox={"facecolor": style.LIGHT, "edgecolor": "none", "pad": 2.0},
+    )
+
+
+class Moment(NamedTuple):
+    """An instant worth a picture of the tip."""
+
+    t: float  # s
+    place: np.ndarray  # tip's centre in the cone's frame, (2,), m
+    meaning: str
+
+
+def key_moments(run: ViewableRun) -> list[Moment]:
+    """Return first touch, strongest touch, then latching or nearest approach and end.
+
+    The end counts only where it lies within the frame.
+    """
+    samples = run.samples
+    t, places = samples["t"], shapes.tip_in_cone(samples)
+    found: list[Moment] = []
+
+    def add(time: float, meaning: str) -> None:
+        place = np.array([np.interp(time, t, places[:, i]) for i in (0, 1)])
+        found.append(Moment(time, place, meaning))
+
+    touch = source.first_touch(run)
+    if touch is not None:
+        peak_time, peak = source.strongest(run)
+        touches = source.every_touch(run)
+        if peak > 0.0 and peak_time <= touches["end"][touches["start"] == touch.t].min():
+            add(touch.t, f"first touch, {peak:.0f} N")
+        else:
+            add(touch.t, "first touch")
+            if peak > 0.0:
+                add(peak_time, f"strongest, {peak:.0f} N")
+    latched = next((e for e in run.events if e.kind is EventKind.LATCHED), None)
+    if latched is not None:
+        add(latched.t, "latched")
+    else:
+        nearest = int(np.argmin(samples["tip_distance"]))
+        add(float(t[nearest]), f"nearest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
+        (left, right), (low, high) = frame_bounds(run.scene)
+        x, y = places[-1] * _MM
+        if nearest == len(t) - 1:
+            # as of a run that was broken off: one place, one letter
+            found[-1] = found[-1]._replace(meaning=f"{found[-1].meaning} (end)")
+        elif left < x < right and low < y < high:
+            add(float(t[-1]), "end of the run")
+    return sorted(found, key=lambda moment: moment.t)
+
+
+def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str) -> None:
+    """Draw the tip as a circle at each moment, marked a, b, c..."""
+    radius = scene.probe.tip_radius * _MM
+    halo = [patheffects.withStroke(linewidth=3, foreground="white")]
+    offsets = _letter_places(scene, moments)
+    for i, moment in enumerate(moments):
+        x, y = moment.place * _MM
+        axes.add_patch(
+            Circle((x, y), radius, facecolor=colour, alpha=0.14, edgecolor="none", zorder=3)
+        )
+        axes.add_patch(
+            Circle((x, y), radius, facecolor="none", edgecolor=style.GREY, lw=1.1, zorder=3)
+        )
+        axes.plot(x, y, "o", ms=6.5, color=style.BLACK, mec="white", zorder=7)
+        axes.annotate(
+            ascii_lowercase[i],
+            (x, y),
+            xytext=tuple(offsets[i]),
+            textcoords="offset points",
+            fontsize=14,
+            fontweight="bold",
+            ha="center",
+            va="center",
+            path_effects=halo,
+            zorder=8,
+        )
+
+
+def _letter_places(scene: Scene, moments: list[Moment]) -> np.ndarray:
+    """Return where each moment's letter stands, (n, 2), points from its dot, clear of others."""
+    (left, right), _ = frame_bounds(scene)
+    # before it is laid out, the width of the axes is known about
+    dots = np.array([moment.place for moment in moments]).reshape(-1, 2) * _MM
+    dots *= _ABOUT_WIDTH / (right - left)
+    letters: list[np.ndarray] = []
+    for i, dot in enumerate(dots):
+        # up and down in turn, so that near ones part
+        at = dot + np.array(_LETTER_PLACES) * (1.0, (-1.0) ** i)
+        # how far a letter is from what it must not cover; 1 is enough
+        room = [np.ones(len(at))]
+        room += [np.linalg.norm(at - other, axis=1) / 17.0 for other in letters]
+        room += [np.linalg.norm(at - other, axis=1) / 10.0 for other in np.delete(dots, i, axis=0)]
+        letters.append(at[np.min(room, axis=0).argmax()])  # the first of those equally good
+    return np.array(letters).reshape(-1, 2) - dots

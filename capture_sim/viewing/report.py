@@ -20,12 +20,12 @@ import capture_sim
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.files import whole_file
 from capture_sim.results import LEGEND, first_cluster, heads, rows
-from capture_sim.samples import ENERGIES
+from capture_sim.samples import ENERGIES, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
 from capture_sim.viewing import figures, report_figures
-from capture_sim.viewing.curves import as_shown, has_ledger
+from capture_sim.viewing.curves import Shown, as_shown, has_ledger
 from capture_sim.viewing.source import (
     Opened,
     ViewableRun,
@@ -103,7 +103,7 @@ def report(opened: Sequence[Opened]) -> str:
     names, runs = [one.label for one in opened], [one.run for one in opened]
     summaries = [summary_of(one.run, one.wall_time) for one in opened]
     shown = as_shown(runs, names, aligned=len(runs) > 1)
-    known = [(one.label, one.run) for one in shown if has_ledger(one.run)]
+    known = [one for one in shown if has_ledger(one.run)]
     panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
     simulated = len(known) == len(runs)
     drawn = [report_figures.trajectories(shown)]
@@ -112,7 +112,6 @@ def report(opened: Sequence[Opened]) -> str:
         drawn.append(report_figures.load_stroke(shown))
         drawn.append(report_figures.over_time("intrusion", shown))
     drawn.append(report_figures.velocities(shown))
-    energies = report_figures.energy(shown)
     differing, shared = parameter_rows([run.scene for run in runs])
     groups = groupby(heads(), key=lambda head: head[0] or head)  # nameless ones stand alone
     environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
@@ -128,12 +127,10 @@ def report(opened: Sequence[Opened]) -> str:
         results=[[name, *cells[1:]] for name, cells in zip(names, rows(summaries), strict=True)],
         legend=" ".join(LEGEND),
         figures=drawn,
-        pictures=[
-            _strip(run, name, i) for i, (run, name) in enumerate(zip(runs, names, strict=True))
-        ],
-        energies=[] if energies is None else [energies],
-        ledger=energy_rows([run for _, run in known]) if known else [],
-        ledger_names=[name for name, _ in known],
+        pictures=[_strip(one, i) for i, one in enumerate(shown)],
+        energies=[report_figures.energy(known)] if known else [],
+        ledger=energy_rows([one.run for one in known]) if known else [],
+        ledger_names=[one.label for one in known],
         not_measured=[one.label for one in shown if not has_ledger(one.run)],
         differing=differing,
         shared=shared,
@@ -149,13 +146,9 @@ def _of_run(one: Opened) -> dict[str, Any]:
     """Return what the page says of a run."""
     run = one.run
     lines = []
-    touches = iter(run.touches)
     for event in run.events:
-        detail = event.detail
-        if event.kind.label == "touch":
-            touch = next(touches, None)
-            if touch is not None and not detail:
-                detail = f"{'+' if event.wall > 0 else '-'}y wall"
+        wall = "+y wall" if event.wall > 0 else "-y wall"
+        detail = event.detail or (wall if event.kind is EventKind.TOUCH else "")
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
     said = f"{headline(run, one.label)}."
     decided = decided_at(run)
@@ -174,12 +167,12 @@ def _of_run(one: Opened) -> dict[str, Any]:
     }
 
 
-def _strip(run: ViewableRun, name: str, i: int) -> dict[str, str]:
-    """Return the run from above in some instants, as an image within the page."""
+def _strip(one: Shown, i: int) -> dict[str, str]:
+    """Return the i-th run from above in some instants, as an image within the page."""
     buffer = io.BytesIO()
-    figures.snapshots(run, labels=[name], first=i).savefig(buffer, format="png", dpi=80)
+    figures.snapshots(one.run, labels=[one.label], first=i).savefig(buffer, format="png", dpi=80)
     data = base64.b64encode(buffer.getvalue()).decode()
-    return {"caption": f"{name}, from above", "source": f"data:image/png;base64,{data}"}
+    return {"caption": f"{one.label}, from above", "source": f"data:image/png;base64,{data}"}
 
 
 def energy_rows(runs: Sequence[ViewableRun]) -> list[tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,11 +12,15 @@ from plotly.subplots import make_subplots
 
 from capture_sim.viewing import style
 from capture_sim.viewing.curves import (
+    FORCE,
     PANELS,
+    PENETRATION,
+    STROKE,
+    VELOCITIES,
+    Quantity,
     Shown,
     common_window,
     energy_layers,
-    has_ledger,
     split,
     time_label,
 )
@@ -51,14 +55,12 @@ def drawn(figure: go.Figure, name: str, caption: str, kind: str = "narrow") -> D
 
 def over_time(name: str, shown: Sequence[Shown]) -> Drawn:
     """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
-    panel = PANELS[name]
-    figure = go.Figure()
-    window = common_window(shown)
-    for one in shown:
-        run = resolved_or_not(one.run) if name == "intrusion" else one.run
-        t, values = panel.curve(run)
-        _add_curve(figure, one, t, values, window, sampled=panel.sampled)
-    if name == "impact_force":
+    quantity = PANELS[name]
+    if quantity is PENETRATION:
+        shown = [one._replace(run=resolved_or_not(one.run)) for one in shown]
+    figure = make_subplots()
+    _add_over_time(figure, [[quantity]], shown)
+    if quantity is FORCE:
         for one in shown:
             for side, (_, marker, wall) in style.WALLS.items():
                 touches = one.run.touches[one.run.touches["wall"] == side]
@@ -71,44 +73,35 @@ def over_time(name: str, shown: Sequence[Shown]) -> Drawn:
                     legendgroup=one.label,
                     showlegend=False,
                 )
-    if name == "distance":
-        radius = max(one.run.scene.detector.capture_radius for one in shown) * 1e3
-        figure.add_hrect(0.0, radius, fillcolor=style.ZONE, opacity=0.2, line_width=0)
-    figure.update_xaxes(title=f"{time_label(shown)}  [s]", range=window)
-    figure.update_yaxes(title=panel.axis, rangemode="tozero" if panel.from_zero else "normal")
-    return drawn(figure, name, panel.title)
+    return drawn(figure, name, quantity.title)
 
 
 def trajectories(shown: Sequence[Shown]) -> Drawn:
     """Draw the ways of the tip's centre side by side, each in its own cone."""
     figure = make_subplots(1, len(shown), subplot_titles=[one.label for one in shown])
     for i, one in enumerate(shown, 1):
+        hidden: dict[str, Any] = {"showlegend": False, "row": 1, "col": i}
         for name, shape in cone_shapes(one.run.scene).items():
-            x, y = shape.points.T * 1e3
-            line = {"color": shape.line or shape.fill, "width": shape.width}
-            line["dash"] = "dot" if shape.dashed else "solid"
-            look: dict[str, Any] = {"line": line, "name": name, "hoverinfo": "name"}
+            look: dict[str, Any] = {"name": name, "hoverinfo": "name"}
             if shape.fill:
                 look |= {"fill": "toself", "fillcolor": shape.fill}
-            figure.add_scatter(x=x, y=y, mode="lines", showlegend=False, row=1, col=i, **look)
+            dash = "dot" if shape.dashed else "solid"
+            line = (shape.line or shape.fill, dash, shape.width)
+            _add_line(figure, shape.points.T * 1e3, line, **look, **hidden)
         way = tip_in_cone(one.run.samples) * 1e3
         near = np.abs(way).max(axis=1) < 150.0
-        parts = split(way[near], one.touching[near])
-        t = one.run.samples["t"][near]
-        for part, dash, width in zip(parts, ("solid", "dash"), (3.5, 1.3), strict=True):
-            kept = _some(part)
-            figure.add_scatter(
-                x=kept[:, 0],
-                y=kept[:, 1],
-                mode="lines",
-                line={"color": one.colour, "dash": dash, "width": width},
-                name=f"{one.label}, {'in contact' if dash == 'solid' else 'free'}",
-                customdata=_some(t),
-                hovertemplate="%{x:.2f}, %{y:.2f} mm at %{customdata:.3f} s",
-                showlegend=False,
-                row=1,
-                col=i,
-            )
+        look = {
+            "customdata": _some(one.run.samples["t"][near]),
+            "hovertemplate": "%{x:.2f}, %{y:.2f} mm at %{customdata:.3f} s",
+        }
+        in_touch, free = split(way[near], one.touching[near])
+        for part, word, dash, width in (
+            (in_touch, "in contact", "solid", 3.5),
+            (free, "free", "dash", 1.3),
+        ):
+            line = (one.colour, dash, width)
+            name = f"{one.label}, {word}"
+            _add_line(figure, _some(part).T, line, name=name, **look, **hidden)
         figure.update_yaxes(range=(-80, 80), scaleanchor=f"x{i}", row=1, col=i)
         figure.update_xaxes(range=(-90, 30), title="x from BE  [mm]", row=1, col=i)
     figure.update_yaxes(title="y in the cone's frame  [mm]", col=1)
@@ -119,64 +112,38 @@ def load_stroke(shown: Sequence[Shown]) -> Drawn:
     """Draw force over stroke of the axial buffer."""
     figure = go.Figure()
     for one in shown:
-        samples = one.run.samples
-        figure.add_scatter(
-            x=_some(style.STROKE.of(samples)),
-            y=_some(samples["axial_force"]),
-            mode="lines",
-            line={"color": one.colour, "width": 1.5},
-            name=one.label,
-        )
-    figure.update_xaxes(title=style.STROKE.axis)
+        stroke, force = STROKE.of(one.run.samples), one.run.samples["axial_force"]
+        _add_line(figure, (_some(stroke), _some(force)), (one.colour, "solid", 1.5), name=one.label)
+    figure.update_xaxes(title=STROKE.axis)
     figure.update_yaxes(title="force of spring and damper  [N]")
     return drawn(figure, "load_stroke", "Force over stroke of the axial buffer")
 
 
 def velocities(shown: Sequence[Shown]) -> Drawn:
     """Draw horizontal, vertical and angular velocities of both vehicles."""
-    parts = ("x  [mm/s]", "y  [mm/s]", "turn  [mrad/s]")
-    heads = ["chaser", "target"]
+    heads = [quantity.title for quantity in VELOCITIES[0]]
     figure = make_subplots(3, 2, shared_xaxes=True, vertical_spacing=0.07, subplot_titles=heads)
-    window = common_window(shown)
-    for column, first in enumerate((0, 5), 1):
-        for row, name in enumerate(parts, 1):
-            for one in shown:
-                t, v = one.run.samples["t"], one.run.samples["v"][:, first + row - 1] * 1e3
-                legend = row == column == 1
-                _add_curve(figure, one, t, v, window, legend=legend, row=row, col=column)
-            figure.update_yaxes(title=name, row=row, col=1)
-        figure.update_xaxes(title=f"{time_label(shown)}  [s]", row=3, col=column)
-    figure.update_xaxes(range=window)
+    _add_over_time(figure, VELOCITIES, shown)
+    for row, (quantity, _) in enumerate(VELOCITIES, 1):
+        figure.update_yaxes(title=f"{quantity.label}<br>[{quantity.unit}]", row=row, col=1)
+    figure.update_yaxes(title="", col=2)
     return drawn(figure, "velocities", "Velocities of both vehicles", "wide")
 
 
-def energy(shown: Sequence[Shown]) -> Drawn | None:
-    """Draw what the energy put in has become, layer on layer; None where none is known."""
-    known = [one for one in shown if has_ledger(one.run)]
-    if not known:
-        return None
+def energy(known: Sequence[Shown]) -> Drawn:
+    """Draw what the energy put in has become, layer on layer, of runs that have a ledger."""
     figure = make_subplots(1, len(known), subplot_titles=[one.label for one in known])
     named = set[str]()
     for i, one in enumerate(known, 1):
+        place: dict[str, Any] = {"row": 1, "col": i}
         t, put_in, layers = energy_layers(one.run)
         for name, colour, layer in layers:
-            figure.add_scatter(
-                x=t,
-                y=layer,
-                stackgroup="energy",
-                mode="lines",
-                line={"width": 0, "color": colour},
-                fillcolor=colour,
-                name=name,
-                legendgroup=name,
-                showlegend=name not in named,
-                row=1,
-                col=i,
-            )
+            look = {"name": name, "legendgroup": name, "showlegend": name not in named}
+            look |= {"stackgroup": "energy", "fillcolor": colour}
+            _add_line(figure, (t, layer), (colour, "solid", 0), **look, **place)
             named.add(name)
-        line = {"color": style.GREY, "dash": "dash", "width": 2}
-        look: dict[str, Any] = {"line": line, "mode": "lines", "name": "put in"}
-        figure.add_scatter(x=t, y=put_in, showlegend=i == 1, row=1, col=i, **look)
+        line = (style.GREY, "dash", 2)
+        _add_line(figure, (t, put_in), line, name="put in", showlegend=i == 1, **place)
         figure.update_xaxes(title=f"{time_label([one._replace(origin=0.0)])}  [s]", row=1, col=i)
     figure.update_yaxes(title="energy  [mJ]", col=1)
     caption = "Where the energy is and goes: the layers' sum against what was put in"
@@ -187,30 +154,49 @@ def _some(values: np.ndarray) -> np.ndarray:
     return np.asarray(values[:: max(len(values) // _MOST, 1)], dtype=np.float32)
 
 
-def _add_curve(
-    figure: go.Figure,
-    one: Shown,
-    t: np.ndarray,
-    values: np.ndarray,
-    window: tuple[float, float],
-    *,
-    sampled: bool = True,
-    legend: bool = True,
-    **place: int,
+def _add_line(
+    figure: go.Figure, points: Iterable[np.ndarray], line: tuple[str, str, float], **look: Any
 ) -> None:
-    """Add a curve, as far as it lies in the window: dashed, of samples, where the tip is free."""
-    t = t - one.origin
-    inside = (t >= window[0]) & (t <= window[1])
-    parts = split(values, one.touching) if sampled else (values,)
-    for part, dash in zip(parts, ("solid", "dash"), strict=False):
-        seen = inside & np.isfinite(part).any()
-        figure.add_scatter(
-            x=np.asarray(t[seen], dtype=np.float32),
-            y=np.asarray(part[seen], dtype=np.float32),
-            mode="lines",
-            line={"color": one.colour, "dash": dash, "width": 1.8},
-            name=one.label,
-            legendgroup=one.label,
-            showlegend=legend and dash == "solid",
-            **place,
-        )
+    """Add a line: its x and y, (n,) each; its colour, dash and width."""
+    x, y = points
+    named = dict(zip(("color", "dash", "width"), line, strict=True))
+    figure.add_scatter(x=x, y=y, mode="lines", line=named, **look)
+
+
+def _add_over_time(
+    figure: go.Figure, rows: Sequence[Sequence[Quantity]], shown: Sequence[Shown]
+) -> None:
+    """Draw quantities over one time, as far as they lie in the window."""
+    window = common_window(shown)
+    for row, quantities in enumerate(rows, 1):
+        for col, quantity in enumerate(quantities, 1):
+            place: dict[str, Any] = {"row": row, "col": col}
+            for one in shown:
+                t, values = quantity.curve(one.run)
+                t = t - one.origin
+                inside = (t >= window[0]) & (t <= window[1])
+                sampled = quantity.located is None
+                parts = split(values, one.touching) if sampled else (values,)
+                for part, dash in zip(parts, ("solid", "dash"), strict=False):
+                    seen = inside & np.isfinite(part).any()
+                    _add_line(
+                        figure,
+                        (t[seen].astype(np.float32), part[seen].astype(np.float32)),
+                        (one.colour, dash, 1.8),
+                        name=one.label,
+                        legendgroup=one.label,
+                        showlegend=row == col == 1 and dash == "solid",
+                        **place,
+                    )
+            for limit in {limit for one in shown for limit in quantity.limits(one.run.scene)}:
+                if quantity.from_zero:
+                    look: Any = {"fillcolor": limit.colour, "opacity": 0.2, "line_width": 0}
+                    figure.add_hrect(0.0, limit.value, **look, **place)
+                else:
+                    figure.add_hline(
+                        limit.value, line={"color": limit.colour, "dash": "dot"}, **place
+                    )
+            mode = "tozero" if quantity.from_zero else "normal"
+            figure.update_yaxes(title=quantity.axis, rangemode=mode, **place)
+    figure.update_xaxes(range=window)
+    figure.update_xaxes(title=f"{time_label(shown)}  [s]", row=len(rows))

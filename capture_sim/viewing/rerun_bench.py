@@ -12,19 +12,8 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.scene.parts import Cone, Scene
-from capture_sim.viewing import style
+from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream
-from capture_sim.viewing.shapes import (
-    CHASER,
-    TARGET,
-    H,
-    chaser_box,
-    cone_shapes,
-    target_box,
-    tip_in_cone,
-    tip_in_world,
-    wall,
-)
 
 _MM = 1e3
 #: Length of the force's arrow, m for 1 N, and where it ends.
@@ -63,13 +52,13 @@ class BenchLog:
     def motion(self, samples: np.ndarray, touching: np.ndarray) -> None:
         """Log where everything is, from samples (n,) and whether the tip touches, (n,) bool."""
         t, q = samples["t"], samples["q"]
-        for entity, body in (("chaser", CHASER), ("target", TARGET)):
+        for entity, body in (("chaser", shapes.CHASER), ("target", shapes.TARGET)):
             pose = q[:, list(body)]
             self._move(entity, t, translation=_level(pose[:, :2]), quaternion=_yaw(pose[:, 2]))
         hinge = np.tile([self._scene.buffer.hinge_offset, 0.0, 0.0], (len(t), 1))
         self._move("chaser/cylinder", t, translation=hinge, quaternion=_yaw(samples["torsion"]))
         along, stretch = np.zeros((len(t), 3)), np.ones((len(t), 3))
-        along[:, 0], stretch[:, 0] = q[:, H], q[:, H] - self._collar
+        along[:, 0], stretch[:, 0] = q[:, shapes.H], q[:, shapes.H] - self._collar
         self._move("chaser/cylinder/probe", t, translation=along)
         self._move("chaser/cylinder/spring", t, scale=stretch)
         self._move_string(samples)
@@ -78,9 +67,9 @@ class BenchLog:
     def trail(self, samples: np.ndarray, touching: np.ndarray) -> None:
         """Log the tip's way, (n,) samples: thin, and thick where it touches."""
         above = self._scene.probe.tip_radius + 0.001
-        strip = _level(tip_in_world(self._scene, samples["q"]), above)
+        strip = _level(shapes.tip_in_world(self._scene, samples["q"]), above)
         self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
-        way = tip_in_cone(samples) * _MM
+        way = shapes.tip_in_cone(samples) * _MM
         self._draw("way", rr.LineStrips2D([way], radii=0.3, colors=_BLACK, draw_order=20.0))
         ends = np.flatnonzero(np.diff(np.concatenate([[0], touching.astype(np.int8), [0]])))
         pieces = [way[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
@@ -89,7 +78,7 @@ class BenchLog:
 
     def trail_piece(self, samples: np.ndarray) -> None:
         """Log the next piece of the tip's way, seen together with those before it."""
-        strips = [tip_in_cone(samples) * _MM]
+        strips = [shapes.tip_in_cone(samples) * _MM]
         self._stream.columns(
             f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips
         )
@@ -105,8 +94,8 @@ class BenchLog:
     def _log_bodies(self) -> None:
         scene, supports = self._scene, self._scene.supports
         for entity, box, balls, grey in (
-            ("chaser", chaser_box(scene), supports and supports.chaser.balls, 175),
-            ("target", target_box(scene), supports and supports.target.balls, 120),
+            ("chaser", shapes.chaser_box(scene), supports and supports.chaser.balls, 175),
+            ("target", shapes.target_box(scene), supports and supports.target.balls, 120),
         ):
             half = [(box.front - box.back) / 2, box.half_width, _BODY_HEIGHT / 2]
             centre = [(box.back + box.front) / 2, 0.0, _BODY_TOP - _BODY_HEIGHT / 2]
@@ -123,7 +112,7 @@ class BenchLog:
         )
         self._shape("target/cone", mesh)
         for side, name in ((1, "plus"), (-1, "minus")):
-            face = _level(wall(scene.cone, side) - (scene.cone.L_T, 0.0))
+            face = _level(shapes.wall(scene.cone, side) - (scene.cone.L_T, 0.0))
             self._shape(f"target/wall_{name}", rr.LineStrips3D([face], radii=0.003, colors=_DARK))
 
     def _log_buffer(self) -> None:
@@ -189,7 +178,7 @@ class BenchLog:
         scene = self._scene
         # 2D views count y downwards
         self._stream.static(self._map, rr.Transform3D(scale=[1.0, -1.0, 1.0]))
-        for name, shape in cone_shapes(scene).items():
+        for name, shape in shapes.cone_shapes(scene).items():
             if not shape.line:
                 continue  # a wall's body
             look: dict[str, Any] = {"colors": style.rgb(shape.line), "radii": 0.25 * shape.width}
@@ -197,11 +186,9 @@ class BenchLog:
             self._draw(name.replace(" ", "_").replace("+", "plus_").replace("-", "minus_"), strip)
         for side, (*_, label) in style.WALLS.items():
             # behind the wall, where the tip never is
-            behind = wall(scene.cone, side).mean(axis=0) * _MM + 16.0 * np.sqrt(0.5) * np.array(
-                [1.0, side]
-            )
+            place = shapes.wall(scene.cone, side).mean(axis=0) * _MM + 11.3 * np.array([1.0, side])
             look = {"radii": 0.01, "colors": _DARK, "labels": label, "show_labels": True}
-            self._draw(f"name_{'plus' if side > 0 else 'minus'}", rr.Points2D([behind], **look))
+            self._draw(f"name_{'plus' if side > 0 else 'minus'}", rr.Points2D([place], **look))
         thin = rr.LineStrips2D.from_fields(radii=0.3, colors=_BLACK, draw_order=20.0)
         self._draw("trail", thin)
         self._draw(
@@ -235,19 +222,19 @@ class BenchLog:
 
     def _move_tip(self, samples: np.ndarray, touching: np.ndarray) -> None:
         scene, t, columns = self._scene, samples["t"], self._stream.columns
-        origin = _level(tip_in_world(scene, samples["q"]), scene.probe.tip_radius + 0.002)
+        origin = _level(shapes.tip_in_world(scene, samples["q"]), scene.probe.tip_radius + 0.002)
         # an arrow beyond the view tells nothing
         force = np.nan_to_num(samples["contact_force"]) * FORCE_SCALE
         length = np.linalg.norm(force, axis=1, keepdims=True)
         force *= np.minimum(1.0, _LONGEST_ARROW / np.maximum(length, 1e-12))
         entity = f"{self._stream.name}/world/contact_force"
         columns(entity, t, rr.Arrows3D, vectors=_level(force), origins=origin)
-        places = tip_in_cone(samples) * _MM
+        places = shapes.tip_in_cone(samples) * _MM
         tint = np.where(touching[:, None], self._colour, style.light(self._colour))
         tint = tint.astype(np.uint8)
         columns(f"{self._map}/tip", t, rr.Points2D, positions=places, colors=tint)
         columns(f"{self._map}/centre", t, rr.Points2D, positions=places)
-        theta = samples["q"][:, TARGET[2]]
+        theta = samples["q"][:, shapes.TARGET[2]]
         turned = (force[:, 0] + 1j * force[:, 1]) * np.exp(-1j * theta) * _MM
         vectors = np.stack([turned.real, turned.imag], axis=-1)
         columns(f"{self._map}/contact_force", t, rr.Arrows2D, vectors=vectors, origins=places)
@@ -266,7 +253,7 @@ def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
     angle = np.linspace(np.pi, 2 * np.pi, count)
     rings = [
         np.stack([np.full(count, x - cone.L_T), r * np.cos(angle), r * np.sin(angle)], axis=-1)
-        for x, r in wall(cone, 1)
+        for x, r in shapes.wall(cone, 1)
     ]
     first = np.arange(count - 1)
     quads = np.stack([first, first + 1, first + count, first + count + 1], axis=-1)

@@ -110,9 +110,10 @@ def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
 
 
 def _diagram(entity: str) -> rrb.TimeSeriesView:
-    title = next(plot.title for plot in PLOTS if plot.entity == entity)
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=entity == "distance")
-    return rrb.TimeSeriesView(origin=f"/plots/{entity}", name=title, plot_legend=legend)
+    return rrb.TimeSeriesView(
+        origin=f"/plots/{entity}", name=PLOTS[entity].title, plot_legend=legend
+    )
 
 
 def _time_series(runs: int, left_out: set[str]) -> rrb.Vertical:

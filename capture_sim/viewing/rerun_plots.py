@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,23 +11,26 @@ import rerun as rr
 
 from capture_sim.samples import Phase
 from capture_sim.viewing import style
+from capture_sim.viewing.curves import DISTANCE, FORCE, STROKE, TORSION, Quantity
 from capture_sim.viewing.rerun_stream import RunStream
-from capture_sim.viewing.source import ViewableRun, normal_force_with_peaks
-
-_MM = 1e3
+from capture_sim.viewing.source import ViewableRun
 
 
 class Plot(NamedTuple):
-    """One diagram: name of its entities, title with unit, values of samples, curves' names."""
+    """A diagram: its quantity, what its title tells besides, and its curves' names."""
 
-    entity: str
-    title: str
-    values: Callable[[np.ndarray], np.ndarray]  # (n,) or (n, k) of samples (n,)
+    quantity: Quantity
+    note: str = ""
     curves: tuple[str, ...] = ("",)
+
+    @property
+    def title(self) -> str:
+        """Above the diagram."""
+        return f"{self.quantity.label}, {self.quantity.unit}{self.note}"
 
 
 def _speeds(samples: np.ndarray) -> np.ndarray:
-    return np.hypot(samples["v"][:, [0, 5]], samples["v"][:, [1, 6]]) * _MM
+    return np.hypot(samples["v"][:, [0, 5]], samples["v"][:, [1, 6]])
 
 
 def _ledger(samples: np.ndarray) -> np.ndarray:
@@ -35,23 +39,27 @@ def _ledger(samples: np.ndarray) -> np.ndarray:
         np.sum([samples[name] for name in names if name.startswith(prefix)], axis=0)
         for prefix in ("kinetic", "dissipated_", "elastic_")
     ]
-    return np.stack(parts, axis=-1) * _MM
+    return np.stack(parts, axis=-1)
 
 
-PLOTS = (
-    Plot("contact_force", "contact force, N; dots: peaks", lambda s: s["normal_force"].sum(axis=1)),
-    Plot("axial_stroke", "axial stroke, mm", style.STROKE.of),
-    Plot("torsion", "torsion, mrad", style.TORSION.of),
-    Plot("distance", "tip to BE, mm", style.DISTANCE.of),
-    Plot("speed", "speed, mm/s; target light", _speeds, ("chaser", "target")),
-    Plot("string_tension", "string tension, N", lambda s: s["string_tension"]),
-    Plot(
-        "energy",
-        "energy, mJ; dissipated light",
-        _ledger,
+#: By name of their entities.
+PLOTS = {
+    "contact_force": Plot(FORCE, "; dots: peaks"),
+    "axial_stroke": Plot(STROKE),
+    "torsion": Plot(TORSION),
+    "distance": Plot(DISTANCE),
+    "speed": Plot(
+        Quantity("Speeds", "speed", "mm/s", 1e3, _speeds), "; target light", ("chaser", "target")
+    ),
+    "string_tension": Plot(
+        Quantity("String", "string tension", "N", 1.0, itemgetter("string_tension"))
+    ),
+    "energy": Plot(
+        Quantity("Energies", "energy", "mJ", 1e3, _ledger),
+        "; dissipated light",
         ("kinetic", "dissipated", "elastic"),
     ),
-)
+}
 
 
 class PlotLog:
@@ -65,7 +73,7 @@ class PlotLog:
     def _log_styles(self) -> None:
         """Log colours, widths and names of the curves."""
         static, name, colour = self._stream.static, self._stream.name, self._colour
-        for plot in PLOTS:
+        for entity, plot in PLOTS.items():
             k = len(plot.curves)
             # the peaks are what is looked for: no averaging of rows that share a pixel
             highest = rr.components.AggregationPolicy.Max
@@ -73,9 +81,9 @@ class PlotLog:
                 colors=[colour, style.light(colour), colour][:k],
                 names=[f"{name} {curve}".strip() for curve in plot.curves],
                 widths=[1.8, 1.8, 0.8][:k],
-                aggregation_policy=highest if plot.entity == "contact_force" else None,
+                aggregation_policy=highest if entity == "contact_force" else None,
             )
-            static(self._path(plot.entity), lines)
+            static(self._path(entity), lines)
         look = {"colors": colour, "markers": "circle", "marker_sizes": 3.5}
         static(self._touches, rr.SeriesPoints(names=f"{name} touches", **look))  # type: ignore[arg-type]
         for lane, colours_of in (("phase", style.PHASES), ("verdict", style.STATES)):
@@ -86,17 +94,18 @@ class PlotLog:
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
         """Log the curves of samples, (n,); what is not measured (NaN) is left out."""
-        for plot in PLOTS[0 if force else 1 :]:
-            values = plot.values(samples)
-            known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
-            if known.any():
-                self._stream.scalars(self._path(plot.entity), samples["t"][known], values[known])
+        for entity, plot in PLOTS.items():
+            if force or plot.quantity is not FORCE:
+                self._curve(entity, samples["t"], plot.quantity.of(samples))
+
+    def _curve(self, entity: str, t: np.ndarray, values: np.ndarray) -> None:
+        known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+        if known.any():
+            self._stream.scalars(self._path(entity), t[known], values[known])
 
     def touches(self, run: ViewableRun) -> None:
         """Log the force with every touch in it, and a mark at each touch's peak."""
-        t, force = normal_force_with_peaks(run)
-        known = np.isfinite(force)
-        self._stream.scalars(self._path("contact_force"), t[known], force[known])
+        self._curve("contact_force", *FORCE.curve(run))
         ordered = run.touches[np.argsort(run.touches["peak_time"], kind="stable")]
         self.mark_touches(ordered["peak_time"], ordered["peak_force"])
 
@@ -141,34 +150,17 @@ def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     """
     t, phase = run.samples["t"], run.samples["phase"].astype(int)
     phase[phase == Phase.CONTACT] = Phase.FREE
-    starts = np.flatnonzero(np.diff(phase, prepend=-1))
+    starts, ends = np.sort(run.touches["start"]), np.sort(run.touches["end"])
+    times = np.unique(np.concatenate([t[np.diff(phase, prepend=-1) != 0], starts, ends]))
     # of the walls together
-    inside: list[list[float]] = []
-    for start, end in sorted(run.touches[["start", "end"]].tolist()):
-        if inside and start <= inside[-1][1]:
-            inside[-1][1] = max(inside[-1][1], end)
-        else:
-            inside.append([start, end])
-    beneath = phase[starts][
-        np.maximum(np.searchsorted(t[starts], [end for _, end in inside], side="right") - 1, 0)
-    ]
-    changes = [
-        (float(t[i]), Phase(int(phase[i])).label)
-        for i in starts
-        if not any(start < t[i] < end for start, end in inside)
-    ]
-    for (start, end), after in zip(inside, beneath, strict=True):
-        changes += [(start, "contact"), (end, Phase(int(after)).label)]
-    changes.sort(key=lambda change: change[0])
-    return np.array([when for when, _ in changes]), [name for _, name in changes]
+    touching = np.searchsorted(starts, times, "right") > np.searchsorted(ends, times, "right")
+    beneath = phase[np.maximum(np.searchsorted(t, times, "right") - 1, 0)]
+    now = np.where(touching, Phase.CONTACT, beneath)
+    kept = np.diff(now, prepend=-1) != 0
+    return times[kept], [Phase(known).label for known in now[kept].tolist()]
 
 
 def verdicts(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     """Return from when on the detector was in which state, times (n,), s, and names."""
-    times: list[float] = []
-    names: list[str] = []
-    for status in run.statuses:
-        if not names or names[-1] != status.state.label:
-            times.append(status.t)
-            names.append(status.state.label)
-    return np.array(times), names
+    firsts = [next(same) for _, same in groupby(run.statuses, key=lambda status: status.state)]
+    return np.array([status.t for status in firsts]), [status.state.label for status in firsts]

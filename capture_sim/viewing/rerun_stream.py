@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing.source import ViewableRun, contacts, decided_at, first_touch
+from capture_sim.viewing.source import ViewableRun, decided_at, every_touch, first_touch
 
 SIM_TIME = "sim_time"
 ALIGNED = "since_first_touch"
@@ -43,7 +43,8 @@ def aligned_span(run: ViewableRun) -> Span | None:
     touch, t = first_touch(run), run.samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
-    end = max(decided_at(run) or touch.t, *(end for _, end in contacts(run)), touch.t) + _TRAIL
+    ends = every_touch(run)["end"].tolist()
+    end = max(decided_at(run) or touch.t, *ends, touch.t) + _TRAIL
     if t[0] > end:
         return None
     return Span(touch.t, max(touch.t - LEAD, float(t[0])), min(end, float(t[-1])))
@@ -82,7 +83,7 @@ class RunStream:
 
     def scalars(self, path: str, t: np.ndarray, values: np.ndarray) -> None:
         """Log one curve (n,), or several of one entity (n, k)."""
-        self.columns(path, t, rr.Scalars if values.ndim == 1 else _SeveralScalars, scalars=values)
+        self.columns(path, t, rr.Scalars, scalars=values)
 
     def scene(self, title: str, scene: Scene) -> None:
         """Log the scene under a title, as a text in Markdown."""
@@ -93,13 +94,3 @@ class RunStream:
     def property(self, **values: Any) -> None:
         """Log properties of the run."""
         self._recording.send_property(self.name, rr.AnyValues(**values))
-
-
-class _SeveralScalars:
-    """Several scalars a row, as rerun wants them."""
-
-    @staticmethod
-    def columns(scalars: np.ndarray) -> rr.ComponentColumnList:
-        """Return the rows (n, k) as columns."""
-        flat = rr.Scalars.columns(scalars=scalars.ravel())
-        return flat.partition(np.full(len(scalars), scalars.shape[1]))

@@ -17,20 +17,17 @@ from capture_sim.files import whole_file
 from capture_sim.results import impact_speed
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
-from capture_sim.viewing.curves import has_ledger
+from capture_sim.viewing.curves import Shown, as_shown, has_ledger
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
-from capture_sim.viewing.rerun_plots import PlotLog, phases, verdicts
+from capture_sim.viewing.rerun_plots import PLOTS, PlotLog, phases, verdicts
 from capture_sim.viewing.rerun_stream import RunStream, aligned_span
 from capture_sim.viewing.source import (
     ViewableRun,
     distinct_names,
     headline,
-    in_contact,
     verdict,
 )
-
-_MM = 1e3
 
 
 def save_rrd(
@@ -45,14 +42,10 @@ def save_rrd(
     RecordingError
         The file cannot be written.
     """
-    path = Path(path)
-    if labels is None:
-        labels = distinct_names([run.scene.name for run in runs])
+    path, shown = Path(path), as_shown(runs, labels)
     # a file may be called what no path in the viewer can be
-    names = distinct_names([as_name(label) for label in labels])
-    titles = [
-        headline(run, label).replace("\n", " ") for run, label in zip(runs, labels, strict=True)
-    ]
+    names = distinct_names([as_name(one.label) for one in shown])
+    titles = [headline(one.run, one.label).replace("\n", " ") for one in shown]
     spans = [aligned_span(run) for run in runs]
     layout = blueprint(
         [run.scene for run in runs],
@@ -66,8 +59,8 @@ def save_rrd(
     # written by us: rerun writes in the background, and waits for ever for a disk that is full
     memory = recording.memory_recording()
     recording.send_blueprint(layout, make_active=False)
-    for i, (run, name, span) in enumerate(zip(runs, names, spans, strict=True)):
-        _log_run(RunStream(recording, name, span), run, titles[i], style.run_colour(i))
+    for one, name, span, title in zip(shown, names, spans, titles, strict=True):
+        _log_run(RunStream(recording, name, span), one, title)
     _log_limits(recording, runs)
     try:
         with whole_file(path) as part:
@@ -77,12 +70,12 @@ def save_rrd(
     return path
 
 
-def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> None:
-    touching = in_contact(run)
-    bench = BenchLog(stream, run.scene, colour)
-    bench.motion(run.samples, touching)
-    bench.trail(run.samples, touching)
-    plots = PlotLog(stream, colour)
+def _log_run(stream: RunStream, one: Shown, title: str) -> None:
+    run = one.run
+    bench = BenchLog(stream, run.scene, one.colour)
+    bench.motion(run.samples, one.touching)
+    bench.trail(run.samples, one.touching)
+    plots = PlotLog(stream, one.colour)
     plots.curves(run.samples, force=False)
     plots.touches(run)
     plots.states("phase", *phases(run))
@@ -98,19 +91,14 @@ def _log_run(stream: RunStream, run: ViewableRun, title: str, colour: str) -> No
 
 
 def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
-    """Log as level lines what the runs share: capture radius and stops."""
-    limits: list[tuple[str, str, str, float]] = []
-    if len(radii := {run.scene.detector.capture_radius for run in runs}) == 1:
-        limits.append(("distance", "capture radius", style.ZONE, radii.pop()))
-    stops = runs[0].scene.stops
-    if stops is not None and {run.scene.stops for run in runs} == {stops}:
-        limits.append(("axial_stroke", "stop, inwards", style.GREY, -stops.compression))
-        limits.append(("axial_stroke", "stop, outwards", style.GREY, stops.extension))
+    """Log as level lines the limits that all runs share: capture zone and stops."""
     # as long as the longest run on either timeline
     longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest))
     few = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
-    for plot, name, colour, value in limits:
-        path = f"plots/{plot}/{name.replace(', ', '_').replace(' ', '_')}"
-        stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))
-        stream.scalars(path, few, np.full(len(few), value * _MM))
+    for entity, plot in PLOTS.items():
+        limits, *others = {plot.quantity.limits(run.scene) for run in runs}
+        for name, value, colour in limits if not others else ():
+            path = f"plots/{entity}/{name.replace(', ', '_').replace(' ', '_')}"
+            stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))
+            stream.scalars(path, few, np.full(len(few), value))

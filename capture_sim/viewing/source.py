@@ -17,9 +17,8 @@ from capture_sim.samples import Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene, as_name
 from capture_sim.simulation import Result, simulate
 
-#: Samples over the length of each touch, and over a window that is asked for.
-PER_TOUCH = 40
-PER_WINDOW = 4000
+# samples over the length of each touch, and over a window that is asked for
+_PER_TOUCH, _PER_WINDOW = 40, 4000
 
 
 class ViewableRun(Protocol):
@@ -122,38 +121,35 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     return distinct
 
 
-def open_touches(run: ViewableRun) -> list[tuple[float, int]]:
-    """Return start, s, and wall, +1 or -1, of touches that a run broke off in the middle of."""
-    touches, found = run.touches, []
-    for side, bit in ((1, 1), (-1, 2)):
-        if not len(run.samples) or not run.samples["walls"][-1] & bit:
+def every_touch(run: ViewableRun) -> np.ndarray:
+    """Return the touches (m,) of dtype TOUCH, with those that a run broke off in the middle of.
+
+    Those last to the last sample; their peak, which was not located, is that of the samples.
+    """
+    touches, samples = run.touches, run.samples
+    broken_off = []
+    for column, side in enumerate((1, -1)):
+        if not len(samples) or not samples["walls"][-1] & (1 << column):
             continue
         begun = [e.t for e in run.events if e.kind is EventKind.TOUCH and e.wall == side]
-        ended = touches["end"][touches["wall"] == side]
-        if begun and not np.any(ended >= begun[-1]):
-            found.append((begun[-1], side))
-    return found
-
-
-def contacts(run: ViewableRun) -> list[tuple[float, float]]:
-    """Return start and end of every touch, s; one that was broken off lasts to the last sample."""
-    ended = [(float(touch["start"]), float(touch["end"])) for touch in run.touches]
-    return ended + [(start, float(run.samples["t"][-1])) for start, _ in open_touches(run)]
+        if begun and not np.any(touches["end"][touches["wall"] == side] >= begun[-1]):
+            within = samples[samples["t"] >= begun[-1]]
+            force = np.nan_to_num(within["normal_force"][:, column])
+            touch = np.zeros(1, touches.dtype)
+            touch["wall"], touch["start"], touch["end"] = side, begun[-1], samples["t"][-1]
+            touch["peak_time"] = within["t"][force.argmax()]
+            touch["peak_force"] = force.max()
+            broken_off.append(touch)
+    return np.concatenate([touches, *broken_off])
 
 
 def strongest(run: ViewableRun) -> tuple[float, float]:
-    """Return when the tip was pressed most against a wall, s, and by how much, N; nan and 0.
-
-    The peak of a touch that was broken off is not located: it is that of the samples.
-    """
-    peaks = [(float(touch["peak_time"]), float(touch["peak_force"])) for touch in run.touches]
-    samples = run.samples
-    for start, side in open_touches(run):
-        within = samples[samples["t"] >= start]
-        force = np.nan_to_num(within["normal_force"][:, 0 if side > 0 else 1])
-        if force.size:
-            peaks.append((float(within["t"][np.argmax(force)]), float(force.max())))
-    return max(peaks, key=lambda peak: peak[1], default=(math.nan, 0.0))
+    """Return when the tip was pressed most against a wall, s, and by how much, N; nan and 0."""
+    touches = every_touch(run)
+    if not touches.size:
+        return math.nan, 0.0
+    touch = touches[np.nan_to_num(touches["peak_force"]).argmax()]
+    return float(touch["peak_time"]), float(touch["peak_force"])
 
 
 def time_window(run: ViewableRun) -> tuple[float, float]:
@@ -165,7 +161,7 @@ def time_window(run: ViewableRun) -> tuple[float, float]:
     touch = first_touch(run)
     if touch is None:
         return float(t[0]), float(t[-1])
-    action = [touch.t, *(end for _, end in contacts(run))]
+    action = [touch.t, *every_touch(run)["end"].tolist()]
     action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
     decided = decided_at(run)
     if decided is not None:
@@ -245,9 +241,7 @@ def decided_at(run: ViewableRun) -> float | None:
     return next((status.t for status in run.statuses if status.final), None)
 
 
-def resolved(
-    run: ViewableRun, window: tuple[float, float] | None = None, per_touch: int = PER_TOUCH
-) -> Result:
+def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Result:
     """Run a run's scene again and sample every touch by the integrator's dense output.
 
     Parameters
@@ -257,8 +251,6 @@ def resolved(
     window
         From when to when, s since the start: only this is returned, in some 4000 samples more.
         None keeps the whole run.
-    per_touch
-        Samples from the start to the end of each touch.
 
     Returns
     -------
@@ -274,10 +266,10 @@ def resolved(
     start, end = (float(grid[0]), float(grid[-1])) if window is None else window
     times = [grid[(grid >= start) & (grid <= end)]]
     for touch in touches[(touches["end"] >= start) & (touches["start"] <= end)]:
-        times.append(np.linspace(touch["start"], touch["end"], per_touch))
+        times.append(np.linspace(touch["start"], touch["end"], _PER_TOUCH))
         times.append(touch["peak_time"][None])
     if window is not None:
-        times.append(np.linspace(start, end, PER_WINDOW))
+        times.append(np.linspace(start, end, _PER_WINDOW))
     wanted = np.unique(np.concatenate(times))
     wanted = wanted[(wanted >= start) & (wanted <= min(end, grid[-1]))]
     if not wanted.size:

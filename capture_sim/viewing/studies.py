@@ -28,7 +28,8 @@ from capture_sim.studies.sensitivity import (
 )
 from capture_sim.studies.touches import Touches
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import grid, new_figure, set_fonts
+from capture_sim.viewing.canvas import subplots
+from capture_sim.viewing.curves import STROKE, TORSION
 from capture_sim.viewing.source import ViewableRun, verdict
 
 if TYPE_CHECKING:
@@ -41,11 +42,9 @@ _TIGHT: Any = {"linespacing": 0.85}
 
 def draw_design(design: Design) -> Figure:
     """Return a figure of the flow: the strokes run by run, and the verdict over the damper."""
-    figure = new_figure(13.0, 5.6)
-    strokes, dampers = figure.subplots(1, 2)
+    figure, [[strokes, dampers]] = subplots(13.0, 5.6, 1, 2)
     _draw_strokes(strokes, design)
     _draw_dampers(dampers, design)
-    set_fonts(figure.axes)
     return figure
 
 
@@ -63,7 +62,6 @@ def _draw_strokes(axes: Axes, design: Design) -> None:
     axes.set_xlabel("run")
     axes.set_ylabel("off the target, relative")
     axes.set_title("Steps 1 to 5: springs for the strokes", fontsize=15)
-    grid(axes)
     axes.legend(fontsize=12.5)
 
 
@@ -98,29 +96,20 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
     axes.set_ylabel("nearest to the centre of BE  [mm]")
     title = "Step 7: damper by the verdict" if design.met else "Step 7: no damper meets the target"
     axes.set_title(title, fontsize=15)
-    grid(axes)
     if trials:
         axes.legend(fontsize=12.5)
 
 
 def draw_trade_off(designs: Sequence[Design]) -> Figure:
     """Return a figure of peak force over axial stroke, and of the springs that it takes."""
-    figure = new_figure(13.0, 5.6)
-    force, buffer = figure.subplots(1, 2)
+    figure, [[force, buffer]] = subplots(13.0, 5.6, 1, 2)
     good = [d for d in designs if d.met]
     stroke = [d.target.axial_stroke * 1e3 for d in good]
-    curves = (
+    for label, part, name, colour, line in (
         ("largest touch until the verdict", "outcome", "peak_force", style.DARK, "o-"),
         ("largest touch of the first contact", "damped", "peak_force", style.GREY, "s-"),
-        (
-            "largest force of the buffer, first contact",
-            "damped",
-            "buffer_force",
-            style.BLUE,
-            "^-",
-        ),
-    )
-    for label, part, name, colour, line in curves:
+        ("largest force of the buffer, first contact", "damped", "buffer_force", style.BLUE, "^-"),
+    ):
         values = [getattr(getattr(d, part), name) for d in good]
         force.plot(stroke, values, line, color=colour, label=label)
     force.set_ylabel("force  [N]")
@@ -132,25 +121,20 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     ):
         values = [getattr(d.scene.buffer, name) for d in good if d.scene is not None]
         buffer.plot(stroke, values, "o-", color=colour, label=f"{name}  [{unit}]")
-    low = [d.capturing[0] if d.capturing else math.nan for d in good]
-    high = [d.capturing[1] if d.capturing else math.nan for d in good]
+    low, high = np.array([d.capturing or (math.nan, math.nan) for d in good]).reshape(-1, 2).T
     buffer.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
     buffer.set_yscale("log")
     buffer.set_title("The buffer (shaded: dampers that capture)", fontsize=15)
-    refused = [d for d in designs if not d.met]
+    refused = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
     for axes in (force, buffer):
-        for design in designs:
-            if not design.met:
-                note = "no buffer meets the target" if design is refused[0] else None
-                place = design.target.axial_stroke * 1e3
-                axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=note)
+        for place in refused:
+            note = "no buffer meets the target" if place == refused[0] else None
+            axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=note)
         axes.set_xlabel("target axial stroke  [mm]")
-        grid(axes)
         axes.legend(fontsize=12, loc="upper left", framealpha=1.0)
     force.set_ylim(0.0, 1.45 * force.get_ylim()[1])
     low_end, high_end = buffer.get_ylim()
     buffer.set_ylim(low_end, high_end * 8.0)
-    set_fonts(figure.axes)
     return figure
 
 
@@ -172,13 +156,14 @@ def draw_envelope(envelope: Envelope, marks: Sequence[ViewableRun] = ()) -> Figu
     slices = envelope.plan.slices
     columns = min(len(slices), 3)
     rows = math.ceil(len(slices) / columns)
-    figure = new_figure(1.5 + 5.6 * columns, 1.6 + 5.0 * rows)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel in panels[len(slices) :]:
-        panel.set_axis_off()
-    for number, panel in enumerate(panels[: len(slices)]):
-        _draw_slice(panel, envelope, number)
-        _mark(panel, envelope, number, marks)
+    size = (1.5 + 5.6 * columns, 1.6 + 5.0 * rows)
+    figure, panels = subplots(*size, rows, columns, grid=None, font=12.0)
+    for number, panel in enumerate(panels.flat):
+        if number < len(slices):
+            _draw_slice(panel, envelope, number)
+            _mark(panel, envelope, number, marks)
+        else:
+            panel.set_axis_off()
     patches = [
         Patch(color=look.colour, label=state.label) for state, look in style.VERDICTS.items()
     ]
@@ -188,7 +173,6 @@ def draw_envelope(envelope: Envelope, marks: Sequence[ViewableRun] = ()) -> Figu
     figure.legend(handles=patches, loc="outside lower center", ncols=across, fontsize=12)
     title = f"Capture envelope of {envelope.plan.scene.name}: {len(envelope.rows)} runs"
     figure.suptitle(title, fontsize=16 if columns > 1 else 13)
-    set_fonts(figure.axes, 12.0)
     return figure
 
 
@@ -207,12 +191,10 @@ def _draw_slice(axes: Axes, envelope: Envelope, number: int) -> None:
     axes.set_xlim(outline[:, :, 0].min(), outline[:, :, 0].max())
     axes.set_ylim(outline[:, :, 1].min(), outline[:, :, 1].max())
     doubtful = [
-        square.mean(axis=0)
-        for cell, square in zip(cells, outline, strict=True)
-        if envelope.is_boundary(cell) and _hangs_on_tolerance(envelope, cell)
+        envelope.is_boundary(cell) and _hangs_on_tolerance(envelope, cell) for cell in cells
     ]
-    if doubtful:
-        x, y = np.array(doubtful).T
+    if any(doubtful):
+        x, y = outline[doubtful].mean(axis=1).T
         axes.plot(x, y, "x", color=style.VERMILION, ms=6, mew=1.6, label="ill-conditioned")
         axes.legend(loc="lower right", fontsize=11, framealpha=1.0)
     axes.set_xlabel(f"{_SHOWN[across][0]} [{_SHOWN[across][1]}]")
@@ -264,33 +246,29 @@ def draw_tornado(found: Local) -> Figure:
     A tick on a bar is what the derivative promises; a cross, that the derivative is
     ill-conditioned; a ring, that the verdict is another one at that end.
     """
-    figure = new_figure(19.0, 12.0)
-    panels = figure.subplots(2, 3).ravel()
-    for q, (panel, quantity) in enumerate(zip(panels, SMOOTH, strict=False)):
+    figure, panels = subplots(19.0, 12.0, 2, 3, grid="x", font=13.0)
+    for q, (panel, quantity) in enumerate(zip(panels.flat, SMOOTH, strict=False)):
         _draw_bars(panel, found, q, quantity)
-    panels[-1].set_axis_off()
-    panels[-1].legend(
+    marks = (
+        ("|", 14, "by the derivative"),
+        ("x", 9, "ill-conditioned"),
+        ("o", 11, "verdict flips"),
+    )
+    panels[-1, -1].set_axis_off()
+    panels[-1, -1].legend(
         handles=[
             Patch(color=_BELOW, label="parameter below by its spread"),
             Patch(color=_ABOVE, label="parameter above by its spread"),
-            Line2D([], [], ls="", marker="|", color="k", ms=14, mew=2, label="by the derivative"),
-            Line2D([], [], ls="", marker="x", color="k", ms=9, mew=2, label="ill-conditioned"),
-            Line2D(
-                [],
-                [],
-                ls="",
-                marker="o",
-                mfc="none",
-                color="k",
-                ms=11,
-                mew=2,
-                label="verdict flips",
+            *(
+                Line2D(
+                    [], [], ls="", marker=marker, mfc="none", color="k", ms=size, mew=2, label=text
+                )
+                for marker, size, text in marks
             ),
         ],
         loc="center",
         fontsize=15,
     )
-    set_fonts(figure.axes, 13.0)
     return figure
 
 
@@ -317,7 +295,6 @@ def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
     axes.set_xlim(-reach, reach)
     axes.set_xlabel(f"change  [{unit}]")
     axes.set_title(f"{title}: {found.base[q] * factor:.4g} {unit}", fontsize=14)
-    grid(axes, "x")
 
 
 def _label(parameter: Parameter) -> str:
@@ -330,15 +307,13 @@ def _label(parameter: Parameter) -> str:
 
 def draw_indices(found: Global) -> Figure:
     """Return a figure of Morris' or Sobol's indices: a panel for each quantity."""
-    figure = new_figure(19.0, 12.0)
-    panels = figure.subplots(2, 3).ravel()
+    figure, panels = subplots(19.0, 12.0, 2, 3, grid="x", font=13.0)
     morris = found.method == "morris"
-    for q, (panel, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
-        _, title, unit, factor = quantity
-        if not morris:
-            factor = 1.0
-        total, first = found.total[:, q] * factor, found.first[:, q] * factor
-        spread = found.confidence[:, q] * factor
+    for q, (panel, (_, title, unit, factor)) in enumerate(
+        zip(panels.flat, QUANTITIES, strict=True)
+    ):
+        indices = np.stack([found.total[:, q], found.first[:, q], found.confidence[:, q]])
+        total, first, spread = indices * (factor if morris else 1.0)
         if np.isnan(total).all():
             panel.set_axis_off()
             panel.set_title(f"{title}: the same in every run", fontsize=14)
@@ -351,8 +326,6 @@ def draw_indices(found: Global) -> Figure:
         panel.set_xlim(left=min(0.0, float(np.nanmin(first)) * 1.1))
         panel.set_xlabel(f"effect  [{unit}]" if morris else "share of the variance")
         panel.set_title(title, fontsize=14)
-        grid(panel, "x")
-    set_fonts(figure.axes, 13.0)
     what = (
         "bars: mean magnitude of the elementary effects, over the whole spread (95 %); "
         "diamonds: their scatter"
@@ -380,8 +353,8 @@ def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: f
     window
         s that are shown.
     """
-    figure = new_figure(9.0, 11.5)
-    force, impulse, stroke, torsion, relative = figure.subplots(5, 1, sharex=True)
+    figure, all_axes = subplots(9.0, 11.5, 5, 1, font=10.0, sharex=True)
+    force, impulse, stroke, torsion, relative = all_axes.flat
     first = -_BEFORE * window
     for run, name, colour, line, mark in zip(
         runs, labels, style.RUNS, ("-", "--"), ("o", "D"), strict=False
@@ -397,8 +370,8 @@ def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: f
             if np.isfinite(total).all():
                 impulse.plot(t, total * 1e3, **look)
         for axes, series, quantity in (
-            (stroke, measured.stroke, style.STROKE),
-            (torsion, measured.torsion, style.TORSION),
+            (stroke, measured.stroke, STROKE),
+            (torsion, measured.torsion, TORSION),
         ):
             shown = (series.t >= first) & (series.t <= window)
             axes.plot(series.t[shown], series.values[shown] * quantity.factor, **look)
@@ -425,7 +398,6 @@ def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: f
         axes.set_title(" and ".join(sources), loc="right", fontsize="small", color=style.DARK)
     for axes in figure.axes:
         axes.axvline(0.0, color=style.GREY, linewidth=0.8)
-        grid(axes)
     figure.align_ylabels()
     return figure
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from capture_sim.detection.exact import CaptureState
 
 BLACK = "#000000"
@@ -77,30 +75,6 @@ SMALL = 12.5
 DPI = 110
 #: Dashes of a line while the tip does not touch.
 FREE_LINE = (0, (4.0, 2.4))
-
-
-class Quantity(NamedTuple):
-    """A quantity over time: field of a sample, label, unit, how many of it to the SI unit, sign."""
-
-    field: str
-    label: str
-    unit: str
-    factor: float
-    sign: str = ""
-
-    @property
-    def axis(self) -> str:
-        """The axis' label."""
-        return f"{self.label}{self.sign and f' ({self.sign})'}  [{self.unit}]"
-
-    def of(self, samples: np.ndarray) -> np.ndarray:
-        """Return its values in samples, (n,), in its unit."""
-        return np.asarray(samples[self.field] * self.factor)
-
-
-STROKE = Quantity("axial_stroke", "axial stroke", "mm", 1e3, "compression < 0")
-TORSION = Quantity("torsion", "torsion", "mrad", 1e3, "ccw > 0")
-DISTANCE = Quantity("tip_distance", "tip to the centre of BE", "mm", 1e3)
 
 
 def run_colour(i: int) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes.util
 import io
 import resource
-import subprocess
 import time
 from pathlib import Path
 
@@ -25,20 +24,14 @@ from capture_sim.viewing.source import in_contact, resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
-from rrd import chunks, column, free_port
+from rrd import chunks, column
 
 from capture_sim.viewing.rerun_bench import cone_mesh
 from capture_sim.viewing.rerun_plots import PLOTS, phases
-from capture_sim.viewing.rerun_server import program
 from capture_sim.viewing.rerun_view import save_rrd
+from tools.rerun_picture import opened, settled
 
-NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
 SHOWN = 0.18  # s after the first touch: one tip is latched, one touches, one is free
-
-
-@pytest.fixture(scope="module")
-def runs():
-    return [capture_sim.simulate(capture_sim.load_scene(name)) for name in NAMES]
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +42,19 @@ def rrd(runs, tmp_path_factory):
     return save_rrd(recorded, folder / "runs.rrd")
 
 
+@pytest.fixture(scope="module")
+def found(rrd):
+    """What is in it, by entity."""
+    return chunks(rrd)
+
+
 def first_touch_of(run):
     return next(event.t for event in run.events if event.kind is EventKind.TOUCH)
 
 
-def test_rrd_holds_the_numbers_of_every_run(rrd, runs):
+def test_rrd_holds_the_numbers_of_every_run(rrd, found, runs):
     # 30 MB for three runs of 20 s at 1 kHz (benchmarks/viewing.py): 500 bytes a sample
     assert rrd.stat().st_size < 500 * sum(len(run.samples) for run in runs)
-    found = chunks(rrd)
     for run in runs:
         name, samples = run.scene.name, run.samples
         for plot, expected in (
@@ -84,8 +82,7 @@ def test_rrd_holds_the_numbers_of_every_run(rrd, runs):
         assert tip == pytest.approx(tip_in_cone(samples) * 1e3, abs=1e-4)
 
 
-def test_every_touch_is_in_the_curve_and_marked(rrd, runs):
-    found = chunks(rrd)
+def test_every_touch_is_in_the_curve_and_marked(found, runs):
     for run in runs:
         path = f"/plots/contact_force/{run.scene.name}"
         times, force = column(found, path, "scalars")
@@ -97,8 +94,7 @@ def test_every_touch_is_in_the_curve_and_marked(rrd, runs):
             assert np.abs(marked - when).min() <= 1
 
 
-def test_aligned_time_begins_a_tenth_before_the_first_touch(rrd, runs):
-    found = chunks(rrd)
+def test_aligned_time_begins_a_tenth_before_the_first_touch(found, runs):
     for run in runs:
         name = run.scene.name
         for path, ending in (
@@ -135,8 +131,7 @@ def test_phases_change_when_the_events_say(runs):
         )
 
 
-def test_rrd_tells_verdict_scene_and_events(rrd, runs):
-    found = chunks(rrd)
+def test_rrd_tells_verdict_scene_and_events(found, runs):
     for run in runs:
         name = run.scene.name
         [chunk] = found[f"/__properties/{name}"]
@@ -222,30 +217,12 @@ def viewer(rrd):
     """A viewer without a screen that has opened the recording, and its client."""
     if not software_vulkan():
         pytest.skip("needs mesa-vulkan-drivers and libvulkan1 to draw headless")
-    experimental = pytest.importorskip("rerun.experimental", reason="needs rerun")
-    port = free_port()
-    command = [str(program()), str(rrd), "--headless", "--bind", "127.0.0.1"]
-    command += ["--port", str(port), "--window-size", "1600x900"]
-    command += ["--hide-welcome-screen", "--renderer", "vulkan"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield connected(experimental, port)
-    finally:
-        process.terminate()
-        process.wait(60)
-
-
-def connected(experimental, port):
-    for _ in range(1200):
-        try:
-            return experimental.ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-        except Exception:
-            time.sleep(0.25)
-    raise AssertionError("the viewer does not answer")
+    with opened(rrd) as client:
+        yield client
 
 
 def test_it_opens_paused_shortly_before_the_first_touch(viewer):
-    [recording] = loaded(viewer).recordings
+    [recording] = viewer.get_state().recordings
     assert recording.current_timeline == "since_first_touch"
     assert recording.current_time == -100_000_000
     time.sleep(0.5)
@@ -254,22 +231,13 @@ def test_it_opens_paused_shortly_before_the_first_touch(viewer):
     assert spans["sim_time"] > 6e9
 
 
-def loaded(viewer):
-    """Return the viewer's state when all of the recording is there."""
-    for _ in range(1200):
-        state = viewer.get_state()
-        if state.recordings and not state.loading and len(state.views) >= 2 * len(NAMES):
-            return state
-        time.sleep(0.25)
-    raise AssertionError(f"not loaded: {state}")
-
-
 def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
-    views = loaded(viewer).views
+    views = viewer.get_state().views
+    assert len(views) >= 2 * len(runs)
     assert all(not view.reports for view in views), [view.reports for view in views]
     by_title = {view.name: view for view in views}
     viewer.set_time("since_first_touch", duration=SHOWN, play_state="paused")
-    settle(viewer)
+    settled(viewer)
     lateral, opening, touching = [], [], []
     for run, colour in zip(runs, style.RUNS, strict=False):
         name = run.scene.name
@@ -297,8 +265,8 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
     assert np.argsort(lateral).tolist() == np.argsort(truth).tolist()
     # the cones in 3D open to the left: +10 degrees further down (to -y), -10 further up
     assert opening[1] > opening[0] + 0.01 > opening[2] + 0.02
-    for plot in PLOTS:
-        if plot.entity == "string_tension":
+    for entity, plot in PLOTS.items():
+        if entity == "string_tension":
             continue  # slack by then: behind its tab
         diagram = picture(viewer, by_title[plot.title])
         for colour in style.RUNS[:3]:
@@ -308,29 +276,8 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         assert hue_area(states, to_rgb(colour)) > 300
 
 
-def settle(viewer):
-    """Wait until two pictures in a row are equal."""
-    before = b""
-    for _ in range(400):
-        time.sleep(0.5)
-        now = screenshot(viewer)
-        if now == before:
-            return
-        before = now
-
-
 def picture(viewer, view):
-    return imread(io.BytesIO(screenshot(viewer, view.view_id)))[..., :3]
-
-
-def screenshot(viewer, view=None):
-    """Return a picture as the viewer takes it, asked again where the machine is too busy."""
-    for _ in range(20):
-        try:
-            return viewer.take_screenshot(view)
-        except TimeoutError:
-            time.sleep(0.5)
-    return viewer.take_screenshot(view)
+    return imread(io.BytesIO(settled(viewer, view.view_id)))[..., :3]
 
 
 def grey_area(image):
