@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import Phase
@@ -32,8 +31,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 
 
 @pytest.fixture(scope="module")
-def run():
-    return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
+def run(runs):
+    return runs[1]
 
 
 @pytest.fixture
