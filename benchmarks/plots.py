@@ -13,7 +13,7 @@ from benchmarks import work_precision
 from benchmarks.page import Results
 from benchmarks.trial import Trial
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import grid, new_figure, save
+from capture_sim.viewing.canvas import save, subplots
 
 _COLOURS = {
     "own": style.BLUE,
@@ -22,6 +22,7 @@ _COLOURS = {
     "engine": style.GREEN,
 }
 _MARKERS = "osD^v<>PX*"
+_FONT = 11.5  # of labels, points; numbers are smaller by 1.5
 _POSITION = "position error, m or rad"
 
 Value = Callable[[Trial], float]
@@ -59,7 +60,6 @@ def _curves(trials: Sequence[Trial]) -> Iterator[list[Trial]]:
 def _draw(axes: Axes, trials: Sequence[Trial], x: Value, y: Value) -> None:
     """Draw a line for each family: its group's colour, and its own marker in the group."""
     axes.set(xscale="log", yscale="log")
-    grid(axes)
     families: dict[str, list[str]] = {}
     for trial in trials:
         known = families.setdefault(trial.group, [])
@@ -102,8 +102,7 @@ def _titled(axes: Axes, x: str, y: str, title: str) -> None:
 
 def _works(results: Results, x: Value, name: str) -> Figure:
     count = len(results.works)
-    figure = new_figure(6.2 * count, 7.0)
-    panels = figure.subplots(1, count, squeeze=False)[0]
+    figure, [panels] = subplots(6.2 * count, 7.0, 1, count, font=_FONT)
     for axes, work in zip(panels, results.works, strict=True):
         _draw(axes, work.trials, x, lambda t: t.errors.position)
         _titled(axes, name, _POSITION, f"{results.scene} to {work.plan.t_end:g} s")
@@ -117,8 +116,8 @@ def _quantities(results: Results) -> Figure:
         ("error of event times, s", lambda t: t.errors.event_time),
         ("error of impulse, 1", lambda t: t.errors.impulse),
     ]
-    figure = new_figure(13.0, 4.6 * len(results.works))
-    rows = figure.subplots(len(results.works), 3, squeeze=False)
+    count = len(results.works)
+    figure, rows = subplots(13.0, 4.6 * count, count, 3, font=_FONT)
     for row, work in zip(rows, results.works, strict=True):
         trials = [t for t in work.trials if t.group in ("own", "compiled")]
         for axes, (name, value) in zip(row, quantities, strict=True):
@@ -129,8 +128,7 @@ def _quantities(results: Results) -> Figure:
 
 
 def _engines(results: Results) -> Figure:
-    figure = new_figure(7.0, 6.5)
-    axes, work = figure.subplots(), results.works[0]
+    (figure, [[axes]]), work = subplots(7.0, 6.5, font=_FONT), results.works[0]
     trials = [t for t in work.trials if t.group == "own"]
     trials += [t for engine in results.engines for t in engine.trials]
     _draw(axes, trials, lambda t: t.median, lambda t: t.errors.position)
@@ -140,8 +138,7 @@ def _engines(results: Results) -> Figure:
 
 
 def _costs(results: Results) -> Figure:
-    figure = new_figure(12.0, 4.5)
-    left, right = figure.subplots(1, 2)
+    figure, [[left, right]] = subplots(12.0, 4.5, 1, 2, font=_FONT)
     times, batches = results.times, results.batches
 
     def draw(axes: Axes, x: Iterable[float], spreads: Iterable[Sequence[float]]) -> None:
@@ -153,7 +150,6 @@ def _costs(results: Results) -> Figure:
         marks = {"color": _COLOURS["own"], "marker": "o", "markersize": 4, "capsize": 3}
         axes.errorbar(list(x), median, yerr=off, **marks)
         axes.set_xscale("log")
-        grid(axes)
 
     draw(left, (row.t_end for row in times), (row.seconds for row in times))
     for row in times:
