@@ -28,6 +28,7 @@ from scipy.optimize import minimize, root
 from capture_sim.bench import Bench
 from capture_sim.detection.exact import CaptureState
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
 from capture_sim.studies.approach import Spread, approach_of, margin_of
 from capture_sim.studies.outcome import (
@@ -207,7 +208,7 @@ def energy_of(scene: Scene, t_end: float) -> Energy:
     SimulationError
         The integration had to stop.
     """
-    scene = replace(scene, run=replace(scene.run, t_end=max(t_end, 1e-6)))
+    scene = changed(scene, "run.t_end", max(t_end, 1e-6))
     start, end = Bench(scene).advance(np.array([0.0, scene.run.t_end]))
     relative = start["v"][:2] - start["v"][5:7]
     return Energy(

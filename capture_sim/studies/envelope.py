@@ -24,6 +24,7 @@ import numpy as np
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Range, refuse
 from capture_sim.studies.approach import placed
 from capture_sim.studies.outcome import run_to_verdict
@@ -231,7 +232,7 @@ def evaluate(plan: Plan, keys: Sequence[Key], rtol: float, *, check: bool = Fals
     """
     rows = np.zeros(len(keys), ROW)
     rows["checked"] = check
-    base = replace(plan.base, run=replace(plan.base.run, rtol=rtol))
+    base = changed(plan.base, "run.rtol", rtol)
     for row, key in zip(rows, keys, strict=True):
         row["slice"], row["i"], row["j"] = key
         angle, offset, speed = plan.values(key)

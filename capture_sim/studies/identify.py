@@ -218,25 +218,16 @@ class _Problem:
                 "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
             )
         self._times = np.unique(np.concatenate([series.t for _, series, _ in self._series]))
-        values = [get(scene, paths[0]) if paths else 0.0 for paths in self._paths]
-        # a value of zero has no scale of its own
-        sizes = {RELEASE: _RELEASE_SIZE}
-        self._scale = np.array(
-            [
-                abs(value) if value else sizes.get(name, usual_size(name))
-                for value, name in zip(values, names, strict=True)
-            ]
-        )
-        self.begin = np.array(values) / self._scale
-        last = float(self._times[-1])
-        ranges = [range_of(scene, paths[0]) if paths else (-last, last) for paths in self._paths]
-        self._low = np.array([low for low, _ in ranges]) / self._scale
-        self._high = np.array([high for _, high in ranges]) / self._scale
-
-    def clipped(self, x: np.ndarray) -> np.ndarray:
-        """Return parameters strictly within their ranges, as the search wants them."""
-        margin = 1e-6
-        return np.clip(x, self._low + margin, self._high - margin)
+        last = self._times[-1]
+        rows = []
+        for name, paths in zip(names, self._paths, strict=True):
+            if not paths:
+                rows.append((0.0, _RELEASE_SIZE, -last, last))
+                continue
+            value = get(scene, paths[0])  # of which zero has no scale of its own
+            rows.append((value, abs(value) or usual_size(name), *range_of(scene, paths[0])))
+        begin, self._scale, low, high = np.array(rows).T
+        self.begin, self._low, self._high = (of / self._scale for of in (begin, low, high))
 
     def scene_at(self, x: np.ndarray) -> Scene:
         """Return the scene with these scaled parameters."""
@@ -245,15 +236,13 @@ class _Problem:
             for path in paths:
                 scene = changed(scene, path, float(value))
         if scene.string is not None:  # what hangs there does not follow the parameters
-            scene = dataclasses.replace(
-                scene,
-                string=dataclasses.replace(
-                    scene.string,
-                    impact_speed=None,
-                    hanging_mass=self._plan.hanging_mass,
-                    drop_height=self._plan.drop_height,
-                ),
+            string = dataclasses.replace(
+                scene.string,
+                impact_speed=None,
+                hanging_mass=self._plan.hanging_mass,
+                drop_height=self._plan.drop_height,
             )
+            scene = dataclasses.replace(scene, string=string)
         return scene
 
     def simulate(self, x: np.ndarray) -> tuple[Measurements, np.ndarray]:
@@ -262,8 +251,7 @@ class _Problem:
         scene = self.scene_at(x)
         times = np.unique(self._since_release(self._times, x))
         if times[-1] > scene.run.t_end:
-            run = dataclasses.replace(scene.run, t_end=float(times[-1]))
-            scene = dataclasses.replace(scene, run=run)
+            scene = changed(scene, "run.t_end", float(times[-1]))
         bench = Bench(scene)
         samples = bench.advance(times)
         return measured_in(samples), bench.touches
@@ -316,9 +304,10 @@ class _Problem:
 
     def solve(self, begin: np.ndarray, touches: Touches | None) -> Any:
         """Return scipy's result of a search from there."""
+        margin = 1e-6  # strictly within the ranges, as the search wants it
         return least_squares(
             lambda x: self.residuals(x, touches),
-            self.clipped(begin),
+            np.clip(begin, self._low + margin, self._high - margin),
             jac=lambda x: self.jacobian(x, touches),
             bounds=(self._low, self._high),
             xtol=1e-8,

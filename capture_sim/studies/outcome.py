@@ -7,7 +7,7 @@ These are the units of work of design, envelope and scans.  Contact and verdict 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,28 +72,17 @@ class Outcome:
         return self.verdict is CaptureState.CAPTURED
 
 
-def run_to_verdict(scene: Scene, rtol: float | None = None) -> Outcome:
+def run_to_verdict(scene: Scene) -> Outcome:
     """Run a scene until the detector has come to its verdict.
 
-    Parameters
-    ----------
-    scene
-        What is on the bench; ``run.t_end`` bounds the run, ``run.rate`` is the detector's.
-    rtol
-        None takes ``scene.run.rtol``.
-
-    Returns
-    -------
-    Outcome
-        Also of a run that had to stop: see ``failed``.
+    ``run.t_end`` bounds the run, ``run.rate`` is the detector's.  A run that had to stop has an
+    outcome as well: see ``failed``.
 
     Raises
     ------
     SceneError
         If a value is out of its range.
     """
-    if rtol is not None:
-        scene = replace(scene, run=replace(scene.run, rtol=rtol))
     bench, detector, failure = Bench(scene), ExactDetector(scene), ""
     times = np.arange(math.floor(scene.run.t_end * scene.run.rate) + 2) / scene.run.rate
     for piece in drive(bench, times[times <= scene.run.t_end], block=_BLOCK):
