@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 
 from capture_sim.commands import FAILED, OK
@@ -47,8 +47,11 @@ def run(options: argparse.Namespace) -> int:
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
     judged_by = with_limits(scene, recorded.criteria, changed)
-    for name, value, of_scene, unit in _others(judged_by.detector, scene.detector):
-        say(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
+    for limit in fields(Detector):
+        name, unit = limit.name, limit.metadata["unit"]
+        value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))
+        if value != of_scene:
+            say(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
     state = None
     for status in statuses:
@@ -105,11 +108,3 @@ def _limits_changed(overrides: Sequence[str]) -> set[str]:
             )
         changed.add(name)
     return changed
-
-
-def _others(limits: Detector, of_scene: Detector) -> Iterator[tuple[str, float, float, str]]:
-    """Yield name, value, the scene's value and unit of each limit that is not the scene's."""
-    for field in fields(limits):
-        value, scenes = getattr(limits, field.name), getattr(of_scene, field.name)
-        if value != scenes:
-            yield field.name, value, scenes, field.metadata["unit"]

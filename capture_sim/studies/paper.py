@@ -323,11 +323,15 @@ class Evidence:
     ----------
     executor
         Where the assumptions are varied.
+
+    Attributes
+    ----------
+    run : callable
+        Returns one of the paper's cases by its name, run to its end.
     """
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        #: Returns one of the paper's cases by its name, run to its end.
         self.run = cache(lambda name: simulate(scene_of(name)))
 
     @cached_property
