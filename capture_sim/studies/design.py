@@ -493,9 +493,9 @@ def _choose(
         captures = [d for d in (one, low, high, *between) if d is not None and flow.good(d)]
         return min(captures, key=lambda d: abs(d.c_A - middle)), None
     shares = np.linspace(0.0, 1.0, _SIDE + 1)
-    around = {*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)}
+    around = [*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)]
     nearest_first = sorted(map(float, around), key=lambda c_A: abs(c_A - middle))
-    tried = [flow.damper(c_A, low.springs) for c_A in nearest_first]
+    tried = [flow.damper(c_A, low.springs) for c_A in dict.fromkeys(nearest_first)]
     good = [one for one in tried if one is not None and flow.good(one)]  # low at least
     margins = [margin_of(one.springs.in_scene(flow.scene, one.c_A), spread) for one in good]
     best = int(np.argmax(margins))
