@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from capture_sim.commands import OK
@@ -77,12 +78,7 @@ def run(options: argparse.Namespace) -> int:
         open_executor(options.workers, options.scheduler) as executor,
         Progress() as progress,
     ):
-        near = local_sensitivity(
-            scene,
-            parameters,
-            executor,
-            lambda done, count: progress.at("derivatives", done, count),
-        )
+        near = local_sensitivity(scene, parameters, executor, partial(progress.at, "derivatives"))
         if options.method != "none":
             all_at_once = global_sensitivity(
                 scene,
@@ -91,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
                 options.method,
                 options.samples,
                 options.seed,
-                lambda done, count: progress.at(options.method, done, count),
+                partial(progress.at, options.method),
             )
     say("change of each quantity for a parameter that is off by its spread, by its derivative")
     say("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)\n")
