@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 
@@ -16,7 +17,7 @@ from numba.core.registry import cpu_target
 def _load_without_blas() -> None:
     """Load what Numba knows of Python and NumPy, without scipy.linalg, which no kernel needs.
 
-    It would be 0.3 s of every start; that SciPy may be missing Numba allows for.
+    It would take 0.3 s more; that SciPy may be missing Numba allows for.
     """
     blas = "scipy.linalg.cython_blas"
     loaded = sys.modules.get(blas)
@@ -28,8 +29,6 @@ def _load_without_blas() -> None:
         if loaded is None:
             del sys.modules[blas]
 
-
-_load_without_blas()
 
 # what Python gets that calls a kernel for other kernels: a TypeError (for it, see ``plain``)
 _REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value
@@ -48,7 +47,26 @@ class _WithoutMachineCode:
         """Set nothing: there is no code whose environment it could be."""
 
 
-class _InnerCompiler(Compiler):
+class _EntryCompiler(Compiler):
+    """Numba's compiler; what it must know of Python and NumPy is loaded when it compiles."""
+
+    def __init__(self, *args: Any) -> None:
+        _load_without_blas()
+        super().__init__(*args)
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk; what was compiled needs nothing of what the compiler must know.
+
+    By itself Numba loads that first, which would be 0.3 s of every start.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what was compiled for a signature; None if nothing was."""
+        return self._load_overload(sig, target_context)
+
+
+class _InnerCompiler(_EntryCompiler):
     """Numba's compiler, up to LLVM's code: the entry that calls a kernel does the rest.
 
     By itself Numba optimises every function with all that it calls, and makes machine code of it,
@@ -88,8 +106,10 @@ def entry(function: Callable[..., Any], folder: Path) -> Any:
     previous = numba.config.CACHE_DIR
     try:
         numba.config.CACHE_DIR = str(folder)
-        return numba.njit(error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True)(
-            function
-        )
+        dispatcher = numba.njit(
+            error_model="numpy", _nrt=False, no_cfunc_wrapper=True, pipeline_class=_EntryCompiler
+        )(function)
+        dispatcher._cache = _Cache(function)
+        return dispatcher
     finally:
         numba.config.CACHE_DIR = previous
