@@ -100,12 +100,15 @@ class SimulationControl:
         At the start.
     pacer
         Says when ticks are due.
-    changed
-        Notified at every change; a lock that the caller may share with other news.
     states
         Those that can be asked for.
     resets
         Whether a run can begin anew.
+
+    Attributes
+    ----------
+    changed : threading.Condition
+        Notified at every change; a lock that others may share.
     """
 
     def __init__(
@@ -113,13 +116,12 @@ class SimulationControl:
         state: State,
         pacer: Pacer,
         *,
-        changed: threading.Condition | None = None,
         states: Sequence[State] = (State.STOPPED, State.PLAYING, State.PAUSED, State.QUITTING),
         resets: bool = True,
     ) -> None:
         self.pacer = pacer
-        self.changed = threading.Condition(threading.RLock()) if changed is None else changed
-        self._states, self._resets = tuple(states), resets
+        self.changed = threading.Condition(threading.RLock())
+        self._states, self.resets = tuple(states), resets
         self._state = state
         self._cut: RunCut | None = None  # the run that is on is to end
         self._running = False  # a run is on
@@ -188,7 +190,7 @@ class SimulationControl:
         A playing or paused run stays so; a stopped one is at its start already.
         """
         with self.changed:
-            if not self._resets:
+            if not self.resets:
                 text = "there is no reset: start it again, or let it loop"
                 return _answered(Code.FEATURE_UNSUPPORTED, text)
             if self._state is State.QUITTING:

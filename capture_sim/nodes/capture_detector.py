@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import Field, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -19,12 +19,14 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import BenchNode, ParameterError, run
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, Participant
+from capture_sim.nodes.process import run
 from capture_sim.scene.parts import Detector, Scene
 
 #: A source that has fallen behind the others by this much is warned of, s of their stamps.
 STALE = 2.0
+CRITERION = {field.name: field for field in fields(Detector)}
 
 
 class CaptureDetectorNode(Participant):
@@ -42,7 +44,7 @@ class CaptureDetectorNode(Participant):
 
     def __init__(self) -> None:
         super().__init__(CAPTURE_DETECTOR)
-        self._criteria = Criteria(self)
+        self._declare_criteria()
         self.open(topics_of(CAPTURE_DETECTOR))
         self._readers = {topic: MeasurementReader(topic) for topic in READ[CAPTURE_DETECTOR]}
         for topic in self._readers:
@@ -61,14 +63,18 @@ class CaptureDetectorNode(Participant):
 
     def begin(self, info: Any, scene: Scene) -> None:
         """Start anew for the scene of this run."""
-        scene = self._criteria.of(scene)
+        criteria = self._criteria()
+        scene = replace(scene, detector=replace(scene.detector, **criteria))
         self._detector = NoisyDetector(scene)
         self._sources = detector_sources(scene) if self.simulated else dict(OF_A_BENCH)
         self._zero = EPOCH_NS if self.simulated else None
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self._state = None
         self.publish(self._telemetry.begin(scene.detector))
-        if given := self._criteria.given():
+        if criteria:
+            given = ", ".join(
+                f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
+            )
             self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
 
     def end(self, reason: str) -> list[str]:
@@ -87,6 +93,30 @@ class CaptureDetectorNode(Participant):
         self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
+
+    def _declare_criteria(self) -> None:
+        """Declare the scene's criteria as parameters, with their units and ranges.
+
+        One that is not set follows the scene; one that is set holds from the next run on, as a
+        run is judged by one set of criteria from its start to its end.
+        """
+        formerly = {field: name for name, field in CRITERIA.items()}
+        for name, field in CRITERION.items():
+            unit, allowed = field.metadata["unit"], field.metadata["allowed"]
+            self.declare(
+                name,
+                float,
+                f"{unit}, {field.metadata['doc']}; not set: the scene's",
+                allowed=f"a number with a decimal point, {allowed} {unit}",
+                read_only=False,
+                check=partial(_check_criterion, name),
+                formerly=formerly[name],
+            )
+
+    def _criteria(self) -> dict[str, float]:
+        """Return the criteria that are set; the others are the scene's."""
+        values = {name: self.get_parameter_or(name).value for name in CRITERION}
+        return {name: float(value) for name, value in values.items() if value is not None}
 
     def _take(self, topic: Topic, data: bytes) -> None:
         source = self._sources.get(topic)
@@ -120,65 +150,14 @@ class CaptureDetectorNode(Participant):
         return t if self._zero in (None, EPOCH_NS) else t + (self._zero - EPOCH_NS) / 1e9
 
 
-#: Earlier names of the criteria, by which they are still taken.
-_FORMERLY = {field: name for name, field in CRITERIA.items()}
+def _check_criterion(name: str, value: float) -> None:
+    try:
+        Detector(**{name: value})
+    except SceneError as error:
+        raise ParameterError(f"parameter {str(error).removeprefix('Detector.')}") from None
 
 
-class Criteria:
-    """The scene's criteria as parameters of the node, with their units and ranges.
-
-    One that is not set follows the scene; one that is set holds from the next run on, as a run is
-    judged by one set of criteria from its start to its end.
-
-    Raises
-    ------
-    ParameterError
-        A value given at the start is wrong; one line that says what is allowed.
-    """
-
-    def __init__(self, node: BenchNode) -> None:
-        self._node = node
-        self._fields: dict[str, Field[Any]] = {field.name: field for field in fields(Detector)}
-        for field in self._fields.values():
-            self._declare(field)
-
-    def of(self, scene: Scene) -> Scene:
-        """Return the scene with the criteria that are set; the others are its own."""
-        values = {name: self._node.get_parameter_or(name).value for name in self._fields}
-        given = {name: float(value) for name, value in values.items() if value is not None}
-        return replace(scene, detector=replace(scene.detector, **given)) if given else scene
-
-    def given(self) -> str:
-        """Return the criteria that are set, as text; empty when all are the scene's."""
-        return ", ".join(
-            f"{name} = {value:g} {field.metadata['unit']}"
-            for name, field in self._fields.items()
-            if (value := self._node.get_parameter_or(name).value) is not None
-        )
-
-    def _declare(self, field: Field[Any]) -> None:
-        def check(value: float) -> None:
-            try:
-                Detector(**{field.name: value})
-            except SceneError as error:
-                raise ParameterError(f"parameter {str(error).removeprefix('Detector.')}") from None
-
-        self._node.declare(
-            field.name,
-            float,
-            f"{field.metadata['unit']}, {field.metadata['doc']}; not set: the scene's",
-            allowed="a number with a decimal point, "
-            f"{field.metadata['allowed']} {field.metadata['unit']}",
-            read_only=False,
-            check=check,
-            formerly=_FORMERLY[field.name],
-        )
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(CaptureDetectorNode, args)
-
+main = partial(run, CaptureDetectorNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
 from capture_sim.hardware.walls import TipState, WallLaw, contact_rig
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.node import BenchNode, run
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.process import run
 
 
 class ContactRigNode(BenchNode):
@@ -50,10 +51,7 @@ class ContactRigNode(BenchNode):
         self.send(TIP_WRENCH, wrench_message(self.messages, place.t, self._rig(place)))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(ContactRigNode, args)
-
+main = partial(run, ContactRigNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
-from capture_sim.errors import CaptureSimError
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
@@ -26,8 +23,9 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import message_class, run
+from capture_sim.nodes.node import LATCHED, message_class
 from capture_sim.nodes.participant import READ, Participant
+from capture_sim.nodes.process import run
 from capture_sim.scene.parts import Scene
 
 #: Output for a real release, such as a magnet's relay: std_msgs/Bool, true holds.
@@ -45,7 +43,6 @@ SIMULATED = (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY)
 SPEED_WINDOW = 0.1
 #: Stamps of which not every topic has come yet; the oldest is given up beyond.
 MOST_WAITING = 1000
-_ACTUATORS = ("simulated", "output")
 
 
 class LauncherNode(Participant):
@@ -82,8 +79,7 @@ class LauncherNode(Participant):
             "actuator",
             "simulated",
             "what lets the chaser go: the simulator, or the output launcher/hold",
-            allowed=" or ".join(_ACTUATORS),
-            check=_check_actuator,
+            choices=("simulated", "output"),
         )
         self._scene = self.declare_scene(
             "of a bench without simulator: ~/launch begins a trial of it, ~/end_trial ends it"
@@ -96,9 +92,8 @@ class LauncherNode(Participant):
         self._held: bool | None = None  # as last published
         if actuator == "output":
             # latched, so that a driver which starts late holds from its first message on
-            qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._bool = message_class("std_msgs/msg/Bool")
-            self._hold_output = self.create_publisher(self._bool, HOLD, qos)
+            self._hold_output = self.create_publisher(self._bool, HOLD, LATCHED)
             self._hold(True)
         self._numbers = {
             topic: Numbers(typestore(), topic.type_name, *STAMP, *NUMBERS[topic])
@@ -256,17 +251,7 @@ class LauncherNode(Participant):
                     self._release(launcher)
 
 
-def _check_actuator(kind: str) -> None:
-    if kind not in _ACTUATORS:
-        raise CaptureSimError(
-            f"parameter actuator = {kind!r}: allowed is {' or '.join(_ACTUATORS)}"
-        )
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(LauncherNode, args)
-
+main = partial(run, LauncherNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +24,12 @@ from capture_sim.hardware.in_the_loop import (
 from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
 from capture_sim.hardware.walls import WallLaw
 from capture_sim.launch.scenes import load_scene
-from capture_sim.nodes.node import FAILED, OK, BenchNode, run
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.process import run
+from capture_sim.nodes.start import FAILED, OK
 
 #: The tip's first place is sent this often until it is answered, s (wall).
 KNOCK = 0.02
-
-
-def _check_compensation(text: str) -> None:
-    compensation(text)
 
 
 class LoopSimulatorNode(BenchNode):
@@ -73,7 +71,7 @@ class LoopSimulatorNode(BenchNode):
             "none",
             "of the delay: none, passivity, hybrid, prediction1, prediction2, model, or several "
             "joined by +",
-            check=_check_compensation,
+            check=compensation,
         )
         stiffness = self.declare(
             "stiffness",
@@ -190,10 +188,7 @@ class LoopSimulatorNode(BenchNode):
             self.get_logger().info(f"first touch: restitution {first.restitution:.4f}")
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(LoopSimulatorNode, args)
-
+main = partial(run, LoopSimulatorNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

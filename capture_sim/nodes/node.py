@@ -1,44 +1,18 @@
-"""What every node of the bench does: declare parameters, publish, spin, end.
-
-The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks run in a
-thread of their own.
-"""
+"""What every node of the bench does: publish what must arrive, take what comes."""
 
 from __future__ import annotations
 
-import difflib
 import importlib
-import inspect
 import math
-import os
 import signal
 import struct
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from pathlib import Path
-from types import FrameType
 from typing import Any
 
-import rclpy
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rclpy.duration import Duration
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    NameValidationException,
-    ParameterException,
-)
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -49,43 +23,23 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from capture_sim.errors import CaptureSimError, MessageError, one_line
-from capture_sim.interrupts import leave_if_busy
 from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import Rate, Topic
-from capture_sim.nodes import dds
-from capture_sim.resources import config_dir
+from capture_sim.nodes.parameters import ParameterNode
 
-try:
-    # a quarter of the plain executor's cost per message; runs no coroutine, and not in every rclpy
-    from rclpy.experimental import EventsExecutor
-except ImportError:
-    EventsExecutor = SingleThreadedExecutor
-
-#: Exit statuses.
-OK, FAILED, REFUSED = 0, 1, 2
 #: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
 UNTAKEN = 100
-#: Last messages are given this long to arrive before a node ends, s (wall).
-LINGER = 0.3
 #: A latched message waits this long for what was sent before it, s (wall).
 IN_ORDER = 1.0
 #: Of messages of a topic that are refused one is named in so many s (wall), the others counted.
 REFUSING = 5.0
+#: The last message, for those who come later.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What numbers, lists and bytes raise in a callback that no one had in mind.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
-#: Parameters that every ROS 2 node has, or that files for several nodes may carry.
-_COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
-_TYPES = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class ParameterError(CaptureSimError):
-    """A parameter of a node is not usable; the message says what is allowed."""
 
 
 @cache
@@ -114,8 +68,8 @@ def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
     )
 
 
-class BenchNode(Node):
-    """A node of the bench: parameters with range and unit, publishers by topic.
+class BenchNode(ParameterNode):
+    """A node of the bench: publishers by topic, from which nothing is lost, and subscriptions.
 
     Attributes
     ----------
@@ -127,6 +81,7 @@ class BenchNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        self.created = time.monotonic()  # others are discovered from here on
         self.messages = Messages()
         self.failure: Exception | None = None  # that ended the callbacks
         self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
@@ -135,16 +90,6 @@ class BenchNode(Node):
         self._retired: list[Any] = []
         self._latches: dict[Topic, Any] = {}  # of streams whose last state is kept
         self._refused: dict[Topic, tuple[float, int]] = {}  # when last said, and how many since
-        self._checks: dict[str, Callable[[Any], None]] = {}
-        # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
-        self._given = {
-            given: parameter.value
-            for given, parameter in self._parameter_overrides.items()
-            if given.split(".")[0] not in _COMMON_PARAMETERS
-        }
-        self._renamed: dict[str, str] = {}
-        self.add_pre_set_parameters_callback(self._with_current_names)
-        self.add_on_set_parameters_callback(self._check_parameters)
 
     def work(self) -> int:
         """Do the node's work in the main thread; return the exit status."""
@@ -155,117 +100,6 @@ class BenchNode(Node):
 
     def interrupted(self) -> None:
         """End in order after Ctrl-C; no callback runs any more, sending still works."""
-
-    # parameters
-
-    def declare(
-        self,
-        name: str,
-        default: Any,
-        description: str,
-        *,
-        low: float | None = None,
-        high: float | None = None,
-        read_only: bool = True,
-        allowed: str = "",
-        check: Callable[[Any], None] | None = None,
-        formerly: str = "",
-    ) -> Any:
-        """Declare a parameter and return its value.
-
-        Parameters
-        ----------
-        name, default, description
-            The description says the unit.  A default that is a type: ``list`` for texts, none
-            unless given, ``float`` for a number, None unless given.  [] is refused.
-        low, high
-            Bounds of a number, both or neither.
-        read_only
-            Whether the value is fixed from the start.
-        allowed
-            In words, where bounds do not say it.
-        check
-            Called with the value, now and before every change; raises CaptureSimError if it
-            is not usable.
-        formerly
-            The parameter's earlier name, by which it is still taken.
-
-        Raises
-        ------
-        ParameterError
-            One line that says what is allowed.
-        """
-        descriptor = ParameterDescriptor(description=description, read_only=read_only)
-        allowed = allowed or _kind(default)
-        if low is not None and high is not None:
-            if isinstance(default, float):
-                span = FloatingPointRange(from_value=float(low), to_value=float(high))
-                descriptor.floating_point_range = [span]
-            else:
-                span = IntegerRange(from_value=int(low), to_value=int(high))
-                descriptor.integer_range = [span]
-            allowed += f" from {low:g} to {high:g}"
-        descriptor.additional_constraints = allowed
-        if formerly:
-            self._rename(formerly, name)
-        given = self._given.pop(name, default)
-        wrong = given is None or (isinstance(given, list) and not all(given))  # rclpy: [] is None
-        value: Any = None
-        try:
-            if isinstance(default, type):
-                # an empty list has no type in ROS: declared by type, and unset when empty
-                self.declare_parameter(name, _TYPES[default], descriptor)
-                value = self.get_parameter_or(name).value
-                if default is list:
-                    value = list(value or ())
-            else:
-                value = self.declare_parameter(name, default, descriptor).value
-        except (InvalidParameterTypeException, InvalidParameterValueException):
-            wrong = True
-        if wrong:
-            shown = "[]" if given is None else repr(given)
-            raise ParameterError(
-                f"parameter {name} = {shown}: allowed is {allowed} ({description})"
-            )
-        if check is not None:
-            if value is not None:
-                check(value)
-            self._checks[name] = check
-        return value
-
-    def _rename(self, formerly: str, name: str) -> None:
-        """Take a parameter by its earlier name, at the start and later."""
-        self._renamed[formerly] = name
-        if formerly in self._given:
-            value = self._given.pop(formerly)
-            self._given.setdefault(self._current_name(formerly), value)
-            self._parameter_overrides.setdefault(name, Parameter(name, value=value))
-
-    def _with_current_names(self, parameters: list[Parameter]) -> list[Parameter]:
-        return [Parameter(self._current_name(p.name), p.type_, p.value) for p in parameters]
-
-    def _current_name(self, name: str) -> str:
-        if name in self._renamed:
-            self.get_logger().warning(f"parameter {name} is now called {self._renamed[name]}")
-        return self._renamed.get(name, name)
-
-    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            check = self._checks.get(parameter.name)
-            try:
-                if check is not None and parameter.value is not None:
-                    check(parameter.value)
-            except CaptureSimError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def warn_of_unknown_parameters(self) -> None:
-        """Warn of parameters that were given and never declared: mistyped, most likely."""
-        declared = self.list_parameters([], 0).names
-        for name in self._given:
-            near = difflib.get_close_matches(name, declared, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            self.get_logger().warning(f"parameter {name} is unknown here and has no effect{hint}")
 
     # topics
 
@@ -281,7 +115,7 @@ class BenchNode(Node):
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
             if stream:
-                self._latches[topic] = self.create_publisher(kind, topic.name, _LATCHED)
+                self._latches[topic] = self.create_publisher(kind, topic.name, LATCHED)
 
     def listen(
         self,
@@ -449,199 +283,3 @@ def acknowledged(publisher: Any, limit: float) -> bool:
             return False
         time.sleep(0.001)
     return True
-
-
-def _kind(default: object) -> str:
-    kinds = {
-        float: "a number, with a decimal point",
-        int: "a whole number",
-        bool: "true or false",
-        list: "a list of texts, one at least, none of them empty",
-        str: "a text",
-    }
-    return kinds[default if isinstance(default, type) else type(default)]
-
-
-class _Spinner:
-    """Runs a node's callbacks in a thread of their own."""
-
-    def __init__(self, node: BenchNode) -> None:
-        self._node = node
-        self._executor: Executor = (
-            SingleThreadedExecutor() if node.has_coroutines else EventsExecutor()
-        )
-        self._executor.add_node(node)
-        self._stop = Future()
-        self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        try:
-            if isinstance(self._executor, SingleThreadedExecutor):
-                while not self._stop.done():
-                    self._executor.spin_once()
-            else:
-                # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
-                self._executor.spin_until_future_complete(self._stop, 1e9)
-        except Exception as error:
-            self._node.fail(error)
-
-    def stop(self) -> None:
-        """Let the callback that runs come to its end, and no other begin."""
-        self._stop.set_result(None)
-        # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
-        while self._thread.is_alive():
-            self._executor.create_task(lambda: None)  # wakes it
-            self._thread.join(0.1)
-        self._executor.shutdown()
-
-
-class _Interrupt:
-    """Ends the node's work by KeyboardInterrupt, once for signals that come together.
-
-    Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
-    would tear the end that the first has begun, before that can ignore it.  Raised within a
-    destructor it is lost, so it comes again until the node has taken it.
-    """
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
-    TOGETHER = 1.0  # s
-    AGAIN = 1.2  # s
-
-    def __init__(self) -> None:
-        self._last = -math.inf
-
-    def __call__(self, signum: int, frame: FrameType | None) -> None:
-        now = time.monotonic()
-        if now - self._last > self.TOGETHER:
-            self._last = now
-            signal.setitimer(signal.ITIMER_REAL, self.AGAIN)
-            raise KeyboardInterrupt
-
-    def install(self) -> None:
-        """Take the signals from here on."""
-        for signum in self.SIGNALS:
-            signal.signal(signum, self)
-        sys.unraisablehook = self._lost
-
-    @classmethod
-    def ignore(cls) -> None:
-        """Let no signal tear what comes now."""
-        for signum in cls.SIGNALS:
-            signal.signal(signum, signal.SIG_IGN)
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-    @staticmethod
-    def _lost(unraisable: Any) -> None:
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            sys.__unraisablehook__(unraisable)
-
-
-def run(
-    make: Callable[[], BenchNode],
-    args: Sequence[str] | None = None,
-) -> int:
-    """Make a node, do its work, end in order; return the process's exit status.
-
-    Parameters
-    ----------
-    make
-        Makes the node.
-    args
-        Command line; ``None`` for that of the process.
-
-    Returns
-    -------
-    int
-        0 done, or ended by Ctrl-C, which is a node's ordinary end; 1 failed; 2 refused: a
-        parameter or the scene is wrong.
-    """
-    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
-        print(_usage(make), flush=True)
-        return OK
-    # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
-    _Interrupt().install()
-    try:
-        # held back until here, where it can no longer hit an import
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
-        hidden = dds.configure(os.environ)
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            status = _live(make, hidden)
-        finally:
-            rclpy.try_shutdown()
-        leave_if_busy(status)  # compiling goes on behind a Ctrl-C
-        return status
-    except CaptureSimError as error:
-        return _refuse(str(error))
-    # arguments that rclpy cannot parse (RCLError), parameters of every node, names
-    except (RuntimeError, ParameterException, NameValidationException) as error:
-        return _refuse(str(error).splitlines()[0])
-    except KeyboardInterrupt:
-        leave_if_busy(OK)
-        return OK
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def _refuse(reason: str) -> int:
-    print(f"error: {one_line(reason)}", file=sys.stderr, flush=True)
-    return REFUSED
-
-
-def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
-    node = make()
-    log = node.get_logger()
-    if hidden:
-        log.info(f"seen on this machine only; {dds.RANGE}=SUBNET lets others take part")
-    callbacks = None
-    status = FAILED
-    interrupted = False
-    try:
-        node.warn_of_unknown_parameters()
-        callbacks = _Spinner(node)
-        status = node.work()
-    except KeyboardInterrupt:
-        interrupted = True
-        status = OK
-    except CaptureSimError as error:
-        log.error(str(error))
-    finally:
-        # the end is bounded in time: a second Ctrl-C would only tear it
-        _Interrupt.ignore()
-        if callbacks is not None:
-            if interrupted and node.failure is None:
-                node.farewell()
-            callbacks.stop()
-        if node.failure is not None:
-            log.error(_one_line(node.failure))
-            status = FAILED
-        elif interrupted:
-            node.interrupted()
-        node.drain(LINGER)
-        node.destroy_node()
-    return status
-
-
-def _one_line(error: Exception) -> str:
-    kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
-    return one_line(f"{kind}{error}")
-
-
-def _usage(make: Callable[..., object]) -> str:
-    """Return how this process's node is called, what it does, and which parameters it has."""
-    program = Path(sys.argv[0]).name
-    name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
-    file = config_dir() / "nodes.yaml"
-    sections = file.read_text(encoding="utf-8").split("\n/**/")
-    lines = [
-        f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
-        "",
-        inspect.getdoc(make) or "",
-        "",
-    ]
-    for section in sections:
-        if section.startswith(f"{name}:"):
-            lines += [f"Parameters, as they are unless changed ({file}):", "", section.rstrip(), ""]
-    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` shows what is allowed.")
-    return "\n".join(lines)

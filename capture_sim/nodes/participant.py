@@ -53,13 +53,9 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import (
-    FAILED,
-    OK,
-    BenchNode,
-    ParameterError,
-    message_class,
-)
+from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.parameters import ParameterError
+from capture_sim.nodes.start import FAILED, OK
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import shown
 from capture_sim.srv import BeginTrial

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -25,23 +26,21 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.barrier import Barrier
-from capture_sim.nodes.node import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import RECORDER
+from capture_sim.nodes.process import run
 from capture_sim.nodes.services import SimulationServices
+from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.playback import Playback, PlayedTopic, Rewritten, run_id_of
 
 PLAYER = "player"
 #: Nodes that can take part.
 ROLES = (CAPTURE_DETECTOR, RECORDER)
-#: What SimulatorFeatures.msg lists and a player has, by its numbers there.
-FEATURES = {
-    "SIMULATION_STATE_GETTING": 24,
-    "SIMULATION_STATE_SETTING": 25,
-    "SIMULATION_STATE_PAUSE": 26,
-    "STEP_SIMULATION_SINGLE": 31,
-    "STEP_SIMULATION_MULTIPLE": 32,
-}
-INFO = "a step is all messages of the next time; playing and paused are the states it has."
+INFO = (
+    "capture_sim's player: a step is all messages of the next time; playing and paused are the "
+    "states it has."
+)
 #: Participants get this long to close their files, and the last messages to arrive, s (wall).
 CLOSING_TIME, LAST = 60.0, 1.0
 
@@ -79,7 +78,7 @@ class PlayerNode(BenchNode):
             "consumers",
             list,
             "nodes of the bench that take part: awaited and never outrun",
-            allowed=f"of {', '.join(ROLES)}",
+            choices=ROLES,
         )
         self._patience = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
@@ -122,6 +121,7 @@ class PlayerNode(BenchNode):
         played = {SIMULATOR, LAUNCHER, *ROLES} - set(self._consumers)
         self._barrier = Barrier(self, self._consumers, own, played, self._control.check)
         self._ticker = None
+        self._ticked = -1  # ns, of the clock that was published last
         if CLOCK.name not in self._outlets and self._clock_rate > 0.0:
             self._ticker = self.create_publisher(Clock, CLOCK.name, 10)
         for name, action in (
@@ -130,9 +130,7 @@ class PlayerNode(BenchNode):
             ("play_next", lambda: self._control.step(1)),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
-        self._served = SimulationServices(
-            self, self._control, FEATURES, "capture_sim's player: " + INFO
-        )
+        self._served = SimulationServices(self, self._control, INFO)
 
     # set-up
 
@@ -213,7 +211,6 @@ class PlayerNode(BenchNode):
         rewrite = Rewritten(suffix, self._consumers, skipped)
         name = self._playback.path.name
         count: Counter[str] = Counter()
-        ticks = _Ticks(self._clock_rate)
         stamp = self._playback.start
         self._control.begin()
         try:
@@ -224,8 +221,7 @@ class PlayerNode(BenchNode):
             self._control.pacer.reset()
             for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
                 self._control.tick((stamp - self._playback.start) / 1e9)
-                if self._ticker is not None:
-                    self._tick(ticks, stamp)
+                self._tick(stamp)
                 sent = rewrite(topic, data)
                 if sent is None:
                     continue
@@ -252,27 +248,16 @@ class PlayerNode(BenchNode):
         )
         return count.total()
 
-    def _tick(self, ticks: _Ticks, stamp: int) -> None:
-        due = ticks.at(stamp)
-        if due is not None and self._ticker is not None:
+    def _tick(self, stamp: int) -> None:
+        """Publish the clock's time that is due before a message of this stamp, ns."""
+        if self._ticker is None:
+            return
+        due = stamp - stamp % round(1e9 / self._clock_rate)
+        if due != self._ticked:
+            self._ticked = due
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(due, 1_000_000_000)
             self._ticker.publish(clock)
-
-
-class _Ticks:
-    """When a clock that is not in the recording is published."""
-
-    def __init__(self, rate: float) -> None:
-        self._period = round(1e9 / rate) if rate > 0.0 else 0
-        self._last = -1
-
-    def at(self, stamp: int) -> int | None:
-        """Return the clock's time due before a message of this stamp (ns), if any."""
-        if not self._period or stamp // self._period == self._last:
-            return None
-        self._last = stamp // self._period
-        return self._last * self._period
 
 
 #: rosbag2 wrote numbers once, and names since version 7 of its metadata.
@@ -299,10 +284,7 @@ def qos_from(recorded: dict[str, Any]) -> QoSProfile:
     )
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(PlayerNode, args)
-
+main = partial(run, PlayerNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,8 +18,10 @@ from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, TOPICS, Rate, Stamp, Topic
-from capture_sim.nodes.node import ParameterError, from_bytes, run
+from capture_sim.nodes.node import from_bytes
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
+from capture_sim.nodes.process import run
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.scene.parts import Scene
 
@@ -164,10 +165,7 @@ class RecorderNode(Participant):
         self.end_if_complete()
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(RecorderNode, args)
-
+main = partial(run, RecorderNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from capture_sim.messages.convert import stamp_ns
 from capture_sim.messages.urdf import (
@@ -16,10 +15,8 @@ from capture_sim.messages.urdf import (
     static_transforms,
     urdf,
 )
-from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.node import LATCHED, BenchNode, message_class
 from capture_sim.scene.parts import Scene
-
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RobotModel:
@@ -31,7 +28,7 @@ class RobotModel:
     def __init__(self, node: BenchNode) -> None:
         self._node = node
         self._string = message_class("std_msgs/msg/String")
-        self._description = node.create_publisher(self._string, "robot_description", _LATCHED)
+        self._description = node.create_publisher(self._string, "robot_description", LATCHED)
         self._moving: Any = None
         self._scene: Scene | None = None
         try:
@@ -40,7 +37,7 @@ class RobotModel:
             return
         self._stamped = message_class("geometry_msgs/msg/TransformStamped")
         self._moving = node.create_publisher(self._tf, "/tf", 100)
-        self._static = node.create_publisher(self._tf, "/tf_static", _LATCHED)
+        self._static = node.create_publisher(self._tf, "/tf_static", LATCHED)
 
     def begin(self, scene: Scene) -> None:
         """Show the parts of this scene, at its start."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -17,7 +17,7 @@ from rclpy.task import Future
 
 from capture_sim.control.simulation import Answer, Code, Request, SimulationControl
 
-#: What SimulatorFeatures.msg lists and this simulator has, by its numbers there.
+#: What SimulatorFeatures.msg lists and is here, by its numbers there; a player has no reset.
 FEATURES = {
     "SIMULATION_RESET": 20,
     "SIMULATION_STATE_GETTING": 24,
@@ -26,11 +26,6 @@ FEATURES = {
     "STEP_SIMULATION_SINGLE": 31,
     "STEP_SIMULATION_MULTIPLE": 32,
 }
-INFO = (
-    "capture_sim: a step is one sample, 1 / run.state_rate s. Reset is of time and state together "
-    "(scope 0, 3, 7 or 255) and keeps playing or paused. Worlds are experiments: set the "
-    "parameters scenes and overrides while stopped."
-)
 #: An answer arrives within this long, s (wall).
 GOOD_BYE = 0.5
 
@@ -56,20 +51,18 @@ class SimulationServices:
         The simulator; the services carry its name.
     control
         Asked to do what is wanted.
-    features, info
-        What is answered to the question for features.
+    info
+        What is said beside the features.
     """
 
     def __init__(
         self,
         node: Node,
         control: SimulationControl,
-        features: Mapping[str, int] = FEATURES,
-        info: str = INFO,
+        info: str,
     ) -> None:
         self._node = node
         self._control = control
-        self._features_there = list(features.values())
         self._info = info
         self._answered = 0.0  # wall, when the state was set last
         self._package = definitions()
@@ -92,7 +85,11 @@ class SimulationServices:
         time.sleep(max(0.0, self._answered + GOOD_BYE - time.monotonic()))
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = self._features_there
+        response.features.features = [
+            number
+            for name, number in FEATURES.items()
+            if self._control.resets or name != "SIMULATION_RESET"
+        ]
         response.features.custom_info = self._info
         return response
 

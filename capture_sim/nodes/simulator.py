@@ -9,6 +9,7 @@ import time
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -37,13 +38,21 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.barrier import Barrier
 from capture_sim.nodes.diagnostics import SimulatorDiagnostics
-from capture_sim.nodes.node import FAILED, OK, BenchNode, ParameterError, message_class, run
+from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import INTERRUPTED, RECORDER
+from capture_sim.nodes.process import run
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.services import SimulationServices
+from capture_sim.nodes.start import FAILED, OK
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.scene.parts import Scene
 
+INFO = (
+    "capture_sim: a step is one sample, 1 / run.state_rate s. Reset is of time and state together "
+    "(scope 0, 3, 7 or 255) and keeps playing or paused. Worlds are experiments: set the "
+    "parameters scenes and overrides while stopped."
+)
 #: Nodes that may be awaited.
 ROLES = (RECORDER, CAPTURE_DETECTOR, LAUNCHER)
 #: After a run the others get this long to close their files, s (wall).
@@ -55,7 +64,8 @@ SWITCH_INTERVAL = 2e-4
 #: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
 #: (wall): longer than DDS needs to see that (config/fast_dds*.xml, leaseDuration).
 RIVAL_PATIENCE = 8.0
-#: Others are found within this long, s (wall), before it is said that nobody else is there.
+#: Others are found within this long after a node was created, or asked, s (wall), before it is
+#: said that nobody is there.
 DISCOVERY = 0.3
 
 
@@ -111,11 +121,10 @@ class SimulatorNode(BenchNode):
             "initial_state",
             "playing",
             "of the simulation, when the node has started",
-            allowed="stopped, playing or paused",
-            check=_check_state,
+            choices=("stopped", "playing", "paused"),
         )
         consumers = self.declare(
-            "consumers", list, "whom every run waits for, by role", allowed=f"of {', '.join(ROLES)}"
+            "consumers", list, "whom every run waits for, by role", choices=ROLES
         )
         self.reader_timeout = self.declare(
             "consumer_timeout",
@@ -130,13 +139,8 @@ class SimulatorNode(BenchNode):
         self._exit_when_done = self.declare(
             "exit_when_done", False, "end this process after the last run"
         )
-        if len(set(consumers)) != len(consumers) or not set(consumers) <= set(ROLES):
-            raise ParameterError(
-                f"parameter consumers = {list(consumers)!r}: allowed are {', '.join(ROLES)}, "
-                "each once"
-            )
         self._scenes = _load(names, overrides)
-        self._consumers = list(consumers)
+        self._consumers = consumers
         self.control = SimulationControl(State[state.upper()], Pacer(factor))
         streams = topics_of(SIMULATOR)
         self._barrier = Barrier(self, consumers, streams, (SIMULATOR,), self.control.check)
@@ -148,7 +152,7 @@ class SimulatorNode(BenchNode):
         self.open(topics_of(SIMULATOR))
         self._model = RobotModel(self)
         self._diagnostics = SimulatorDiagnostics(self, self.control)
-        self._served = SimulationServices(self, self.control)
+        self._served = SimulationServices(self, self.control, INFO)
         self.listen(LAUNCH_COMMAND, self._commanded)
         self.add_on_set_parameters_callback(self._may_set)
         self.add_post_set_parameters_callback(self._parameters_set)
@@ -202,14 +206,13 @@ class SimulatorNode(BenchNode):
 
     def work(self) -> int:
         """Run all scenes, as often as is asked for; return the exit status."""
-        began = time.monotonic()
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once: some ten seconds")
         compile_kernels()
         sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()  # out of all later sweeps: over it one takes longer than a tick
-        time.sleep(max(0.0, began + DISCOVERY - time.monotonic()))
+        time.sleep(max(0.0, self.created + DISCOVERY - time.monotonic()))
         self._refuse_rival()
         status = OK
         try:
@@ -395,17 +398,7 @@ def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
     return scenes
 
 
-def _check_state(value: str) -> None:
-    if value not in ("stopped", "playing", "paused"):
-        raise ParameterError(
-            f"parameter initial_state = {value!r}: allowed is stopped, playing or paused"
-        )
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(SimulatorNode, args)
-
+main = partial(run, SimulatorNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

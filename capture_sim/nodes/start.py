@@ -6,6 +6,11 @@ import signal
 from functools import partial
 from importlib import import_module
 
+#: Exit statuses: done, or ended by Ctrl-C; failed; parameters or the scene are wrong.
+OK, FAILED, REFUSED = 0, 1, 2
+#: How the line begins by which a node says why it has refused.
+REFUSAL = "error: "
+
 
 def start(name: str) -> int:
     """Load a node and run it as this process; return the exit status."""

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -24,11 +24,9 @@ import yaml
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
 
-OK, FAILED, REFUSED = 0, 1, 2
-#: How the line begins by which a node refuses its parameters.
-REFUSAL = "error: "
 RECORDER, PLAYER = "recorder", "player"
 
 #: After the announcer has ended, or a node died, the others get this long to end too, s.
@@ -153,7 +151,10 @@ def _run_nodes(
         arguments += ["-r", "/clock:=clock"]  # another suite's time must not mix with this one's
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
     _say(f"starting {', '.join(parameters)} {where}")
-    with _interruptible(), _Processes(list(parameters), arguments, environment) as processes:
+    with (
+        _answered(_ENDING[1:], _interrupt),
+        _Processes(list(parameters), arguments, environment) as processes,
+    ):
         status = processes.supervise(announcer, limit)
     return status, processes.refusals
 
@@ -188,21 +189,24 @@ def _say(text: str, who: str = "suite") -> None:
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP, too, end all in order."""
-
-    def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
-        raise KeyboardInterrupt
-
+def _answered(
+    signals: Sequence[signal.Signals], handler: Callable[[int, FrameType | None], None]
+) -> Iterator[None]:
+    """Answer signals that are not ignored by a handler, where this thread gets them."""
     before = {}
     if threading.current_thread() is threading.main_thread():
-        for signum in (signal.SIGTERM, signal.SIGHUP):
-            before[signum] = signal.signal(signum, interrupt)
+        for signum in signals:
+            if signal.getsignal(signum) not in (signal.SIG_IGN, None):
+                before[signum] = signal.signal(signum, handler)
     try:
         yield
     finally:
-        for signum, handler in before.items():
-            signal.signal(signum, handler)
+        for signum, earlier in before.items():
+            signal.signal(signum, earlier)
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
 
 
 @contextmanager
@@ -215,22 +219,12 @@ def signals_deferred() -> Iterator[None]:
     been started is noted.
     """
     came: list[int] = []
-
-    def note(signum: int, frame: FrameType | None) -> None:
-        came.append(signum)
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for signum in _ENDING:
-            if signal.getsignal(signum) not in (signal.SIG_IGN, None):
-                before[signum] = signal.signal(signum, note)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for signum, handler in before.items():
-            signal.signal(signum, handler)
+    with _answered(_ENDING, lambda signum, frame: came.append(signum)):
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     if came:
         raise KeyboardInterrupt
 
@@ -316,13 +310,13 @@ class _Processes:
             for process in self._running.values():
                 process.send_signal(signal.SIGINT)
             deadline = time.monotonic() + LAST_GRACE
-            while self._running and time.monotonic() < deadline:
-                self._ended()
-                time.sleep(0.02)
             for name, process in self._running.items():
-                _say(f"{name} does not end on SIGINT: killed")
-                process.kill()
-                process.wait()
+                try:
+                    process.wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    _say(f"{name} does not end on SIGINT: killed")
+                    process.kill()
+                    process.wait()
             self._running.clear()
             for reader in self._readers:
                 reader.join(1.0)

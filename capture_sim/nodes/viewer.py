@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -31,8 +30,10 @@ from capture_sim.messages.topics import (
     STRING_STATE,
     Topic,
 )
-from capture_sim.nodes.node import ParameterError, from_bytes, run
+from capture_sim.nodes.node import from_bytes
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import Participant
+from capture_sim.nodes.process import run
 from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
 from capture_sim.samples import SAMPLE
 from capture_sim.scene.parts import Scene
@@ -244,10 +245,7 @@ def stamp_ns_of(message: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node; return the exit status."""
-    return run(ViewerNode, args)
-
+main = partial(run, ViewerNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -224,7 +224,7 @@ class Bench(BenchNode):
 # as on a busy machine: a node is seen before its callbacks run
 LATE = """
     import time
-    from capture_sim.nodes import node as base
+    from capture_sim.nodes import process as base
     begin = base._Spinner.__init__
     def late(self, node):
         time.sleep(2.0)

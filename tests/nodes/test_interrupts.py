@@ -50,7 +50,7 @@ def test_interrupted_twice_ends_in_order(tmp_path, gap):
 
 def test_signals_that_come_together_interrupt_once():
     pytest.importorskip("rclpy")
-    from capture_sim.nodes.node import _Interrupt
+    from capture_sim.nodes.process import _Interrupt
 
     interrupt = _Interrupt()
     before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
@@ -100,7 +100,8 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
     status, said = ended(
         """
         import os, signal, threading
-        from capture_sim.nodes.node import BenchNode, run
+        from capture_sim.nodes.node import BenchNode
+        from capture_sim.nodes.process import run
 
         class Loses:
             def __del__(self):

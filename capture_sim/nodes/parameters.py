@@ -1,0 +1,168 @@
+"""Parameters of a node: described, bounded, and refused in one line that says what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from capture_sim.errors import CaptureSimError
+
+#: Parameters that every ROS 2 node has, or that files for several nodes may carry.
+_COMMON = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_KINDS = {
+    float: "a number, with a decimal point",
+    int: "a whole number",
+    bool: "true or false",
+    list: "a list of texts, one at least, none of them empty",
+    str: "a text",
+}
+_UNSET = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
+
+
+class ParameterError(CaptureSimError):
+    """A parameter of a node is not usable; the message says what is allowed."""
+
+
+class ParameterNode(Node):
+    """A node whose parameters have a unit, a range, and earlier names."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._checks: dict[str, Callable[[Any], object]] = {}
+        self._renamed: dict[str, str] = {}
+        # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
+        with self.handle:
+            given = self.handle.get_parameters(Parameter)
+        self._given = {
+            name: parameter.value
+            for name, parameter in given.items()
+            if name.split(".")[0] not in _COMMON
+        }
+        self.add_pre_set_parameters_callback(self._with_current_names)
+        self.add_on_set_parameters_callback(self._check_parameters)
+
+    def declare(
+        self,
+        name: str,
+        default: Any,
+        description: str,
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        choices: Sequence[str] = (),
+        read_only: bool = True,
+        allowed: str = "",
+        check: Callable[[Any], object] | None = None,
+        formerly: str = "",
+    ) -> Any:
+        """Declare a parameter and return its value.
+
+        Parameters
+        ----------
+        name, default, description
+            The description says the unit.  A default that is a type: ``list`` for texts, none
+            unless given, ``float`` for a number, None unless given.  [] is refused.
+        low, high
+            Bounds of a number, both or neither.
+        choices
+            All that a text may be, or the texts of a list, each once.
+        read_only
+            Whether the value is fixed from the start.
+        allowed
+            In words, where bounds and choices do not say it.
+        check
+            Called with the value, now and before every change; raises CaptureSimError if it
+            is not usable.
+        formerly
+            The parameter's earlier name, by which it is still taken.
+
+        Raises
+        ------
+        ParameterError
+            One line that says what is allowed.
+        """
+        kind = default if isinstance(default, type) else type(default)
+        descriptor = ParameterDescriptor(description=description, read_only=read_only)
+        allowed = allowed or _KINDS[kind]
+        if choices:
+            allowed = ", ".join(choices) + ", each once" * (kind is list)
+        if low is not None and high is not None:
+            if kind is float:
+                span = FloatingPointRange(from_value=float(low), to_value=float(high))
+                descriptor.floating_point_range = [span]
+            else:
+                span = IntegerRange(from_value=int(low), to_value=int(high))
+                descriptor.integer_range = [span]
+            allowed += f" from {low:g} to {high:g}"
+        descriptor.additional_constraints = allowed
+        if formerly:
+            self._renamed[formerly] = name
+            if formerly in self._given:
+                self._given.setdefault(self._current_name(formerly), self._given.pop(formerly))
+        right = name not in self._given or _fits(self._given[name], kind, choices)
+        value = self._given.pop(name, None if default is kind else default)
+        try:
+            if right and value is None:
+                # an empty list has no type in ROS: declared by type, and unset
+                self.declare_parameter(name, _UNSET[kind], descriptor)
+            elif right:
+                self.declare_parameter(name, value, descriptor, ignore_override=True)
+        except InvalidParameterValueException:
+            right = False
+        if not right:
+            shown = "[]" if value is None else repr(value)  # rclpy: [] is None
+            raise ParameterError(
+                f"parameter {name} = {shown}: allowed is {allowed} ({description})"
+            )
+        if check is not None:
+            if value is not None:
+                check(value)
+            self._checks[name] = check
+        return [] if value is None and kind is list else value
+
+    def warn_of_unknown_parameters(self) -> None:
+        """Warn of parameters that were given and never declared: mistyped, most likely."""
+        declared = self.list_parameters([], 0).names
+        for name in self._given:
+            near = difflib.get_close_matches(name, declared, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            self.get_logger().warning(f"parameter {name} is unknown here and has no effect{hint}")
+
+    def _with_current_names(self, parameters: list[Parameter]) -> list[Parameter]:
+        return [Parameter(self._current_name(p.name), p.type_, p.value) for p in parameters]
+
+    def _current_name(self, name: str) -> str:
+        if name in self._renamed:
+            self.get_logger().warning(f"parameter {name} is now called {self._renamed[name]}")
+        return self._renamed.get(name, name)
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            check = self._checks.get(parameter.name)
+            try:
+                if check is not None and parameter.value is not None:
+                    check(parameter.value)
+            except CaptureSimError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _fits(value: object, kind: type, choices: Sequence[str]) -> bool:
+    """Whether a value that was given has the type and is of the choices, where there are some."""
+    if type(value) is not kind:
+        return False
+    texts = value if isinstance(value, list) else [value]
+    if choices:
+        return set(texts) <= set(choices) and len(set(texts)) == len(texts)
+    return kind is not list or all(isinstance(text, str) and text for text in texts)

@@ -1,0 +1,226 @@
+"""A node as a process: callbacks in a thread, Ctrl-C, an end in order, an exit status.
+
+The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks run in a
+thread of their own.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from capture_sim.errors import CaptureSimError, one_line
+from capture_sim.interrupts import leave_if_busy
+from capture_sim.nodes import dds
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
+from capture_sim.resources import config_dir
+
+try:
+    # a quarter of the plain executor's cost per message; runs no coroutine, and not in every rclpy
+    from rclpy.experimental import EventsExecutor
+except ImportError:
+    EventsExecutor = SingleThreadedExecutor
+
+#: Last messages are given this long to arrive before a node ends, s (wall).
+LINGER = 0.3
+
+
+class _Spinner:
+    """Runs a node's callbacks in a thread of their own."""
+
+    def __init__(self, node: BenchNode) -> None:
+        self._node = node
+        self._executor: Executor = (
+            SingleThreadedExecutor() if node.has_coroutines else EventsExecutor()
+        )
+        self._executor.add_node(node)
+        self._stop = Future()
+        self._thread = threading.Thread(target=self._spin, name="callbacks", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        try:
+            if isinstance(self._executor, SingleThreadedExecutor):
+                while not self._stop.done():
+                    self._executor.spin_once()
+            else:
+                # plain spin() of the events executor never runs a callback (rclpy 7.1.6)
+                self._executor.spin_until_future_complete(self._stop, 1e9)
+        except Exception as error:
+            self._node.fail(error)
+
+    def stop(self) -> None:
+        """Let the callback that runs come to its end, and no other begin."""
+        self._stop.set_result(None)
+        # a thread that comes back from C++ when Python ends takes the process with it (SIGABRT)
+        while self._thread.is_alive():
+            self._executor.create_task(lambda: None)  # wakes it
+            self._thread.join(0.1)
+        self._executor.shutdown()
+
+
+class _Interrupt:
+    """Ends the node's work by KeyboardInterrupt, once for signals that come together.
+
+    Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
+    would tear the end that the first has begun, before that can ignore it.  Raised within a
+    destructor it is lost, so it comes again until the node has taken it.
+    """
+
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    TOGETHER = 1.0  # s
+    AGAIN = 1.2  # s
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+
+    def __call__(self, signum: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if now - self._last > self.TOGETHER:
+            self._last = now
+            signal.setitimer(signal.ITIMER_REAL, self.AGAIN)
+            raise KeyboardInterrupt
+
+    def install(self) -> None:
+        """Take the signals from here on."""
+        for signum in self.SIGNALS:
+            signal.signal(signum, self)
+        sys.unraisablehook = self._lost
+
+    @classmethod
+    def ignore(cls) -> None:
+        """Let no signal tear what comes now."""
+        for signum in cls.SIGNALS:
+            signal.signal(signum, signal.SIG_IGN)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    @staticmethod
+    def _lost(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(unraisable)
+
+
+def run(
+    make: Callable[[], BenchNode],
+    args: Sequence[str] | None = None,
+) -> int:
+    """Make a node, do its work, end in order; return the process's exit status.
+
+    Parameters
+    ----------
+    make
+        Makes the node.
+    args
+        Command line; ``None`` for that of the process.
+
+    Returns
+    -------
+    int
+        0 done, or ended by Ctrl-C, which is a node's ordinary end; 1 failed; 2 refused: a
+        parameter or the scene is wrong.
+    """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        print(_usage(make), flush=True)
+        return OK
+    # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
+    _Interrupt().install()
+    try:
+        # held back until here, where it can no longer hit an import
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+        hidden = dds.configure(os.environ)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            status = _live(make, hidden)
+        finally:
+            rclpy.try_shutdown()
+        leave_if_busy(status)  # compiling goes on behind a Ctrl-C
+        return status
+    except CaptureSimError as error:
+        return _refuse(str(error))
+    # arguments that rclpy cannot parse (RCLError), parameters of every node, names
+    except (RuntimeError, ParameterException, NameValidationException) as error:
+        return _refuse(str(error).splitlines()[0])
+    except KeyboardInterrupt:
+        leave_if_busy(OK)
+        return OK
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _refuse(reason: str) -> int:
+    print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
+    return REFUSED
+
+
+def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
+    node = make()
+    log = node.get_logger()
+    if hidden:
+        log.info(f"seen on this machine only; {dds.RANGE}=SUBNET lets others take part")
+    callbacks = None
+    status = FAILED
+    interrupted = False
+    try:
+        node.warn_of_unknown_parameters()
+        callbacks = _Spinner(node)
+        status = node.work()
+    except KeyboardInterrupt:
+        interrupted = True
+        status = OK
+    except CaptureSimError as error:
+        log.error(str(error))
+    finally:
+        # the end is bounded in time: a second Ctrl-C would only tear it
+        _Interrupt.ignore()
+        if callbacks is not None:
+            if interrupted and node.failure is None:
+                node.farewell()
+            callbacks.stop()
+        if node.failure is not None:
+            log.error(_one_line(node.failure))
+            status = FAILED
+        elif interrupted:
+            node.interrupted()
+        node.drain(LINGER)
+        node.destroy_node()
+    return status
+
+
+def _one_line(error: Exception) -> str:
+    kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
+    return one_line(f"{kind}{error}")
+
+
+def _usage(make: Callable[..., object]) -> str:
+    """Return how this process's node is called, what it does, and which parameters it has."""
+    program = Path(sys.argv[0]).name
+    name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
+    file = config_dir() / "nodes.yaml"
+    sections = file.read_text(encoding="utf-8").split("\n/**/")
+    lines = [
+        f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
+        "",
+        inspect.getdoc(make) or "",
+        "",
+    ]
+    for section in sections:
+        if section.startswith(f"{name}:"):
+            lines += [f"Parameters, as they are unless changed ({file}):", "", section.rstrip(), ""]
+    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` shows what is allowed.")
+    return "\n".join(lines)
