@@ -124,6 +124,50 @@ def test_steps_are_counted_exactly():
     assert len(passed) == 106
 
 
+@pytest.mark.parametrize(
+    "state, request_of, code, words",
+    [
+        (State.STOPPED, ("set_state", State.STOPPED), Code.ALREADY_IN_TARGET_STATE, "stopped"),
+        (State.STOPPED, ("set_state", State.NO_WORLD), Code.INCORRECT_TRANSITION, "allowed are"),
+        (State.STOPPED, ("set_state", 77), Code.INCORRECT_TRANSITION, "state 77"),
+        (State.STOPPED, ("set_state", State.PAUSED), Code.OK, ""),
+        (State.STOPPED, ("step", 1), Code.OPERATION_FAILED, "this one is stopped"),
+        (State.PLAYING, ("step", 1), Code.OPERATION_FAILED, "this one is playing"),
+        (State.PAUSED, ("step", 0), Code.OK, ""),
+        (State.STOPPED, ("reset", 0), Code.OK, ""),
+        *(
+            (State.PAUSED, ("reset", scope), Code.FEATURE_UNSUPPORTED, "reset together")
+            for scope in (1, 2, 4)
+        ),
+        (State.QUITTING, ("set_state", State.PLAYING), Code.INCORRECT_STATE, "quitting"),
+        (State.QUITTING, ("reset", 0), Code.INCORRECT_STATE, "quitting"),
+    ],
+)
+def test_requests_that_are_answered_at_once(state, request_of, code, words):
+    control = SimulationControl(state, Pacer(0.0))
+    ask, argument = request_of
+    answer = getattr(control, ask)(argument).result(0.0)
+    assert answer.code is code
+    assert words in answer.message
+    if code is not Code.OK:
+        assert control.state is state
+
+
+@pytest.mark.parametrize("scope", [0, 3, 7, 255])
+def test_reset_is_done_when_the_run_could_begin_again(scope):
+    control = SimulationControl(State.PAUSED, Pacer(0.0))
+    control.begin()
+    reset = control.reset(scope)
+    with pytest.raises(RunCut, match="reset"):
+        control.tick(0.0)
+    control.end()
+    control.begin()
+    assert not reset.done()
+    control.ready()
+    assert reset.result(0.0).code is Code.OK
+    assert control.state is State.PAUSED
+
+
 def test_pause_is_answered_when_nothing_passes_any_more():
     control = SimulationControl(State.PLAYING, Pacer(0.0))
     passed, _, thread = stepping(control)
@@ -153,13 +197,6 @@ def test_step_that_is_interrupted_says_how_far_it_came():
     control.begin()
     control.ready()
     assert reset.result(0.0).code is Code.OK
-
-
-def test_nothing_is_possible_once_it_quits():
-    control = SimulationControl(State.PLAYING, Pacer(0.0))
-    assert control.set_state(State.QUITTING).result(0.0).code is Code.OK
-    for request in (control.set_state(State.PLAYING), control.reset(0)):
-        assert request.result(0.0).code is Code.INCORRECT_STATE
 
 
 def test_end_leaves_nobody_waiting():

@@ -9,8 +9,15 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import rclpy
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+
 from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
+from capture_sim.nodes.node import message_class, qos_of
 from capture_sim.nodes.services import definitions
 
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
@@ -85,10 +92,6 @@ class Client:
     """A node of this process that calls services, sets parameters and listens."""
 
     def __init__(self):
-        import rclpy
-        from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-
         self._context = Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node("experimenter", context=self._context)
@@ -104,8 +107,6 @@ class Client:
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self):
-        import rclpy
-
         self._closing.set()
         self._thread.join()
         self._executor.shutdown()
@@ -153,9 +154,6 @@ class Client:
 
     def set(self, node, **parameters):
         """Set parameters together; return whether that worked, and the reason if not."""
-        from rcl_interfaces.srv import SetParametersAtomically
-        from rclpy.parameter import Parameter
-
         wanted = [
             Parameter(key, value=value).to_parameter_msg() for key, value in parameters.items()
         ]
@@ -163,27 +161,16 @@ class Client:
         result = self.ask(SetParametersAtomically, name, parameters=wanted).result
         return result.successful, result.reason
 
-    def listen(self, topic):
-        """Return a list that collects a topic's messages from now on."""
-        from capture_sim.nodes.node import message_class, qos_of
-
+    def listen(self, topic, wanted=lambda message: True):
+        """Return a list that collects a topic's messages from now on, those that are wanted."""
         messages = []
-        kind = message_class(topic.type_name)
-        self.node.create_subscription(kind, topic.name, messages.append, qos_of(topic))
-        return messages
-
-    def listen_to_runs(self):
-        """Return a list that collects the runs that are announced."""
-        from capture_sim.nodes.node import message_class, qos_of
-
-        runs = []
         self.node.create_subscription(
-            message_class(RUN_INFO.type_name),
-            RUN_INFO.name,
-            lambda info: runs.append(info) if info.run_id else None,
-            qos_of(RUN_INFO),
+            message_class(topic.type_name),
+            topic.name,
+            lambda message: messages.append(message) if wanted(message) else None,
+            qos_of(topic),
         )
-        return runs
+        return messages
 
 
 def wait_until(condition, timeout=20.0, what=""):
@@ -199,17 +186,17 @@ def service(name):
 
 
 class Simulation:
-    """The simulator as a client of simulation_interfaces sees it."""
+    """The simulator, or a player, as a client of simulation_interfaces sees it."""
 
-    def __init__(self, client):
-        self.client = client
-        self.runs = client.listen_to_runs()
+    def __init__(self, client, name="simulator"):
+        self.client, self.name = client, name
+        self.runs = client.listen(RUN_INFO, lambda info: info.run_id)
         self.states = client.listen(BENCH_STATE)
         self.clock = client.listen(CLOCK)
 
     def _ask(self, kind, **fields):
         words = re.sub("(?<!^)(?=[A-Z])", "_", kind).lower()
-        return self.client.ask(service(kind), f"/simulator/{words}", **fields)
+        return self.client.ask(service(kind), f"/{self.name}/{words}", **fields)
 
     def set(self, state):
         kind = service("SetSimulationState").Request().state.__class__

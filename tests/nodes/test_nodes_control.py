@@ -1,6 +1,5 @@
 """Play, pause, step, reset and launch, over real DDS; one test for each rule."""
 
-import re
 import time
 
 import pytest
@@ -87,32 +86,10 @@ def test_stopped_sends_nothing_and_playing_runs_to_the_end(stopped):
     assert same(stopped.states, whole())
 
 
-def test_state_that_is_there_already_is_said(stopped):
-    code, text = stopped.set(State.STOPPED)
-    assert (code, text) == (Code.ALREADY_IN_TARGET_STATE, "already stopped")
-
-
-@pytest.mark.parametrize("target", [State.NO_WORLD, State.LOADING_WORLD, 77])
-def test_states_that_cannot_be_wanted_are_refused(stopped, target):
-    assert stopped.set(target)[0] == Code.INCORRECT_TRANSITION
-    assert stopped.state is State.STOPPED
-
-
 def test_stopped_can_be_paused_without_a_sample_or_tick(paused):
     assert paused.state is State.PAUSED
     assert paused.settle() == 0
     assert paused.clock == []
-
-
-def test_step_needs_a_paused_simulation(stopped):
-    code, text = stopped.step()
-    assert code == Code.OPERATION_FAILED
-    assert "stopped" in text
-    stopped.client.set("simulator", rtf=0.1)
-    stopped.set(State.PLAYING)
-    code, text = stopped.step()
-    assert code == Code.OPERATION_FAILED
-    assert "playing" in text
 
 
 def test_step_sends_its_samples_and_returns_paused(paused):
@@ -125,11 +102,6 @@ def test_step_sends_its_samples_and_returns_paused(paused):
     # 100 Hz of simulated time, from 1 s on: 0, 10, 20, 30, 40 ms
     stamps = [m.clock.sec * 10**9 + m.clock.nanosec for m in paused.clock]
     assert stamps == [10**9 + i * 10**7 for i in range(5)]
-
-
-def test_no_step_is_a_step_too(paused):
-    assert paused.step(0) == (Code.OK, "")
-    assert paused.settle() == 0
 
 
 def test_step_beyond_the_end_says_how_far_it_came(paused):
@@ -164,29 +136,18 @@ def test_pause_holds_and_play_goes_on_without_a_gap(stopped):
     assert same(stopped.states, whole())
 
 
-@pytest.mark.parametrize("scope", [0, 3, 7, 255])
-def test_reset_begins_again_with_the_same_bits(paused, scope):
-    paused.step(37)
-    first = paused.runs[-1].run_id
-    assert paused.reset(scope) == (Code.OK, "")
+def test_resets_begin_again_with_the_same_bits(paused):
+    reference = whole()[:37]
+    for scope in (0, 3, 7, 255) * 8:
+        run = paused.runs[-1].run_id
+        assert paused.step(37) == (Code.OK, "")
+        assert paused.reset(scope) == (Code.OK, "")
+        assert paused.runs[-1].run_id != run
     assert paused.state is State.PAUSED  # it stays what it was
-    assert paused.runs[-1].run_id != first
-    paused.step(37)
-    paused.settle()
-    assert [m.seq for m in paused.states] == [*range(37), *range(37)]
-    assert same(paused.states[:37], whole()[:37])
-    assert same(paused.states[37:], whole()[:37])
-
-
-@pytest.mark.parametrize("scope", [1, 2, 4])
-def test_reset_of_a_part_is_refused(paused, scope):
-    paused.step(5)
-    code, text = paused.reset(scope)
-    assert code == Code.FEATURE_UNSUPPORTED
-    assert "together" in text
-    paused.step(1)
-    paused.settle()
-    assert [m.seq for m in paused.states] == list(range(6))
+    assert paused.settle() == 32 * 37
+    for i in range(0, 32 * 37, 37):
+        assert [m.seq for m in paused.states[i : i + 37]] == list(range(37))
+        assert same(paused.states[i : i + 37], reference)
 
 
 def test_reset_while_playing_plays_on(stopped):
@@ -198,23 +159,6 @@ def test_reset_while_playing_plays_on(stopped):
     wait_until(lambda: stopped.state is State.STOPPED)
     stopped.settle()
     assert same(stopped.states[-401:], whole())
-
-
-def test_reset_of_a_stopped_simulation_changes_nothing(stopped):
-    runs = len(stopped.runs)
-    assert stopped.reset() == (Code.OK, "")
-    assert stopped.state is State.STOPPED
-    assert len(stopped.runs) == runs
-
-
-def test_many_resets_do_not_drift(paused):
-    reference = whole()[:3]
-    for _ in range(30):
-        assert paused.step(3) == (Code.OK, "")
-        assert paused.reset() == (Code.OK, "")
-    assert paused.settle() == 90
-    for i in range(30):
-        assert same(paused.states[3 * i : 3 * i + 3], reference)
 
 
 # parameters
@@ -239,46 +183,18 @@ def test_experiment_is_kept_while_a_run_is_on(paused):
     assert "while the simulation is stopped; it is paused" in reason
 
 
-REFUSED = {
-    "no such scene": ("simulator", {"scenes": ["tilt_1"]}, "did you mean"),
-    "scene twice": ("simulator", {"scenes": ["tilt_0", "tilt_0"]}, "different names"),
-    "value out of range": (
-        "simulator",
-        {"overrides": ["buffer.c_A=-1"]},
-        r"N s/m: allowed is >= 0",
-    ),
-    "rtf out of range": ("simulator", {"rtf": 1e4}, r"Max: 1000"),
-    "rtf of another type": ("simulator", {"rtf": "fast"}, r"[Tt]ype"),
-    "fixed": ("simulator", {"start_timeout": 50.0}, "read-only"),
-    "tolerance out of range": ("launcher", {"speed_tolerance": 0.0}, "Min: 0.01"),
-    "fixed actuator": ("launcher", {"actuator": "output"}, "read-only"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_wrong_values_are_refused_with_a_reason_while_the_nodes_run(case, stopped):
-    node, parameters, words = REFUSED[case]
-    worked, reason = stopped.client.set(node, **parameters)
+@pytest.mark.parametrize(
+    "wanted, words",
+    [
+        ({"scenes": ["tilt_1"]}, "did you mean"),
+        ({"scenes": ["tilt_0", "tilt_0"]}, "different names"),
+        ({"overrides": ["buffer.c_A=-1"]}, "N s/m: allowed is >= 0"),
+    ],
+)
+def test_experiment_that_is_none_is_refused(wanted, words, stopped):
+    worked, reason = stopped.client.set("simulator", **wanted)
     assert not worked
-    assert re.search(words, reason), reason
-
-
-@pytest.mark.parametrize("node", ["simulator", "launcher"])
-def test_every_parameter_is_described(node, simulation):
-    from rcl_interfaces.srv import DescribeParameters, ListParameters
-
-    names = simulation.client.ask(ListParameters, f"/{node}/list_parameters").result.names
-    ours = [n for n in names if n.split(".")[0] not in ("use_sim_time", "qos_overrides")]
-    ours = [n for n in ours if n != "start_type_description_service"]
-    assert len(ours) >= 5
-    described = simulation.client.ask(
-        DescribeParameters, f"/{node}/describe_parameters", names=ours
-    ).descriptors
-    for parameter in described:
-        assert parameter.description, parameter.name
-        assert parameter.additional_constraints, parameter.name
-        if parameter.type in (2, 3):  # a number
-            assert parameter.integer_range or parameter.floating_point_range, parameter.name
+    assert words in reason
 
 
 # the launch

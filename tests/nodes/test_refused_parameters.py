@@ -19,7 +19,9 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import compile_kernels
+from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
+from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Detector
 
 NODES = ("simulator", "launcher", "capture_detector", "recorder")
@@ -97,6 +99,27 @@ AT_THE_START = {
         ["consumers", "once"],
     ),
     "out is no folder": ("recorder", {"out": os.devnull}, [os.devnull, "folder"]),
+    "no bag": ("player", {"paused": "true"}, ["parameter bag = ''"]),
+    "no such bag": ("player", {"bag": "/nowhere.mcap"}, ["/nowhere.mcap: cannot read"]),
+    "rtf of a player": ("player", {"bag": "x", "rtf": "-1.0"}, ["rtf = -1.0", "0 to 1000"]),
+    "not in the bag": (
+        "player",
+        {"bag": "{bag}", "topics": "[/no/such]"},
+        ["/no/such not in the recording"],
+    ),
+    "no such way": (
+        "loop_simulator",
+        {"compensation": "magic"},
+        ["compensation = 'magic': allowed is none, passivity, hybrid"],
+    ),
+    "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output"]),
+    "no such state": ("simulator", {"initial_state": "gone"}, ["'gone'", "stopped, playing"]),
+    "in a file": ("simulator", {"--params-file": "{file}"}, ["consumer_timeout = 5000.0"]),
+    "in a file, for any namespace": (
+        "simulator",
+        {"--params-file": "{file}", "__ns": "/bench_2"},
+        ["consumer_timeout = 5000.0: allowed is"],
+    ),
     "no syntax": ("launcher", {"auto_release": "["}, ["auto_release"]),
     "no bool": ("launcher", {"auto_release": "3"}, ["auto_release = 3", "true or false"]),
 }
@@ -173,6 +196,8 @@ def test_parameters_are_described_with_their_range(node, bench):
         assert parameter.description
         assert parameter.additional_constraints
         assert parameter.read_only == (parameter.name not in WRONG[node])
+        if node != "capture_detector" and parameter.type in (2, 3):  # numbers; criteria have units
+            assert parameter.integer_range or parameter.floating_point_range, parameter.name
 
 
 def test_reasons_say_what_is_wrong(bench):
@@ -198,12 +223,20 @@ def test_run_notices_nothing_of_the_refusals(bench):
     assert run.samples.tobytes() == simulate(load_scene("tilt_0")).samples.tobytes()
 
 
-def test_wrong_parameters_are_refused_at_the_start_with_one_line():
+def test_wrong_parameters_are_refused_at_the_start_with_one_line(tmp_path):
+    bag, file = tmp_path / "run.mcap", tmp_path / "nodes.yaml"
+    write_run(simulate(load_scene("tilt_0", ["run.t_end=0.1"])), bag)
+    default, wrong = "consumer_timeout: 10.0", "consumer_timeout: 5000.0"
+    file.write_text((config_dir() / "nodes.yaml").read_text().replace(default, wrong))
     starts = []
     for name, parameters, _ in AT_THE_START.values():
         arguments = ["node", "--ros-args"]
         for key, value in parameters.items():
-            arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={value}"]
+            text = value.format(bag=bag, file=file)
+            if key.startswith("--"):
+                arguments += [key, text]
+            else:
+                arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={text}"]
         starts.append((name, arguments))
     done = subprocess.run(
         [sys.executable, "-c", START_ALL, json.dumps(starts)],

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
-import yaml
+from bench_processes import Client, Simulation, wait_until
 from rosbags.rosbag2 import StoragePlugin, Writer
+from std_srvs.srv import Trigger
 
 import capture_sim
+from capture_sim.control.simulation import Code, State
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.topics import CAPTURE_DETECTOR, TOPICS, topic_named
+from capture_sim.messages.topics import (
+    BENCH_STATE,
+    CAPTURE_DETECTOR,
+    CLOCK,
+    RUN_INFO,
+    TOPICS,
+    Rate,
+    Topic,
+    topic_named,
+)
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, Rewritten
@@ -80,97 +91,6 @@ def test_what_a_cut_recording_lacks_is_said(path, tmp_path):
 
 # the node
 
-LISTENER = """
-import json, sys, time
-import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_srvs.srv import Trigger
-from capture_sim.nodes.node import message_class
-
-def qos(latched):
-    kind = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-    return QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE, durability=kind)
-
-got = {}
-rclpy.init()
-node = rclpy.create_node("listener")
-
-def listen(name, type_name, latched=False):
-    got[name] = []
-    node.create_subscription(
-        message_class(type_name), name, got[name].append, qos(latched), raw=True)
-
-def spin(holds, limit=30.0):
-    end = time.monotonic() + limit
-    while not holds() and time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=0.05)
-    return holds()
-
-def call(name):
-    client = node.create_client(Trigger, f"/player/{name}")
-    assert client.wait_for_service(30.0)
-    time.sleep(0.2)  # until it knows where to answer
-    future = client.call_async(Trigger.Request())
-    rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
-    return future.result().success
-
-"""
-
-
-@pytest.fixture
-def listen(tmp_path):
-    """Run a program that listens; return a function for its answer."""
-    started = []
-
-    def listen(program):
-        process = subprocess.Popen(
-            [sys.executable, "-c", LISTENER + program + "\nprint(json.dumps(answer))"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-
-        def answer():
-            out, err = process.communicate(timeout=90)
-            assert process.returncode == 0, err
-            return json.loads(out.splitlines()[-1])
-
-        return answer
-
-    yield listen
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-
-
-@pytest.fixture
-def play(tmp_path):
-    """Start the player's node with parameters."""
-    started = []
-
-    def play(**parameters):
-        file = tmp_path / "player.yaml"
-        file.write_text(yaml.safe_dump({"player": {"ros__parameters": parameters}}))
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "capture_sim.nodes.player"),
-                *("--ros-args", "--params-file", str(file)),
-            ],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield play
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-
 
 def padded(data):
     """Return a serialised message as DDS delivers it: in whole words of 4 bytes."""
@@ -178,17 +98,9 @@ def padded(data):
 
 
 def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
-    pytest.importorskip("rclpy", reason="needs ROS")
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path)]
-    command += [
-        "--rate",
-        "10",
-        "--with",
-        "capture_detector",
-        "recorder",
-        "--out",
-        str(tmp_path / "out"),
-    ]
+    command += ["--rate", "10", "--with", "capture_detector", "recorder"]
+    command += ["--out", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
     one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
@@ -214,7 +126,6 @@ def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
 
 
 def test_what_is_left_out_is_not_missed(path, tmp_path):
-    pytest.importorskip("rclpy", reason="needs ROS")
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0"]
     command += ["--with", "recorder", "--out", str(tmp_path)]
     state = ("/bench/state", "/bench/run_info", "/bench/stream_counts")
@@ -261,18 +172,17 @@ def bench_bag(path, tmp_path_factory):
     return folder
 
 
-def test_nothing_played_is_a_failure(bench_bag, play):
-    pytest.importorskip("rclpy", reason="needs ROS")
+def test_nothing_played_is_a_failure(bench_bag, start):
     # looped, it would play nothing for ever
-    for loop in (False, True):
-        node = play(bag=str(bench_bag), topics=["/target/odom"], rtf=0.0, delay=0.0, loop=loop)
-        said, _ = node.communicate(timeout=30)
-        assert node.returncode == 1, said
-        assert "nothing was played" in said
+    for loop in ("false", "true"):
+        node = start(
+            "player", bag=bench_bag, topics="[/target/odom]", rtf=0.0, delay=0.0, loop=loop
+        )
+        assert node.status() == 1, node.text
+        assert "nothing was played" in node.text
 
 
 def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
-    pytest.importorskip("rclpy", reason="needs ROS")
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(bench_bag)]
     # the time allowed is shorter than the player's start_timeout of 60 s
     done = subprocess.run(
@@ -284,91 +194,50 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
     assert "consumers = ['capture_detector']: allowed are none, as no bench/run_info" in said
 
 
-def test_pause_step_and_latched_topics(path, play, listen):
-    pytest.importorskip("rclpy", reason="needs ROS")
-    play(bag=str(path), paused=True, rtf=0.0, delay=0.5)
-    answer = listen(
-        """
-listen("/bench/state", "capture_sim/msg/BenchState")
-answer = {"paused": not spin(lambda: got["/bench/state"], 2.0)}
-answer["step"] = call("play_next")  # all of the first time: the announcement and a state
-answer["first"] = spin(lambda: got["/bench/state"]) and len(got["/bench/state"])
-# a late subscriber gets what is latched, and nothing else moves
-listen("/bench/run_info", "capture_sim/msg/RunInfo", latched=True)
-answer["latched"] = spin(lambda: got["/bench/run_info"]) and len(got["/bench/run_info"])
-answer["again"] = call("play_next") and spin(lambda: len(got["/bench/state"]) == 2)
-answer["pause"] = call("pause")
-answer["resume"] = call("resume")
-answer["more"] = spin(lambda: len(got["/bench/state"]) > 1000)
-"""
-    )()
-    assert answer == {
-        "paused": True,
-        "step": True,
-        "first": 1,
-        "latched": 1,
-        "again": True,
-        "pause": False,  # it is
-        "resume": True,
-        "more": True,
-    }
+def test_pause_step_and_latched_topics(path, start):
+    start("player", bag=path, paused="true", rtf=0.0, delay=0.5)
+    with Client() as client:
+
+        def ask(name):
+            return client.ask(Trigger, f"/player/{name}").success
+
+        states = client.listen(BENCH_STATE)
+        wait_until(lambda: client.node.count_publishers("/bench/state"), 60.0)
+        time.sleep(1.0)
+        assert not states
+        assert ask("play_next")  # all of the first time: the announcement and a state
+        wait_until(lambda: states)
+        # a late subscriber gets what is latched, and nothing else moves
+        announced = client.listen(RUN_INFO)
+        wait_until(lambda: announced)
+        assert (len(announced), len(states)) == (1, 1)
+        assert ask("play_next")
+        wait_until(lambda: len(states) == 2)
+        assert not ask("pause")  # it is
+        assert ask("resume")
+        wait_until(lambda: len(states) > 1000)
 
 
-def test_services_of_simulation_interfaces(path, play, listen):
-    pytest.importorskip("rclpy", reason="needs ROS")
+def test_services_of_simulation_interfaces(path, start):
     # at real time: an unpaced one is through before it can be asked again
-    play(bag=str(path), paused=True, rtf=1.0, delay=0.5)
-    answer = listen(
-        """
-from importlib import import_module
-from capture_sim.nodes.services import definitions
-services = import_module(f"{definitions()}.srv")
-
-def ask(name, service, **fields):
-    kind = getattr(services, service)
-    client = node.create_client(kind, f"/player/{name}")
-    assert client.wait_for_service(30.0)
-    time.sleep(0.2)  # until it knows where to answer
-    request = kind.Request()
-    for field, value in fields.items():
-        setattr(request, field, value)
-    future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=40.0)
-    return future.result()
-
-def set_state(number):
-    request = services.SetSimulationState.Request()
-    request.state.state = number
-    return ask("set_simulation_state", "SetSimulationState", state=request.state).result.result
-
-listen("/bench/state", "capture_sim/msg/BenchState")
-answer = {"state": ask("get_simulation_state", "GetSimulationState").state.state}
-spin(lambda: False, 1.0)  # until the topics are connected
-answer["step"] = ask("step_simulation", "StepSimulation", steps=5).result.result
-answer["stepped"] = spin(lambda: len(got["/bench/state"]) >= 5) and len(got["/bench/state"])
-answer["pause"] = set_state(2)
-answer["stop"] = set_state(0)
-answer["reset"] = ask("reset_simulation", "ResetSimulation").result.result
-answer["features"] = list(ask("get_simulator_features", "GetSimulatorFeatures").features.features)
-answer["play"] = set_state(1)
-answer["step of a playing one"] = ask("step_simulation", "StepSimulation", steps=1).result.result
-"""
-    )()
-    assert answer == {
-        "state": 2,
-        "step": 1,
-        "stepped": 5,
-        "pause": 101,  # already
-        "stop": 103,
-        "reset": 0,
-        "features": [24, 25, 26, 31, 32],
-        "play": 1,
-        "step of a playing one": 4,
-    }
+    start("player", bag=path, paused="true", rtf=1.0, delay=0.5)
+    with Client() as client:
+        player = Simulation(client, "player")
+        wait_until(lambda: client.node.count_publishers("/bench/state"), 60.0)
+        time.sleep(1.0)  # until the topics are connected
+        assert player.state is State.PAUSED
+        assert player.step(5) == (Code.OK, "")
+        wait_until(lambda: len(player.states) >= 5)
+        assert player.settle() == 5
+        assert player.set(State.PAUSED)[0] == Code.ALREADY_IN_TARGET_STATE
+        assert player.set(State.STOPPED)[0] == Code.INCORRECT_TRANSITION
+        assert player.reset()[0] == Code.FEATURE_UNSUPPORTED
+        assert list(player.features().features) == [24, 25, 26, 31, 32]
+        assert player.set(State.PLAYING) == (Code.OK, "")
+        assert player.step()[0] == Code.OPERATION_FAILED
 
 
-def test_bag_of_others_is_played_with_a_clock(tmp_path, play, listen):
-    pytest.importorskip("rclpy", reason="needs ROS")
+def test_bag_of_others_is_played_with_a_clock(tmp_path, start):
     store = typestore()
     types = store.types
     folder = tmp_path / "bag"
@@ -384,55 +253,28 @@ def test_bag_of_others_is_played_with_a_clock(tmp_path, play, listen):
             data = store.serialize_cdr(message, "std_msgs/msg/String")
             writer.write(text, 1_000_000_000 + i * 50_000_000, data)
             writer.write(strange, 1_000_000_000 + i * 50_000_000, b"\0\1\0\0\0\0\0\0")
-    hear = listen(
-        """
-listen("/hello", "std_msgs/msg/String")
-listen("/clock", "rosgraph_msgs/msg/Clock")
-spin(lambda: node.count_publishers("/hello") > 0)
-time.sleep(0.5)
-assert call("resume")
-spin(lambda: len(got["/hello"]) >= 20)
-answer = {"hello": [m.hex() for m in got["/hello"]], "clocks": len(got["/clock"])}
-"""
-    )
-    process = play(bag=str(folder), rtf=2.0, paused=True)
-    answer = hear()
-    assert process.wait(30) == 0
-    assert "/strange: type foo_msgs/msg/Bar is not installed" in process.stdout.read()
-    texts = [bytes.fromhex(data)[8:] for data in answer["hello"]]
-    assert [text.split(b"\0")[0].decode() for text in texts] == [f"message {i}" for i in range(20)]
-    assert answer["clocks"] > 5
-
-
-@pytest.mark.parametrize(
-    "parameters, said",
-    [
-        ({}, "parameter bag"),
-        ({"bag": "/nowhere.mcap"}, "/nowhere.mcap: cannot read"),
-        ({"rtf": -1.0}, "parameter rtf"),
-    ],
-)
-def test_bad_parameters_are_refused_in_one_line(path, play, parameters, said):
-    pytest.importorskip("rclpy", reason="needs ROS")
-    if parameters:
-        parameters = {"bag": str(path), **parameters}
-    process = play(**parameters) if parameters else play(loop=False)
-    output = process.communicate(timeout=60)[0]
-    assert process.returncode == 2
-    assert said in output
-    assert "Traceback" not in output
+    player = start("player", bag=folder, rtf=2.0, paused="true")
+    with Client() as client:
+        heard = client.listen(Topic("/hello", "std_msgs/msg/String", (), Rate.EVENT))
+        clocks = client.listen(CLOCK)
+        wait_until(lambda: client.node.count_publishers("/hello"), 60.0)
+        time.sleep(0.5)
+        assert client.ask(Trigger, "/player/resume").success
+        wait_until(lambda: len(heard) == 20)
+        assert player.status() == 0
+        assert len(clocks) > 5
+    assert [message.data for message in heard] == [f"message {i}" for i in range(20)]
+    assert "/strange: type foo_msgs/msg/Bar is not installed" in player.text
 
 
 @pytest.mark.parametrize(
     "options, said",
     [
         (["--start", "100"], "parameter start = 100 s: allowed is 0 to 6.0"),
-        (["--topics", "/no/such"], "/no/such not in the recording"),
         (None, "damaged at byte"),
     ],
 )
 def test_command_says_what_is_wrong_as_every_command(options, said, path, tmp_path):
-    pytest.importorskip("rclpy", reason="needs ROS")
     file = path
     if options is None:
         data = bytearray(path.read_bytes())

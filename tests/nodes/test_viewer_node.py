@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import numpy as np
 import pytest
@@ -31,53 +30,26 @@ def run():
     return capture_sim.simulate(capture_sim.load_scene("tilt_p10"))
 
 
-class Viewer:
-    """The viewer node in a process of its own."""
-
-    def __init__(self, log, **parameters):
-        self.port = free_port()
-        self.log = log
-        arguments = [f"port:={self.port}", *(f"{k}:={v}" for k, v in parameters.items())]
-        options = [word for argument in arguments for word in ("-p", argument)]
-        with log.open("w") as output:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "capture_sim.nodes.viewer", "--ros-args", *options],
-                stdout=output,
-                stderr=subprocess.STDOUT,
-            )
-        self.wait_for("waiting for a run")
-
-    @property
-    def address(self):
-        return f"rerun+http://127.0.0.1:{self.port}/proxy"
-
-    def wait_for(self, words, timeout=60.0):
-        deadline = time.monotonic() + timeout
-        while words not in self.log.read_text():
-            assert time.monotonic() < deadline, self.log.read_text()
-            time.sleep(0.05)
-
-    def end(self):
-        self.process.send_signal(signal.SIGINT)
-        return self.process.wait(20)
-
-
 @pytest.fixture
-def viewer(tmp_path):
-    started = []
+def viewer(start):
+    """Start the viewer; return its process and its address."""
 
-    def start(**parameters):
-        started.append(Viewer(tmp_path / "viewer.log", **parameters))
-        return started[-1]
+    def viewer(**parameters):
+        port = free_port()
+        node = start("viewer", port=port, exit_when_done="false", **parameters)
+        node.wait_for("waiting for a run")
+        return node, f"rerun+http://127.0.0.1:{port}/proxy"
 
-    yield start
-    for one in started:
-        if one.process.poll() is None:
-            one.process.kill()
+    return viewer
+
+
+def ended(node):
+    node.process.send_signal(signal.SIGINT)
+    return node.status(20.0) == 0 and "Traceback" not in node.text
 
 
 def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
-    node = viewer()
+    node, address = viewer()
     assert run_suite([run.scene], tmp_path) == 0
     recorded = read_run(tmp_path / "tilt_p10.mcap")
     assert recorded.complete, recorded.problems
@@ -96,14 +68,13 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
         _, verdicts = column(found, "/states/tilt_p10/verdict", "state")
         assert verdicts.tolist() == ["approach", "contact", "captured"]
 
-    seen(node.address, tmp_path / "late.rrd", check)
-    assert node.end() == 0
-    assert "Traceback" not in node.log.read_text()
+    seen(address, tmp_path / "late.rrd", check)
+    assert ended(node)
 
 
 def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
     path = write_run(run, tmp_path / "bench.mcap")
-    node = viewer(scene="tilt_0")
+    node, address = viewer(scene="tilt_0")
     publisher = f"""
         import time, rclpy
         from rclpy.serialization import deserialize_message
@@ -137,6 +108,5 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
         assert len(k) > 100
         assert tip == pytest.approx(tip_in_cone(run.samples[k]) * 1e3, abs=1e-4)
 
-    seen(node.address, tmp_path / "x.rrd", check)
-    assert node.end() == 0
-    assert "Traceback" not in node.log.read_text()
+    seen(address, tmp_path / "x.rrd", check)
+    assert ended(node)
