@@ -47,7 +47,8 @@ def in_worker(work: Callable[[], T]) -> T:
 def leave_if_busy(status: int, *names: str) -> None:
     """End the process here and now if a thread is still at work outside of Python.
 
-    Python's own end would wait for it, or abort when it comes back.
+    ``os._exit``, as nothing else can: LLVM takes no interruption, and Python's own end would wait
+    for the thread, or, where it does not, abort when that comes back (before Python 3.14).
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -10,9 +10,6 @@ from rclpy.clock_type import ClockType
 from capture_sim.control.simulation import SimulationControl, State
 from capture_sim.nodes.node import BenchNode, message_class
 from capture_sim.nodes.stepping import Stepping
-
-if TYPE_CHECKING:
-    from builtin_interfaces.msg import Time
 
 #: Published this often, s (wall).
 PERIOD = 1.0
@@ -74,9 +71,8 @@ class SimulatorDiagnostics:
             hardware_id="capture_sim",
             values=[self._value(key=key, value=str(value)) for key, value in values.items()],
         )
-        stamp: Time = self._wall.now().to_msg()
         message = self._array(status=[status])
-        message.header.stamp = stamp
+        message.header.stamp = self._wall.now().to_msg()
         self._publisher.publish(message)
 
     def _judge(

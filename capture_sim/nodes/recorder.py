@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,9 +67,6 @@ class RecorderNode(Participant):
                 low=0.0,
                 high=1e9,
             ),
-        )
-        self._split = replace(
-            self._split,
             folder=self.declare(
                 "folder", False, "a bag's folder with metadata.yaml, even if it is not split"
             ),

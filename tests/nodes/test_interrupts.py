@@ -13,45 +13,25 @@ import pytest
 import capture_sim
 from capture_sim import load_scene
 from capture_sim.interrupts import in_worker
+from capture_sim.nodes.process import _Interrupt
 from capture_sim.nodes.supervisor import run_suite, signals_deferred
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
 
 @pytest.mark.parametrize("gap", [0.0003, 0.001, 0.004])
-def test_interrupted_twice_ends_in_order(tmp_path, gap):
-    pytest.importorskip("rclpy")
-    node = subprocess.Popen(
-        [sys.executable, "-m", "capture_sim.nodes.recorder"],
-        cwd=tmp_path,
-        stderr=subprocess.PIPE,
-        text=True,
-        # as a shell has it for what runs in its foreground
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    try:
-        lines = []
-        while "ready" not in "".join(lines[-1:]):
-            line = node.stderr.readline()
-            assert line, lines
-            lines.append(line)
-        for _ in range(8):
-            if node.poll() is None:
-                node.send_signal(signal.SIGINT)
-            time.sleep(gap)
-        assert node.wait(timeout=20) == 0
-        assert "Traceback" not in node.stderr.read()
-    finally:
-        if node.poll() is None:
-            node.kill()
-            node.wait()
-        node.stderr.close()
+def test_interrupted_twice_ends_in_order(start, tmp_path, gap):
+    node = start("recorder", out=tmp_path)
+    node.wait_for("ready")
+    for _ in range(8):
+        if node.process.poll() is None:
+            node.process.send_signal(signal.SIGINT)
+        time.sleep(gap)
+    assert node.status(20.0) == 0, node.text
+    assert "Traceback" not in node.text
 
 
 def test_signals_that_come_together_interrupt_once():
-    pytest.importorskip("rclpy")
-    from capture_sim.nodes.process import _Interrupt
-
     interrupt = _Interrupt()
     before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
     try:
@@ -96,7 +76,6 @@ def ended(program, tmp_path, *, words="", after=0.0):
 
 
 def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
-    pytest.importorskip("rclpy")
     status, said = ended(
         """
         import os, signal, threading
@@ -129,25 +108,23 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
 
 # At any moment of loading the compiler and of compiling; where that is over, in what comes then
 @pytest.mark.parametrize("after", [0.7, 4.0])
-@pytest.mark.parametrize("what", ["command", "node", "loop"])
-def test_compiling_is_interrupted_at_once(tmp_path, what, after):
-    program = "from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))"
-    expected = 130
-    if what == "node":
-        pytest.importorskip("rclpy")
-        program = "from capture_sim.nodes.simulator import main; raise SystemExit(main())"
-        expected = 0
-    if what == "loop":  # it says nothing before
-        pytest.importorskip("rclpy")
-        program = """
-            from capture_sim.nodes.loop_simulator import main
-            print("compiling")
-            raise SystemExit(main())
-        """
-        expected = 0
-    status, said = ended(program, tmp_path, words="compiling", after=after)
+@pytest.mark.parametrize(
+    "program, status",
+    [
+        ("from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))", 130),
+        ("from capture_sim.nodes.simulator import main; raise SystemExit(main())", 0),
+        (  # it says nothing before
+            "from capture_sim.nodes.loop_simulator import main; print('compiling'); "
+            "raise SystemExit(main())",
+            0,
+        ),
+    ],
+    ids=["command", "node", "loop"],
+)
+def test_compiling_is_interrupted_at_once(tmp_path, program, status, after):
+    ended_with, said = ended(program, tmp_path, words="compiling", after=after)
     assert "Traceback" not in said
-    assert status == expected, said
+    assert ended_with == status, said
 
 
 # sends Ctrl-C to this process while NumPy is loaded
@@ -172,7 +149,6 @@ sys.meta_path.insert(0, AtNumpy())
     ],
 )
 def test_interrupt_while_numpy_is_loaded(program, status, tmp_path):
-    pytest.importorskip("rclpy")
     done = subprocess.run(
         [sys.executable, "-c", AT_NUMPY + program],
         cwd=tmp_path,
@@ -227,7 +203,6 @@ def test_interrupt_within_work_apart_is_not_lost():
 
 @pytest.mark.parametrize("followers", [(), ("recorder",)])
 def test_interrupted_replay_says_so_by_its_status(tmp_path, followers):
-    pytest.importorskip("rclpy")
     scene = capture_sim.load_scene("tilt_0", ["run.t_end=3.0"])
     path = write_run(capture_sim.simulate(scene), tmp_path / "tilt_0.mcap")
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0.05"]
@@ -278,7 +253,6 @@ def test_interrupt_waits_for_what_must_not_be_torn():
 
 
 def test_interrupt_while_nodes_are_started_leaves_none_behind(tmp_path, monkeypatch):
-    pytest.importorskip("rclpy", reason="needs ROS")
     started = []
     start = subprocess.Popen
 
