@@ -14,7 +14,7 @@ REFUSAL = "error: "
 
 def start(name: str) -> int:
     """Load a node and run it as this process; return the exit status."""
-    # an import that it met would end in a traceback; nodes.node.run lets it through
+    # an import that it met would end in a traceback; nodes.process.run lets it through
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     return int(import_module(f"capture_sim.nodes.{name}").main())
 

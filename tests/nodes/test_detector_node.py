@@ -16,7 +16,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.cli import main
 from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureState
@@ -43,11 +42,6 @@ from capture_sim.recording.read import read_run
 from capture_sim.scene.parts import Detector
 
 SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def kernels():
-    compile_kernels()
 
 
 # parameters
@@ -170,6 +164,13 @@ def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
         assert a.distance == pytest.approx(b.distance, rel=1e-12)
 
 
+@pytest.fixture
+def ros():
+    """A context for nodes of this process."""
+    with rclpy.init():
+        yield
+
+
 class Bench(BenchNode):
     """Stands in for the simulator: sends what cameras and encoders of a bench would."""
 
@@ -236,20 +237,16 @@ LATE = """
 @pytest.mark.parametrize(
     "name, change", [("tilt_m10", LATE), ("paper_undamped", "")], ids=["late", "in time"]
 )
-def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name, change):
+def test_detector_and_recorder_serve_a_bench_without_simulator(ros, start, tmp_path, name, change):
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
     nodes = [
         start("capture_detector", change, drain_timeout=20.0),
         start("recorder", change, out=tmp_path, drain_timeout=20.0),
     ]
-    rclpy.init()
-    try:
-        bench = Bench()
-        bench.run(scene, measured, 2)
-        bench.destroy_node()
-    finally:
-        rclpy.shutdown()
+    bench = Bench()
+    bench.run(scene, measured, 2)
+    bench.destroy_node()
     assert nodes[0].status(30.0) == 0, nodes[0].text
     assert nodes[1].status(30.0) == 0, nodes[1].text
     run = read_run(tmp_path / f"{name}.mcap")
@@ -268,58 +265,50 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, 
         assert decided == pytest.approx(offline.t - offline.time_in_state, abs=0.1)
 
 
-def test_changes_of_state_are_kept_for_a_busy_subscriber():
+def test_changes_of_state_are_kept_for_a_busy_subscriber(ros):
     """A publisher keeps the last for latecomers; who was there in time gets all of them."""
-    rclpy.init()
-    try:
-        sender, reader = BenchNode("sender"), BenchNode("reader")
-        sender.open((CAPTURE_STATUS,))
-        came = []
-        reader.listen(CAPTURE_STATUS, lambda status: came.append(status.state))
+    sender, reader = BenchNode("sender"), BenchNode("reader")
+    sender.open((CAPTURE_STATUS,))
+    came = []
+    reader.listen(CAPTURE_STATUS, lambda status: came.append(status.state))
 
-        def send(state):
-            message = sender.messages.new(CAPTURE_STATUS.type_name, state=state)
-            sender.send(CAPTURE_STATUS, sender.messages.serialise(message), latch=True)
+    def send(state):
+        message = sender.messages.new(CAPTURE_STATUS.type_name, state=state)
+        sender.send(CAPTURE_STATUS, sender.messages.serialise(message), latch=True)
 
-        def take(count):
-            deadline = time.monotonic() + 20.0
-            while len(came) < count and time.monotonic() < deadline:
-                rclpy.spin_once(reader, timeout_sec=0.1)
+    def take(count):
+        deadline = time.monotonic() + 20.0
+        while len(came) < count and time.monotonic() < deadline:
+            rclpy.spin_once(reader, timeout_sec=0.1)
 
-        send(0)
-        take(1)
-        for state in (1, 2, 3):
-            send(state)
-        take(4)
-        assert came == [0, 1, 2, 3]
-        sender.destroy_node()
-        reader.destroy_node()
-    finally:
-        rclpy.shutdown()
+    send(0)
+    take(1)
+    for state in (1, 2, 3):
+        send(state)
+    take(4)
+    assert came == [0, 1, 2, 3]
+    sender.destroy_node()
+    reader.destroy_node()
 
 
-def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
+def test_poses_alone_are_judged_by_a_scene_given_at_the_start(ros, start):
     """As on a bench where cameras run and nobody announces anything."""
     name = "paper_undamped"
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))
     node = start("capture_detector", scene=name, overrides="['sensors.motion_capture={}']")
     node.wait_for("judged by paper_undamped")
-    rclpy.init()
-    try:
-        bench = Bench()
-        statuses = []
-        bench.listen(CAPTURE_STATUS, statuses.append)
-        deadline = time.monotonic() + 60.0
-        while any(bench.matched(t) < 1 for t in (CHASER_POSE, TARGET_POSE, BUFFER_STATE)):
-            assert time.monotonic() < deadline
-            rclpy.spin_once(bench, timeout_sec=0.05)
-        bench.measure(measured)
-        while not (statuses and statuses[-1].final):
-            assert time.monotonic() < deadline
-            rclpy.spin_once(bench, timeout_sec=0.05)
-        bench.destroy_node()
-    finally:
-        rclpy.shutdown()
+    bench = Bench()
+    statuses = []
+    bench.listen(CAPTURE_STATUS, statuses.append)
+    deadline = time.monotonic() + 60.0
+    while any(bench.matched(t) < 1 for t in (CHASER_POSE, TARGET_POSE, BUFFER_STATE)):
+        assert time.monotonic() < deadline
+        rclpy.spin_once(bench, timeout_sec=0.05)
+    bench.measure(measured)
+    while not (statuses and statuses[-1].final):
+        assert time.monotonic() < deadline
+        rclpy.spin_once(bench, timeout_sec=0.05)
+    bench.destroy_node()
     verdicts = [status for status in statuses if status.final]
     assert verdicts[-1].state == CaptureState.REBOUND
     assert verdicts[-1].reason.startswith("retreated 20 mm from ")

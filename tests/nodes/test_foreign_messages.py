@@ -17,7 +17,6 @@ from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import State
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS
@@ -112,7 +111,6 @@ def not_finite(wrench):
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """All nodes, the simulation stopped, and a client."""
-    compile_kernels()
     out = tmp_path_factory.mktemp("foreign") / "out"
     bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
     with processes() as start, Client() as client:

@@ -15,7 +15,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from recorded import values_of
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import Code, State
 from capture_sim.detection.exact import CaptureState
 from capture_sim.errors import CaptureSimError
@@ -34,11 +33,6 @@ OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/s
 JUDGED = {"capture/status"}
 # s; DDS sees after 6 s that a node was killed, a busy machine needs longer
 NOTICED = 20.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def kernels():
-    compile_kernels()
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from bench_processes import Client, Simulation, processes, wait_until
 from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import Code, State
 from capture_sim.messages.topics import LAUNCH_COMMAND, LAUNCHER_STATE
 from capture_sim.nodes.node import message_class
@@ -19,7 +18,6 @@ OVERRIDES = ["run.t_end=0.4"]
 @pytest.fixture(scope="module")
 def nodes(tmp_path_factory):
     """Simulator, stopped, and launcher; they serve all tests here."""
-    compile_kernels()
     with processes() as start:
         yield {
             "simulator": start(

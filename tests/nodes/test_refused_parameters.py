@@ -18,7 +18,6 @@ from rcl_interfaces.srv import (
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.resources import config_dir
@@ -135,7 +134,6 @@ for name, arguments in json.loads(sys.argv[1]):
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """All nodes within a run that lasts as long as it is asked, and where it is recorded."""
-    compile_kernels()
     out = tmp_path_factory.mktemp("refused") / "out"
     with processes() as start, Client() as client:
         nodes = {
