@@ -81,7 +81,7 @@ def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monk
     (project / "python").touch()
     done = []
 
-    def fail(progress):
+    def fail(*_):
         done.append("package")
         raise setup_env.SetupError("a message is wrong")
 

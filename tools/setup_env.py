@@ -216,10 +216,9 @@ def last_line():
     return said[-1][:60] if said else ""
 
 
-def make_venv(progress):
+def make_venv(progress, _):
     """Make an empty environment."""
-    if VENV.exists():
-        shutil.rmtree(VENV)
+    shutil.rmtree(VENV)
     for build in ROOT.glob("build/pip-*"):  # full of paths into the old one
         shutil.rmtree(build)
     VENV.mkdir()
@@ -228,7 +227,7 @@ def make_venv(progress):
 
 def install_requirements(progress, wanted):
     """Install what is wanted, as pinned: by uv, which takes seconds; else by pip."""
-    constraints = ROOT / "requirements" / "constraints.txt"
+    packages, constraints = wanted[0], ROOT / "requirements" / "constraints.txt"
     pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "-c", constraints]
     env = clean_environment()
     try:
@@ -239,10 +238,10 @@ def install_requirements(progress, wanted):
         # with bytecode: the nodes are many processes, and each would compile it anew where
         # Python may not write it
         uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
-        progress.run("Packages", [*uv, "-c", constraints, *wanted], env)
+        progress.run("Packages", [*uv, "-c", constraints, *packages], env)
     except SetupError as error:
         print(f"  {error}; trying pip")
-        progress.run("Packages", [*pip, *wanted])
+        progress.run("Packages", [*pip, *packages])
     progress.run("Mending", [PYTHON, ROOT / "tools" / "finish_venv.py"])
 
 
@@ -253,17 +252,11 @@ def pip_index():
     return os.environ.get("PIP_INDEX_URL") or answer.stdout.strip()
 
 
-def install_package(progress):
+def install_package(progress, _):
     """Compile the messages and install this package so that it is used from its source."""
     pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--verbose"]
     progress.run("Messages", [*pip, "--no-build-isolation", "--no-deps", "--editable", ROOT])
     progress.run("Check", [PYTHON, "-c", CHECK])
-
-
-def keep(done, **parts):
-    """Note what the environment is made of now."""
-    done.update(parts)
-    STAMP.write_text(json.dumps(done, indent=1))
 
 
 def set_up():
@@ -272,21 +265,20 @@ def set_up():
     if found == wanted:
         return
     print("Setting up .venv", "again" if found else "(once)", flush=True)
-    progress = Progress()
-    done = {}  # of what is wanted; what is done already need not be done again after a failure
-    if found.get("python") == wanted["python"]:
-        done = {part: found.get(part) for part in ("python", "requirements")}
-    else:
-        STAMP.unlink(missing_ok=True)
-        make_venv(progress)
-        done["python"] = wanted["python"]
-    LOG.write_text("")
-    if done.get("requirements") != wanted["requirements"]:
-        keep(done, requirements=None)
-        install_requirements(progress, wanted["requirements"][0])
-    keep(done, requirements=wanted["requirements"], package=None)
-    install_package(progress)
-    keep(done, package=wanted["package"])
+    progress, done = Progress(), {}
+    STAMP.parent.mkdir(exist_ok=True)
+    LOG.unlink(missing_ok=True)
+    for part, make in (
+        ("python", make_venv),
+        ("requirements", install_requirements),
+        ("package", install_package),
+    ):
+        if found.get(part) != wanted[part]:
+            found = {}  # what comes behind is made upon it
+            STAMP.write_text(json.dumps(done))  # need not be done again after a failure
+            make(progress, wanted[part])
+        done[part] = wanted[part]
+    STAMP.write_text(json.dumps(done, indent=1))
     print(f"Set up in {time.monotonic() - progress.start:.0f} s", flush=True)
 
 
