@@ -12,29 +12,10 @@ from bisect import bisect_left
 from enum import Enum
 from typing import NamedTuple
 
-Planar = tuple[float, float, float]
 Values = tuple[float, ...]
 
 #: Measurements of a source that are kept for those still to come of the others.
 ROOM = 1000
-
-
-class Observation(NamedTuple):
-    """One consistent measurement; poses (x m, y m, theta rad) in the world.
-
-    The rates (m/s, rad/s) may be missing: what measures poses seldom measures them.  They
-    are used only where the measurements do not scatter.
-    """
-
-    t: float
-    chaser: Planar
-    target: Planar
-    stroke: float  # m, h - rest length
-    torsion: float  # rad, theta_P - theta_S
-    chaser_rate: Planar | None = None
-    target_rate: Planar | None = None
-    stroke_rate: float = 0.0  # m/s
-    torsion_rate: float = 0.0  # rad/s
 
 
 class Source(Enum):
@@ -48,6 +29,20 @@ class Source(Enum):
     CHASER = "chaser"
     TARGET = "target"
     BUFFER = "buffer"
+
+
+class Observation(NamedTuple):
+    """One consistent measurement of all sources; the values are those of :class:`Source`."""
+
+    t: float
+    chaser: Values
+    target: Values
+    buffer: Values
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether every source gives rates; used only where the measurements do not scatter."""
+        return (len(self.chaser), len(self.target), len(self.buffer)) == (6, 6, 4)
 
 
 class _Track:
@@ -175,21 +170,5 @@ class Aligner:
             if target is None or buffer is None:
                 self.skipped += 1
                 continue
-            found.append(observed(t, chaser, target, buffer))
+            found.append(Observation(t, chaser, target, buffer))
         return found
-
-
-def observed(t: float, chaser: Values, target: Values, buffer: Values) -> Observation:
-    """Return what was measured at one instant, see :class:`Source`."""
-    rates = len(chaser) == 6 and len(target) == 6 and len(buffer) == 4
-    return Observation(
-        t=t,
-        chaser=(chaser[0], chaser[1], chaser[2]),
-        target=(target[0], target[1], target[2]),
-        stroke=buffer[0],
-        torsion=buffer[1],
-        chaser_rate=(chaser[3], chaser[4], chaser[5]) if rates else None,
-        target_rate=(target[3], target[4], target[5]) if rates else None,
-        stroke_rate=buffer[2] if rates else 0.0,
-        torsion_rate=buffer[3] if rates else 0.0,
-    )

@@ -360,7 +360,7 @@ class NoisyDetector:
             return self._status(seen, tip)
         if self._last is None or seen.t > self._last[0].t:
             self._last = (seen, tip)
-            self._buffer.append((seen.t, seen.stroke, seen.torsion))
+            self._buffer.append((seen.t, seen.buffer[0], seen.buffer[1]))
             if self._state is CaptureState.APPROACH and self._pushed():
                 _feel_push(self._criteria, self._memory, seen.t, *tip.place)
         for place in self._path.add(seen.t, tip, self._buffer_scatter()):
@@ -384,7 +384,7 @@ class NoisyDetector:
             if not cut:
                 memory.state, memory.cause = CaptureState.MISSED, Cause.NOT_MEASURED
             nowhere = (math.nan,) * 3
-            seen = Observation(0.0, nowhere, nowhere, math.nan, math.nan)
+            seen = Observation(0.0, nowhere, nowhere, nowhere[:2])
             return [self._status(seen, self._tip(seen))]
         for place in self._path.finish():
             self._decide(place)
@@ -404,7 +404,7 @@ class NoisyDetector:
             return False
         last = self._last[0]
         return any(
-            max(abs(a - b) for a, b in zip(new, old, strict=True)) < _SAME
+            max(abs(a - b) for a, b in zip(new[:3], old[:3], strict=True)) < _SAME
             for new, old in ((seen.chaser, last.chaser), (seen.target, last.target))
         )
 
@@ -459,19 +459,19 @@ class NoisyDetector:
     def _tip(self, seen: Observation) -> MeasuredTip:
         """Return the tip in the cone's frame from the measured poses and buffer."""
         a, h_0, front = self._criteria.a, self._criteria.rest_length, self._scene.cone.L_T
-        theta, phi, theta_T = seen.chaser[2], seen.chaser[2] + seen.torsion, seen.target[2]
-        no_rate = (0.0, 0.0, 0.0)
-        vx, vy, omega = seen.chaser_rate or no_rate
-        buffer_rates = (omega + seen.torsion_rate, seen.stroke_rate)
-        chaser, target = (*seen.chaser, phi, h_0 + seen.stroke), seen.target
-        rates = (vx, vy, omega, *buffer_rates, *(seen.target_rate or no_rate))
+        chaser, target, (stroke, torsion) = seen.chaser[:3], seen.target[:3], seen.buffer[:2]
+        theta, phi, theta_T = chaser[2], chaser[2] + torsion, target[2]
+        rates: Values = (0.0,) * 8
+        if seen.has_rates:
+            stroke_rate, torsion_rate = seen.buffer[2:]
+            rates = (*seen.chaser[3:], seen.chaser[5] + torsion_rate, stroke_rate, *seen.target[3:])
         sS, cS, sT, cT = math.sin(theta), math.cos(theta), math.sin(theta_T), math.cos(theta_T)
         turned = (sS, cS, math.sin(phi), math.cos(phi), sT, cT)
-        px, py, wx, wy = _tip_motion((*chaser, *target, *rates), a, *turned)
-        at_rest = (*seen.chaser, theta, h_0, *target, *rates)
+        px, py, wx, wy = _tip_motion((*chaser, phi, h_0 + stroke, *target, *rates), a, *turned)
+        at_rest = (*chaser, theta, h_0, *target, *rates)
         bx, by, _, _ = _tip_motion(at_rest, a, sS, cS, sS, cS, sT, cT)
-        known = seen.chaser_rate is not None and seen.target_rate is not None
-        return MeasuredTip((-(px + front), py), (-(bx + front), by), (-wx, wy) if known else None)
+        rate = (-wx, wy) if seen.has_rates else None
+        return MeasuredTip((-(px + front), py), (-(bx + front), by), rate)
 
     def _status(self, seen: Observation, tip: MeasuredTip) -> CaptureStatus:
         rate, place, memory = tip.rate, self._place, self._memory

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from capture_sim.detection.align import Planar, Source, Values
+from capture_sim.detection.align import Source, Values
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
@@ -20,6 +20,8 @@ from capture_sim.messages.topics import (
     Topic,
 )
 from capture_sim.scene.parts import Scene
+
+Planar = tuple[float, float, float]
 
 #: What a bench without simulator may measure; of each source the first topic that comes is used.
 OF_A_BENCH = {

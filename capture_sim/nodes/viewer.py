@@ -16,7 +16,7 @@ import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from capture_sim.detection.align import Observation, Source, observed
+from capture_sim.detection.align import Observation, Source
 from capture_sim.detection.exact import CaptureState
 from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import stamp_seconds
@@ -185,7 +185,7 @@ class ViewerNode(Participant):
             what: min(contents, key=lambda content: abs(content[0] - stamp))[1]
             for what, contents in self._newest.items()
         }
-        seen = observed(stamp_seconds(stamp), *(parts[source] for source in Source))
+        seen = Observation(stamp_seconds(stamp), *(parts[source] for source in Source))
         self._view.take(samples_of(self._scene, self._measurements(seen, parts)))
 
     def _measurements(self, seen: Observation, parts: dict[Any, Any]) -> AlignedMeasurements:
@@ -193,12 +193,12 @@ class ViewerNode(Participant):
         string = parts.get(STRING_STATE)
         return AlignedMeasurements(
             t=np.array([self._since_start(seen.t)]),
-            chaser=np.array([seen.chaser]),
-            chaser_rate=np.array([seen.chaser_rate or _UNKNOWN]),
-            target=np.array([seen.target]),
-            target_rate=np.array([seen.target_rate or _UNKNOWN]),
-            buffer=np.array([[seen.stroke, seen.torsion]]),
-            buffer_rate=np.array([[seen.stroke_rate, seen.torsion_rate]]),
+            chaser=np.array([seen.chaser[:3]]),
+            chaser_rate=np.array([seen.chaser[3:] if seen.has_rates else _UNKNOWN]),
+            target=np.array([seen.target[:3]]),
+            target_rate=np.array([seen.target[3:] if seen.has_rates else _UNKNOWN]),
+            buffer=np.array([seen.buffer[:2]]),
+            buffer_rate=np.array([seen.buffer[2:] if seen.has_rates else (0.0, 0.0)]),
             tip_force=wrench and np.array([[wrench.wrench.force.x, wrench.wrench.force.y]]),
             normal_force=contact and np.array([contact.normal_force]),
             walls=contact and np.array([contact.walls]),

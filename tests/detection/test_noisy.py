@@ -158,7 +158,7 @@ def test_sources_are_brought_to_the_chasers_times():
     for seen in got:
         assert seen.target[0] == pytest.approx(2.0 + seen.t)
         assert seen.target[2] == pytest.approx(math.pi - (seen.t - 0.004))
-        assert seen.stroke == pytest.approx(1e-3 * seen.t)
+        assert seen.buffer[0] == pytest.approx(1e-3 * seen.t)
     assert aligner.skipped == 1  # the first, before the others began
 
 
@@ -307,8 +307,7 @@ def test_a_pushed_buffer_far_from_the_cone_is_no_contact():
                 t=k / 100,
                 chaser=(k * 1e-4, 0.0, 0.0),
                 target=(0.66, 0.0, 0.0),
-                stroke=-5e-3 if k > 30 else 0.0,  # the string's jerk
-                torsion=0.0,
+                buffer=(-5e-3 if k > 30 else 0.0, 0.0),  # the string's jerk
             )
         )
     assert status.state is CaptureState.APPROACH
