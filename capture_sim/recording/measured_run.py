@@ -236,6 +236,16 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         A topic is missing, or the release lies outside the recording.
     """
     release = release_of(run, released)
+    measured = _aligned(run, release)
+    # the detector counts from a stamp of 1 s, the run from the release
+    late = stamp_seconds(release)
+    statuses = run.statuses or detect_again(run, scene)
+    on_time = [status._replace(t=status.t - late) for status in statuses]
+    return measured_run(run.name, scene, measured, on_time)
+
+
+def _aligned(run: Run, release: int) -> AlignedMeasurements:
+    """Return what a bag measures, at the stamps of the chaser's poses; RecordingError without."""
 
     def series(topic: Topic, *values: np.ndarray) -> Series:
         return series_of(run.columns(topic), release, np.column_stack(values))
@@ -261,16 +271,16 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     if not t.size or not target.t.size:
         raise RecordingError(f"{run.name}: holds no pose of finite numbers, nothing to draw")
 
-    def at(series: Series) -> np.ndarray:
+    def at(found: Series) -> np.ndarray:
         """Return values at the chaser's stamps, linear between their own; NaN without any."""
-        if not series.t.size:
-            return np.full((t.size, series.values.shape[1]), np.nan)
-        return np.stack([np.interp(t, series.t, column) for column in series.values.T], axis=-1)
+        if not found.t.size:
+            return np.full((t.size, found.values.shape[1]), np.nan)
+        return np.stack([np.interp(t, found.t, column) for column in found.values.T], axis=-1)
 
-    def held(series: Series) -> np.ndarray:
+    def held(found: Series) -> np.ndarray:
         """Return states at the chaser's stamps, each holding until the next."""
-        before = np.searchsorted(series.t, t, side="right") - 1
-        return np.asarray(series.values[np.maximum(before, 0), 0].astype(int))
+        before = np.searchsorted(found.t, t, side="right") - 1
+        return np.asarray(found.values[np.maximum(before, 0), 0].astype(int))
 
     optional: dict[str, np.ndarray] = {}
     if run.columns(topics.CONTACT_WRENCH):
@@ -285,7 +295,7 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         values = at(series(topics.STRING_STATE, *(string[name] for name in names)))
         phase = held(series(topics.STRING_STATE, string["phase"]))
         optional["string"] = np.column_stack([phase, values])
-    measured = AlignedMeasurements(
+    return AlignedMeasurements(
         t=t,
         chaser=_unwrapped(chaser).values,
         chaser_rate=at(chaser_rate),
@@ -295,11 +305,6 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
         buffer_rate=at(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
         **optional,
     )
-    # the detector counts from a stamp of 1 s, the run from the release
-    late = stamp_seconds(release)
-    statuses = run.statuses or detect_again(run, scene)
-    on_time = [status._replace(t=status.t - late) for status in statuses]
-    return measured_run(run.name, scene, measured, on_time)
 
 
 def _unwrapped(poses: Series) -> Series:

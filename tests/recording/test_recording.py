@@ -471,22 +471,21 @@ def test_publisher_that_never_ends_is_named(sent, tmp_path):
 
 
 def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
-    messages, store = Messages(), typestore()
-    other = messages.stream_counts("simulator", "another", {"bench/state": 10**6})
-    other_run = RunDescription("another", run.name, run.scene, (), 1000.0, 100.0, ())
+    make = Messages()
+    counts = make.stream_counts("simulator", "another", {"bench/state": 10**6})
+    other = RunDescription("another", run.name, run.scene, (), 1000.0, 100.0, ())
     strange = [
-        (STREAM_COUNTS, bytes(store.serialize_cdr(other, STREAM_COUNTS.type_name))),
-        (RUN_INFO, bytes(store.serialize_cdr(messages.run_info(other_run), RUN_INFO.type_name))),
+        (STREAM_COUNTS, make.serialise(counts)),
+        (RUN_INFO, make.serialise(make.run_info(other))),
     ]
     report = record(tmp_path, [sent[0], *strange, *sent[1:]]).close()
     assert report.problems == ("another run was announced meanwhile: 'another'",)
 
 
 def test_run_that_ended_early_is_reported(sent, run, tmp_path):
-    messages, store = Messages(), typestore()
-    ended = messages.stream_counts("simulator", run.run_id, {}, complete=False, reason="Ctrl-C")
-    data = bytes(store.serialize_cdr(ended, STREAM_COUNTS.type_name))
-    report = record(tmp_path, [sent[0], (STREAM_COUNTS, data)]).close()
+    make = Messages()
+    ended = make.stream_counts("simulator", run.run_id, {}, complete=False, reason="Ctrl-C")
+    report = record(tmp_path, [sent[0], (STREAM_COUNTS, make.serialise(ended))]).close()
     assert "simulator ended the run early: Ctrl-C" in report.problems
     assert "simulator ended the run early: Ctrl-C" in read_run(report.path).problems
 
@@ -692,21 +691,19 @@ def test_completeness_knows_a_late_beginning_from_a_loss():
 
 
 def test_columns_of_texts_and_sequences_whose_length_varies():
-    store, make = typestore(), Messages()
-    texts = ["", "a", "bcd", "a", "bcde" * 100, "é"]
+    make = Messages()
+    # the second and the third are as long as each other, and their texts are not
+    texts = ["", "a", "bc", "a", "bcde" * 100, "é"]
+    ids = ["r", "bc", "a", "", "rr", "r"]
+    counts = [{}, {"a": 1}, {"b": 2}, {"bc": 2, "d": 3}, {"e": 4}, {"f": 5}]
     messages = [
-        make.serialise(make.stream_counts(text, "r" * i, {"x": i})) for i, text in enumerate(texts)
+        make.serialise(make.stream_counts(*texts_and_counts))
+        for texts_and_counts in zip(texts, ids, counts, strict=True)
     ]
-    found = columns(store, STREAM_COUNTS.type_name, messages)
+    assert len(messages[1]) == len(messages[2])
+    found = columns(typestore(), STREAM_COUNTS.type_name, messages)
     assert found["publisher"].tolist() == texts
-    assert [count.tolist() for count in found["counts"]] == [[i] for i in range(len(texts))]
-    counts = [{}, {"a": 1}, {"bc": 2, "d": 3}, {"e": 4}]
-    messages = [
-        store.serialize_cdr(make.stream_counts("p", "r", c), STREAM_COUNTS.type_name)
-        for c in counts
-    ]
-    found = columns(store, STREAM_COUNTS.type_name, [bytes(m) for m in messages])
-    assert found["topics"].tolist() == [list(c) for c in counts]
+    assert found["topics"].tolist() == [list(count) for count in counts]
     assert [row.tolist() for row in found["counts"]] == [list(c.values()) for c in counts]
 
 
