@@ -167,8 +167,9 @@ def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
 @pytest.fixture
 def ros():
     """A context for nodes of this process."""
-    with rclpy.init():
-        yield
+    rclpy.init()
+    yield
+    rclpy.shutdown()
 
 
 class Bench(BenchNode):
