@@ -14,10 +14,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 
 from benchmarks.envelope import AXES
-from benchmarks.pages import Page, arguments, ratio, table
+from benchmarks.pages import ratio, table, write_parts
 
 ROOT = Path(__file__).resolve().parent.parent
 CLI = ("-m", "capture_sim.cli")
@@ -87,15 +88,8 @@ def measured(checkout: Path, times: int, points: int) -> dict[str, float]:
     return found | {f"{name}, processor ms": value for name, value in parts.items()}
 
 
-def main() -> None:
-    asked = arguments(
-        __doc__,
-        before=(None, "checkout of an earlier state"),
-        rounds=(3, "of everything, in turn"),
-        times=(15, "that a part is repeated in a round"),
-        points=(7000, "of the envelope"),
-    )
-    page = Page("benchmark", asked.dry)
+def compared(asked: Namespace, _: Path) -> list[str]:
+    """The least of all figures of both states, in turn."""
     states = [ROOT] if asked.before is None else [asked.before.resolve(), ROOT]
     rounds = [
         [measured(state, asked.times, asked.points) for state in states]
@@ -107,8 +101,16 @@ def main() -> None:
         shown = [f"{value:.3g}" for value in best]
         rows.append([name, *shown, ratio(best[-1] / best[0])])
     head = ["what", *(["before", "now"] if len(states) > 1 else ["now"]), "now / before"]
-    page.write("before", table(head, rows))
+    return [table(head, rows)]
 
 
 if __name__ == "__main__":
-    main()
+    write_parts(
+        "benchmark",
+        __doc__,
+        {"before": compared},
+        before=(None, "checkout of an earlier state"),
+        rounds=(3, "of everything, in turn"),
+        times=(15, "that a part is repeated in a round"),
+        points=(7000, "of the envelope"),
+    )

@@ -13,14 +13,15 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pages import DOCS, Page, arguments, table
+from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import SimulationError, load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
@@ -173,7 +174,7 @@ def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, list[str
     return holds, [*cells, buffer, check, "yes" if holds else "**NO**"]
 
 
-def paper(draws: bool) -> str:
+def paper(asked: Namespace, _: Path) -> list[str]:
     """The paper's springs from the strokes they give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
@@ -182,7 +183,7 @@ def paper(draws: bool) -> str:
     assert design.scene is not None
     assert design.capturing is not None
     assert design.energy is not None
-    if draws:
+    if not asked.dry:
         save(draw_design(design), DOCS / "design" / "design.png")
         strokes = [
             design_buffer(scene, replace(target, axial_stroke=factor * own.axial_stroke))
@@ -191,7 +192,7 @@ def paper(draws: bool) -> str:
         save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
     b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
     springs = sum(trial.step == 5 for trial in design.history)
-    return (
+    return [
         "Fed with the strokes that (500, 200) gives in the paper's case, "
         f"{own.axial_stroke * 1e3:.4f} mm and {own.torsion * 1e3:.4f} mrad, the flow returns "
         f"k_A = {b.k_A:.3f} N/m and k_T = {b.k_T:.3f} N m/rad after {springs} runs "
@@ -199,31 +200,27 @@ def paper(draws: bool) -> str:
         f"{high:.1f}, all of which capture. Of {energy.approach * 1e3:.1f} mJ the damper absorbs "
         f"{energy.damper * 1e3:.2f} (the area of load over stroke), the touches "
         f"{energy.contact * 1e3:.2f} (force over penetration)."
-    )
+    ]
 
 
-def main() -> None:
-    asked = arguments(
-        __doc__,
-        ("paper", "random"),
-        scenes=(20, "random scenes"),
-        seed=(7, "of the random scenes"),
-    )
-    compile_kernels()
-    page = Page("design", asked.dry)
-    if "paper" in asked.parts:
-        page.write("paper", paper(not asked.dry))
-    if "random" in asked.parts:
-        held, rows = 0, []
-        for number, (scene, target) in enumerate(random_tasks(asked.scenes, asked.seed)):
-            holds, cells = row(number, scene, target)
-            held += holds
-            rows.append(cells)
-            print(" | ".join(cells), flush=True)
-        head = ["", "scene", "stroke mm", "torsion mrad", "limit N", "runs", "processor s"]
-        head += ["k_A N/m, k_T N m/rad, c_A N s/m (capturing)", "check", "holds"]
-        page.write("random", f"{held} of {asked.scenes} answers hold.", "", table(head, rows))
+def random(asked: Namespace, _: Path) -> list[str]:
+    """Random scenes and targets."""
+    held, rows = 0, []
+    for number, (scene, target) in enumerate(random_tasks(asked.scenes, asked.seed)):
+        holds, cells = row(number, scene, target)
+        held += holds
+        rows.append(cells)
+        print(" | ".join(cells), flush=True)
+    head = ["", "scene", "stroke mm", "torsion mrad", "limit N", "runs", "processor s"]
+    head += ["k_A N/m, k_T N m/rad, c_A N s/m (capturing)", "check", "holds"]
+    return [f"{held} of {asked.scenes} answers hold.", "", table(head, rows)]
 
 
 if __name__ == "__main__":
-    main()
+    write_parts(
+        "design",
+        __doc__,
+        {"paper": paper, "random": random},
+        scenes=(20, "random scenes"),
+        seed=(7, "of the random scenes"),
+    )

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import zlib
 
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.pages import Page, arguments, table
+from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, simulate
 from tests.noisy_replay import Disturbance, disturbed, judge
 
@@ -65,16 +66,16 @@ def replay(result, name, how, replays, rate=100.0):
     return wrong, delays
 
 
-def main():
-    asked = arguments(
-        __doc__,
-        replays=(340, "of each run, standard disturbance"),
-        sweep=(20, "of each run, other disturbances"),
-    )
-    page = Page("detection", asked.dry)
-    runs = [(name, simulate(load_scene(scene, changes))) for scene, changes, name in CASES]
+@functools.cache
+def runs():
+    """Name and result of every run that is replayed."""
+    return [(name, simulate(load_scene(scene, changes))) for scene, changes, name in CASES]
+
+
+def standard(asked, _):
+    """Every run with the standard disturbance."""
     rows, by_verdict = [], {}
-    for name, result in runs:
+    for name, result in runs():
         wrong, delays = replay(result, name, STANDARD, asked.replays)
         rows.append(
             [
@@ -90,8 +91,7 @@ def main():
         total[0] += wrong
         total[1] += asked.replays
     head = ["run", "verdict", "nearest mm", "wrong", "later by s: median", "worst"]
-    page.write(
-        "standard",
+    return [
         f"{asked.replays} replays of each run, every one with other noise:",
         "",
         table(head, rows),
@@ -103,20 +103,29 @@ def main():
             f"{100.0 * beta.ppf(0.95, wrong + 1, count - wrong):.2g} %"
             for verdict, (wrong, count) in by_verdict.items()
         ),
-    )
+    ]
+
+
+def sweep(asked, _):
+    """Every run with other disturbances."""
     rows = []
     for what, how in SWEEP.items():
         rate = float(what.split()[2]) if "Hz" in what else 100.0
-        wrong = {name: replay(run, name, how, asked.sweep, rate)[0] for name, run in runs}
+        wrong = {name: replay(run, name, how, asked.sweep, rate)[0] for name, run in runs()}
         where = ", ".join(f"{name} ({count})" for name, count in wrong.items() if count)
-        rows.append([what, f"{sum(wrong.values())} of {asked.sweep * len(runs)}", where])
-    page.write(
-        "sweep",
-        f"Other disturbances, {asked.sweep} replays of each of the {len(runs)} runs:",
+        rows.append([what, f"{sum(wrong.values())} of {asked.sweep * len(runs())}", where])
+    return [
+        f"Other disturbances, {asked.sweep} replays of each of the {len(runs())} runs:",
         "",
         table(["disturbance", "wrong", "which"], rows),
-    )
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    write_parts(
+        "detection",
+        __doc__,
+        {"standard": standard, "sweep": sweep},
+        replays=(340, "of each run, standard disturbance"),
+        sweep=(20, "of each run, other disturbances"),
+    )

@@ -9,6 +9,7 @@ started again.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import resource
@@ -16,14 +17,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pages import DOCS, Page, arguments, table
+from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.commands.envelope import axis
 from capture_sim.detection.exact import CaptureState
 from capture_sim.recording.envelope_file import write_envelope
@@ -39,9 +40,10 @@ LEVELS = 5
 CHECKS = 0.44  # of the map's points, about as many are run twice
 
 
-def the_plan(points: int) -> Plan:
+def the_plan(runs: int) -> Plan:
+    """The map that takes about so many runs to a verdict."""
     axes = {name: axis(UNITS[name])(text) for name, text in AXES.items()}
-    return Plan(load_scene("tilt_0"), **axes, levels=LEVELS, runs=points)
+    return Plan(load_scene("tilt_0"), **axes, levels=LEVELS, runs=round(runs / (1 + CHECKS)))
 
 
 def digest(path: Path) -> str:
@@ -54,9 +56,10 @@ def children() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def made_by(plan: Plan, way: str) -> tuple[Envelope, float, float, str]:
+@functools.cache
+def made_by(runs: int, way: str = "2 processes") -> tuple[Envelope, float, float, str]:
     """Make a map; return it, the time on the clock and of other processes (s), its file's hash."""
-    before = children()
+    plan, before = the_plan(runs), children()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         if way == "1 process":
@@ -100,8 +103,9 @@ def killed_and_resumed(plan: Plan) -> tuple[str, int]:
         return digest(out), kept
 
 
-def trust(envelope: Envelope) -> list[str]:
+def trust(asked: Namespace, _: Path) -> list[str]:
     """Runs near the boundary at several tolerances, against a much finer one."""
+    envelope = made_by(asked.runs)[0]
     checked = envelope.rows[envelope.rows["checked"]]
     keys = [(int(r["slice"]), int(r["i"]), int(r["j"])) for r in checked]
     keys = keys[:: max(1, len(keys) // 300)]
@@ -149,15 +153,16 @@ def trust(envelope: Envelope) -> list[str]:
     ]
 
 
-def speed(plan: Plan, envelope: Envelope, wall: float, busy: float, own: str) -> list[str]:
+def speed(asked: Namespace, _: Path) -> list[str]:
     """What the map by two processes took, and whether the other ways give the same file."""
-    rows = envelope.rows
+    envelope, wall, busy, own = made_by(asked.runs)
+    plan, rows = envelope.plan, envelope.rows
     runs = int((~np.isnan(rows["nearest"])).sum() + rows["checked"].sum())
     (_, across), (_, up) = plan.plane
     grid = len(plan.slices) * ((across.cells << LEVELS) + 1) * ((up.cells << LEVELS) + 1)
     ways = [["2 processes", f"{wall:.1f}", ""]]
     for way in ("1 process", "a Dask cluster of 2 workers"):
-        _, seconds, _, file = made_by(plan, way)
+        _, seconds, _, file = made_by(asked.runs, way)
         ways.append([way, f"{seconds:.1f}", "yes" if file == own else "**NO**"])
     file, kept = killed_and_resumed(plan)
     resumed = f"the command, killed with {kept} points done, and resumed"
@@ -173,20 +178,18 @@ def speed(plan: Plan, envelope: Envelope, wall: float, busy: float, own: str) ->
     ]
 
 
-def main() -> None:
-    asked = arguments(__doc__, ("trust", "speed", "picture"), runs=(10_000, "to a verdict, about"))
-    page = Page("envelope", asked.dry)
-    compile_kernels()
-    plan = the_plan(round(asked.runs / (1 + CHECKS)))
-    envelope, wall, busy, file = made_by(plan, "2 processes")
-    if "speed" in asked.parts:
-        page.write("speed", *speed(plan, envelope, wall, busy, file))
-    if "trust" in asked.parts:
-        page.write("trust", *trust(envelope))
-    if "picture" in asked.parts and not asked.dry:
+def picture(asked: Namespace, _: Path) -> list[str]:
+    """The map with the experiments' places in it; no text."""
+    if not asked.dry:
         marks = [simulate(load_scene(name)) for name in ("tilt_0", "tilt_p10", "tilt_m10")]
-        save(draw_envelope(envelope, marks), DOCS / "envelope" / "map.png")
+        save(draw_envelope(made_by(asked.runs)[0], marks), DOCS / "envelope" / "map.png")
+    return []
 
 
 if __name__ == "__main__":
-    main()
+    write_parts(
+        "envelope",
+        __doc__,
+        {"speed": speed, "trust": trust, "picture": picture},
+        runs=(10_000, "to a verdict, about"),
+    )

@@ -1,35 +1,27 @@
 """What a delay does to a contact, and each compensation; into docs/hardware_in_the_loop.md.
 
-    .venv/bin/python -m benchmarks.hardware_in_the_loop
-
-Takes two minutes, half of it through nodes.  Uses ROS_DOMAIN_ID, or 60.
+.venv/bin/python -m benchmarks.hardware_in_the_loop    # two minutes, half of it through nodes
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import os
 import signal
-import subprocess
-import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import processor
+from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import WAYS, compensation, critical_damping, gain_rate
 from capture_sim.hardware.in_the_loop import LoopStage
 from capture_sim.hardware.walls import NOTHING, WallLaw, contact_rig
-
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "hardware_in_the_loop.md"
-BEGIN, END = "<!-- measured: {} -->", "<!-- end of measured -->"
+from capture_sim.viewing.canvas import new_figure, save
+from tests.nodes.bench_processes import processes
+from tests.plate import first_touch, plate_mass
 
 STIFFNESS = 2000.0  # N/m, of the soft plate
 STEP = 1e-3  # s
@@ -37,28 +29,7 @@ LAGS = (0, 1, 2, 5, 10, 20)
 TOUCHED = 50  # first step in touch: 5 mm before the plate at 0.1 m/s
 
 
-def plate_mass(scene):
-    """Return the mass that the plate feels, kg: the chaser head on, the target off its centre."""
-    off = scene.initial.target.y - scene.initial.chaser.y
-    yields = 1.0 / scene.chaser_total_mass + 1.0 / scene.target.mass
-    return 1.0 / (yields + off**2 / scene.target.inertia)
-
-
-def table(head, rows):
-    """Return a table's lines."""
-    return "\n".join(
-        f"| {' | '.join(map(str, row))} |" for row in [head, ["---"] * len(head), *rows]
-    )
-
-
-def first_touch(scene, law, lag, step, t_end, substeps, mass=None):
-    """Close the loop in one process, a rig that answers ``lag`` steps late; its first touch."""
-    loop = Loop(LoopStage(scene, step, substeps), mass=mass)
-    close(loop, late(contact_rig(scene, law), lag), t_end, touches=1)
-    return loop.touches[0]
-
-
-def delays():
+def delays(asked, _):
     """Both contacts without compensation, in one process."""
     scene, paper = load_scene("_loop"), load_scene("paper_designed")
     mass = plate_mass(scene)
@@ -87,7 +58,8 @@ def delays():
     ratio = np.geomspace(1e-3, 0.5, 100)
     lines = [(f"exp({g:.2f} tau/T) - 1", ratio, np.exp(g * ratio) - 1) for g in (4.93, 5.57)]
     ylabel = "restitution - 1 (an elastic contact has 0)"
-    picture = draw("hardware_in_the_loop.svg", points, lines, ylabel)
+    if not asked.dry:
+        draw("hardware_in_the_loop.svg", points, lines, ylabel)
     return f"""\
 **Soft plate**, {STIFFNESS:g} N/m against {mass:.2f} kg at 0.1 m/s: a touch of \
 {math.pi / w * 1e3:.0f} ms. Loop closed in one process, steps of 1 ms; the delay is that of the \
@@ -103,7 +75,7 @@ answer and half a step.
 At 1 kHz, answered at once, {at_1_khz.peak_force:.0f} N come back, and the tip leaves \
 {at_1_khz.restitution:.0f} times as fast as it came.
 
-![Restitution against delay]({picture})"""
+![Restitution against delay](hardware_in_the_loop.svg)""".splitlines()
 
 
 class Case:
@@ -150,7 +122,7 @@ def parting(loop):
     return loop.stage.v[5] - loop.stage.v[0]
 
 
-def ways():
+def ways(asked, _):
     """What each way makes of each contact and delay, in one process."""
     slow = load_scene("_loop", ["initial.chaser.vx=0.02", "buffer.k_A=1e7"])
     paper, mass = load_scene("paper_designed"), plate_mass(slow)
@@ -179,7 +151,8 @@ def ways():
             rows.append(row)
     ylabel = "|restitution / the model's - 1|"
     lines = [("5 %", [1e-3, 100.0], [0.05, 0.05])]
-    picture = draw("hardware_in_the_loop_compensated.svg", points, lines, ylabel)
+    if not asked.dry:
+        draw("hardware_in_the_loop_compensated.svg", points, lines, ylabel)
     return f"""\
 Each cell: restitution over the model's (of the vehicles' speeds apart for the plates, of the
 touch's energy for the others) / energy made, mJ / peak force over the model's / impulse over the
@@ -189,10 +162,10 @@ cell is the fourth touch, that of the others the first. Plates at 0.02 m/s, the 
 
 {table(["contact", "delay ms", *WAYS], rows)}
 
-![Restitution of each way against delay]({picture})"""
+![Restitution of each way against delay](hardware_in_the_loop_compensated.svg)""".splitlines()
 
 
-def nodes():
+def nodes(_, folder):
     """Through two processes and DDS, 1 kHz, real time."""
     scene, paper = load_scene("_loop"), load_scene("paper_designed")
     mass = plate_mass(scene)
@@ -210,7 +183,8 @@ def nodes():
         runs.append(("the paper's", way, stiff, {"scene": "paper_designed", **half, **limits}))
     rows = []
     for contact, way, rig, loop in runs:
-        tried = [through_nodes(rig, {**loop, "compensation": way}) for _ in range(3)]
+        loop = {**loop, "compensation": way}
+        tried = [through_nodes(folder / "report.json", rig, loop) for _ in range(3)]
         found = sorted(tried, key=lambda run: np.median(run["ages"]))[1]
         trip = np.array(found["round_trips"]) * 1e3
         times = [f"{np.median(found['ages']) * 1e3:.1f}", f"{np.median(trip):.2f}"]
@@ -227,7 +201,7 @@ messages the rig answers late on purpose; age: of the wrench when it was used; t
 sent to its answer; foretold: exp(pi w tau / 2) with the mean age, weighted with v^2 as it counts,
 and half a step. An elastic contact has 1.
 
-{table(head.split("|"), rows)}"""
+{table(head.split("|"), rows)}""".splitlines()
 
 
 def delay_of(found):
@@ -238,44 +212,21 @@ def delay_of(found):
     return float(np.average(ages, weights=weights)) + 0.5 * STEP
 
 
-def through_nodes(rig, loop):
+def through_nodes(report, rig, loop):
     """Close the loop through two nodes with these parameters; return the loop's report."""
-    environment = {"ROS_DOMAIN_ID": "60", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | os.environ
-    with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "report.json"
-
-        def start(name, parameters):
-            given = [
-                part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")
-            ]
-            return subprocess.Popen(
-                [sys.executable, "-m", f"capture_sim.nodes.{name}", "--ros-args", *given],
-                env={**environment, "ROS_LOG_DIR": folder},
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-
-        started = [start("contact_rig", rig)]
-        try:
-            time.sleep(1.0)
-            started.append(start("loop_simulator", {**loop, "report": report}))
-            started[1].wait(120.0)
-        finally:
-            for process in started:
-                process.send_signal(signal.SIGINT)
-                process.wait(20.0)
-        return json.loads(report.read_text(encoding="utf-8"))
+    with processes() as start:
+        partner = start("contact_rig", **rig)
+        time.sleep(1.0)
+        start("loop_simulator", **loop, report=report).status(120.0)
+        partner.process.send_signal(signal.SIGINT)
+        partner.status(20.0)
+    return json.loads(report.read_text(encoding="utf-8"))
 
 
 def draw(name, points, lines, ylabel):
-    """Draw points and lines (name, x, y) over delay / duration; return the picture's name."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    mpl.rcParams["svg.hashsalt"] = "capture_sim"
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
+    """Draw points and lines (name, x, y) over delay / duration."""
+    figure = new_figure(6.0, 4.0)
+    axes = figure.subplots()
     for (label, x, y), style in zip(lines, ("k-", "k--"), strict=False):
         axes.loglog(x, y, style, lw=1, label=label)
     for what, marker in zip(dict.fromkeys(point[0] for point in points), "osv^Dx", strict=False):
@@ -285,23 +236,8 @@ def draw(name, points, lines, ylabel):
     axes.set_ylabel(ylabel)
     axes.grid(which="both", alpha=0.2)
     axes.legend(frameon=False)
-    figure.savefig(PAGE.with_name(name), metadata={"Date": None})
-    return name
-
-
-def main():
-    """Measure and write what is asked for."""
-    parts = {"delays": delays, "ways": ways, "nodes": nodes}
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
-    parser.add_argument("--only", nargs="+", choices=parts, default=list(parts))
-    machine = f"{processor()}, {os.cpu_count()} cores.\n\n"
-    for name in parser.parse_args().only:
-        text = (machine if name == "nodes" else "") + parts[name]()
-        print(text, flush=True)
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN.format(name))
-        section = f"{BEGIN.format(name)}\n\n{text}\n\n{END}"
-        PAGE.write_text(before + section + rest.split(END, 1)[1], encoding="utf-8")
+    save(figure, DOCS / name)
 
 
 if __name__ == "__main__":
-    main()
+    write_parts("hardware_in_the_loop", __doc__, {"delays": delays, "ways": ways, "nodes": nodes})

@@ -9,12 +9,10 @@ docs/node_suite.md.
 
 from __future__ import annotations
 
-import os
 import random
 import re
 import subprocess
 import sys
-import tempfile
 import time
 from argparse import Namespace
 from contextlib import ExitStack, closing, suppress
@@ -23,9 +21,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from benchmarks.pages import Page, Spread, arguments, table
+from benchmarks.pages import Spread, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.control.simulation import Code, State
 from capture_sim.recording.read import read_run
 from tests.nodes.bench_processes import Client, Simulation, processes, wait_until
@@ -113,7 +110,7 @@ def achieved(said: str) -> float:
     return float(re.search(r"\(([\d.]+) x real time\)", said)[1])
 
 
-def measure_start(folder: Path, options: Namespace) -> list[str]:
+def measure_start(options: Namespace, folder: Path) -> list[str]:
     took = []
     for _ in range(options.times):
         with processes() as start:
@@ -128,7 +125,7 @@ def measure_start(folder: Path, options: Namespace) -> list[str]:
     ]
 
 
-def measure_paced(folder: Path, options: Namespace, burners: int = 0) -> list[str]:
+def measure_paced(options: Namespace, folder: Path, burners: int = 0) -> list[str]:
     rows, factors, messages, lost = [], [], [], []
     for i in range(options.times):
         with ExitStack() as stack:
@@ -159,11 +156,11 @@ def measure_paced(folder: Path, options: Namespace, burners: int = 0) -> list[st
     ]
 
 
-def measure_busy(folder: Path, options: Namespace) -> list[str]:
-    return measure_paced(folder, options, burners=4)
+def measure_busy(options: Namespace, folder: Path) -> list[str]:
+    return measure_paced(options, folder, burners=4)
 
 
-def measure_unpaced(folder: Path, options: Namespace) -> list[str]:
+def measure_unpaced(options: Namespace, folder: Path) -> list[str]:
     factors, spent, lost = [], {}, []
     for i in range(options.times):
         with processes() as start:
@@ -184,7 +181,7 @@ def measure_unpaced(folder: Path, options: Namespace) -> list[str]:
     ]
 
 
-def measure_same_bits(folder: Path, options: Namespace) -> list[str]:
+def measure_same_bits(options: Namespace, folder: Path) -> list[str]:
     rng = random.Random(options.seed)
     offline = simulate(load_scene("tilt_p10")).samples.tobytes()
     factors, equal = [0.0, 1.0, 10.0] * options.times, 0
@@ -201,7 +198,7 @@ def measure_same_bits(folder: Path, options: Namespace) -> list[str]:
     ]
 
 
-def measure_resets(folder: Path, options: Namespace) -> list[str]:
+def measure_resets(options: Namespace, folder: Path) -> list[str]:
     steps, names = 20, NODES[:3]
     with processes() as start, closing(Client()) as client:
         lasting = {"exit_when_done": "false"}
@@ -252,7 +249,7 @@ def measure_resets(folder: Path, options: Namespace) -> list[str]:
     ]
 
 
-def measure_kills(folder: Path, options: Namespace) -> list[str]:
+def measure_kills(options: Namespace, folder: Path) -> list[str]:
     rng = random.Random(options.seed)
     offline = simulate(load_scene("tilt_0")).samples
     killed, lost, problems = dict.fromkeys(NODES, 0), [], []
@@ -292,36 +289,22 @@ def measure_kills(folder: Path, options: Namespace) -> list[str]:
     ]
 
 
-PARTS = {
-    "start": measure_start,
-    "paced": measure_paced,
-    "busy": measure_busy,
-    "unpaced": measure_unpaced,
-    "same_bits": measure_same_bits,
-    "resets": measure_resets,
-    "kills": measure_kills,
-}
-
-
-def main() -> None:
-    options = arguments(
+if __name__ == "__main__":
+    write_parts(
+        "node_suite",
         __doc__,
-        tuple(PARTS),
+        {
+            "start": measure_start,
+            "paced": measure_paced,
+            "busy": measure_busy,
+            "unpaced": measure_unpaced,
+            "same_bits": measure_same_bits,
+            "resets": measure_resets,
+            "kills": measure_kills,
+        },
         seconds=(60.0, "of a paced or unpaced run"),
         times=(3, "that it is repeated"),
         resets=(2000, "runs in one process"),
         kills=(30, "of a node at a random moment"),
         seed=(1, "of the random moments"),
     )
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    compile_kernels()
-    page = Page("node_suite", options.dry)
-    for name in options.parts:
-        with tempfile.TemporaryDirectory(prefix="node_suite_") as folder:
-            os.environ["ROS_LOG_DIR"] = folder
-            page.write(name, *PARTS[name](Path(folder), options))
-
-
-if __name__ == "__main__":
-    main()

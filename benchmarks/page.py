@@ -13,12 +13,18 @@ from benchmarks import work_precision
 from benchmarks.costs import BatchCost, RunCost
 from benchmarks.machine import is_busy, stamp
 from benchmarks.other_engines import Agreement, EngineResult
-from benchmarks.pages import DOCS, error, filled, ratio, seconds, table
+from benchmarks.pages import error, ratio, seconds, table
+from benchmarks.reference import load_reference
 from benchmarks.trial import Trial
 from benchmarks.work_precision import GROUP_NAMES, Comparison, WorkPrecision
 
 FOLDER = "benchmark"  # of the pictures, beside the page
 _ERRORS = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)  # m or rad
+_COLUMNS = (
+    *("t_end_s", "family", "setting", "position_error_m_or_rad", "peak_force_error_1"),
+    *("event_time_error_s", "impulse_error_1", "touches", "rhs", "median_s"),
+    *("lower_quartile_s", "upper_quartile_s", "repetitions", "failure"),
+)
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 
 
@@ -33,49 +39,41 @@ class Results:
     works: list[WorkPrecision]  # one for each horizon
     engines: list[EngineResult]  # skipped ones too
     agreement: list[Agreement]  # with Exudyn
-    uncertainty: dict[str, dict[float, float]]  # of each reference at its times, m or rad
     parts: list[RunCost]
     times: list[RunCost]
     batches: list[BatchCost]
 
 
-def page(results: Results) -> str:
-    """Return the page."""
-    works = results.works
+def measured(results: Results) -> dict[str, str]:
+    """Return the measured parts of the page, by name."""
     packages = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES)
     kind = " (a reduced sweep, `--quick`)" if results.quick else ""
+    laws = dict.fromkeys(f"{results.scene}_{row.law}" for row in results.agreement)
+    references = {name: load_reference(name) for name in (results.scene, *laws)}
     uncertain = "; ".join(
-        f"`{name}` " + ", ".join(f"{error(u)} at {t:g} s" for t, u in by_time.items())
-        for name, by_time in results.uncertainty.items()
+        f"`{name}` "
+        + ", ".join(f"{error(u)} at {t:g} s" for t, u in zip(r.times, r.uncertainty, strict=True))
+        for name, r in references.items()
     )
-    tried = [trial for work in works for trial in work.trials]
+    tried = [trial for work in results.works for trial in work.trials]
     notes = [f"- {engine.name}: {engine.note}." for engine in results.engines if engine.note]
-    return filled(
-        (DOCS / "benchmark.md").read_text(encoding="utf-8"),
-        {
-            "machine": f"{stamp(results.others)}\n\n*{packages}; one run of "
-            f"{results.seconds:.0f} s{kind}.*",
-            "targets": targets(results),
-            "works": "\n\n".join(f"To {w.plan.t_end:g} s:\n\n{at_errors(w)}" for w in works),
-            "quantities": "\n\n".join(f"To {w.plan.t_end:g} s:\n\n{quantities(w)}" for w in works),
-            "failures": f"{sum(bool(t.failure) for t in tried)} of {len(tried)} settings failed, "
-            f"or were not tried after two others of their kind had.\n\n{failures(tried)}",
-            "engines": "\n\n".join(["\n".join(notes), engines(results), engine_ratios(results)]),
-            "agreement": agreement(results),
-            "parts": parts(results),
-            "times": times(results),
-            "batches": batches(results),
-            "references": f"Two tolerances of the references differ by (m or rad): {uncertain}.",
-        },
-    )
-
-
-def summary(results: Results) -> str:
-    """Return what is shown on the terminal."""
-    shown = [stamp(results.others), targets(results)]
-    shown += [f"To {w.plan.t_end:g} s:\n\n{at_errors(w)}" for w in results.works]
-    shown += [f(results) for f in (engines, engine_ratios, parts, times, batches)]
-    return "\n\n".join(shown)
+    return {
+        "machine": f"{stamp(results.others)}\n\n*{packages}; one run of "
+        f"{results.seconds:.0f} s{kind}.*",
+        "targets": targets(results),
+        "works": "\n\n".join(f"To {w.plan.t_end:g} s:\n\n{at_errors(w)}" for w in results.works),
+        "quantities": "\n\n".join(
+            f"To {w.plan.t_end:g} s:\n\n{quantities(w)}" for w in results.works
+        ),
+        "failures": f"{sum(bool(t.failure) for t in tried)} of {len(tried)} settings failed, "
+        f"or were not tried after two others of their kind had.\n\n{failures(tried)}",
+        "engines": "\n\n".join(["\n".join(notes), engines(results), engine_ratios(results)]),
+        "agreement": agreement(results),
+        "parts": parts(results),
+        "times": times(results),
+        "batches": batches(results),
+        "references": f"Two tolerances of the references differ by (m or rad): {uncertain}.",
+    }
 
 
 def _ratios(c: Comparison) -> str:
@@ -225,25 +223,21 @@ def batches(results: Results) -> str:
 
 def write_trials(results: Results, path: Path) -> None:
     """Write all trials as CSV, SI units."""
-    head = "t_end_s family setting position_error_m_or_rad peak_force_error_1 event_time_error_s "
-    head += "impulse_error_1 touches rhs median_s lower_quartile_s upper_quartile_s repetitions "
-    head += "failure"
     named = [(work.plan.t_end, work.trials) for work in results.works]
     named += [(results.works[0].plan.t_end, engine.trials) for engine in results.engines]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(head.split())
-        for t_end, trials in named:
-            for trial in trials:
-                e = trial.errors
-                values = (e.position, e.peak_force, e.event_time, e.impulse)
-                writer.writerow(
-                    [
-                        *(t_end, trial.family, trial.setting),
-                        *(f"{value:.3e}" if math.isfinite(value) else "" for value in values),
-                        e.touches if e.touches >= 0 else "",
-                        trial.outcome.evaluations if trial.outcome else "",
-                        *(f"{value:.4e}" if value == value else "" for value in trial.spread),
-                        *(len(trial.seconds), trial.failure),
-                    ]
-                )
+        writer.writerow(_COLUMNS)
+        for t_end, trial in ((t_end, trial) for t_end, trials in named for trial in trials):
+            e = trial.errors
+            values = (e.position, e.peak_force, e.event_time, e.impulse)
+            writer.writerow(
+                [
+                    *(t_end, trial.family, trial.setting),
+                    *(f"{value:.3e}" if math.isfinite(value) else "" for value in values),
+                    e.touches if e.touches >= 0 else "",
+                    trial.outcome.evaluations if trial.outcome else "",
+                    *(f"{value:.4e}" if value == value else "" for value in trial.spread),
+                    *(len(trial.seconds), trial.failure),
+                ]
+            )

@@ -1,4 +1,4 @@
-"""How a benchmark is asked and how it answers: its options, Markdown, the measured parts of a page.
+"""The frame of a benchmark: its options, its parts, repeated timing, the measured parts of a page.
 
 A page's prose stands in the page.  What was measured stands between two marks, and only that is
 written anew, each part with its date, its machine and the state of the kernels.
@@ -8,61 +8,82 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import statistics
-from collections.abc import Iterable, Sequence
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.machine import OthersAtWork, stamp
+from capture_sim.bench import compile_kernels
 from capture_sim.files import whole_file
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 _BEGIN, _END = "<!-- measured: {} -->", "<!-- end of measured -->"
 
 
-def arguments(doc: str | None, parts: Sequence[str] = (), **options: Any) -> argparse.Namespace:
-    """Read the command line: ``parts`` to choose from, options by name as (default, help)."""
+#: Measures a part of a page in an empty folder; returns its lines, none where it has no text.
+Part = Callable[[argparse.Namespace, Path], Sequence[str]]
+
+
+def write_parts(page: str, doc: str | None, parts: Mapping[str, Part], **options: Any) -> None:
+    """Run a benchmark as its command line asks: the parts that are named, or all.
+
+    Parameters
+    ----------
+    page
+        In docs/ whose parts are written, without ``.md``.
+    doc
+        What ``--help`` shows.
+    parts
+        What measures them, by name.
+    options
+        Default and help by name; None as default stands for a path.
+    """
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    if parts:
-        parser.add_argument("parts", nargs="*", choices=[[], *parts], help="default: all")
+    parser.add_argument("parts", nargs="*", choices=[[], *parts], help="default: all")
     for name, (default, text) in options.items():
         kind = Path if default is None else type(default)
         shown = text if default is None else f"{text} ({default})"
         parser.add_argument(f"--{name}", type=kind, default=default, help=shown)
     parser.add_argument("--dry", action="store_true", help="only show what was measured")
-    found = parser.parse_args()
-    if parts:
-        found.parts = found.parts or list(parts)
-    return found
+    asked = parser.parse_args()
+    # nodes that are started, and the processes of this benchmark, have a domain of their own
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    compile_kernels()
+    path = DOCS / f"{page}.md"
+    for name in asked.parts or parts:
+        others = OthersAtWork()
+        with tempfile.TemporaryDirectory(prefix=f"{page}_") as folder:
+            os.environ["ROS_LOG_DIR"] = folder
+            lines = parts[name](asked, Path(folder))
+        if not lines:
+            continue
+        text = "\n".join([*lines, "", stamp(others.cores())])
+        print(f"== {name}\n\n{text}\n", flush=True)
+        if not asked.dry:
+            whole = filled(path.read_text(encoding="utf-8"), {name: text})
+            with whole_file(path) as file:
+                file.write_text(whole, encoding="utf-8")
 
 
-class Page:
-    """A page in docs/ of which parts are measured.
-
-    Parameters
-    ----------
-    name
-        Of the file, without ``.md``.
-    dry
-        Only show.
-    """
-
-    def __init__(self, name: str, dry: bool = False) -> None:
-        self.path, self.dry, self._others = DOCS / f"{name}.md", dry, OthersAtWork()
-
-    def write(self, part: str, *lines: str) -> None:
-        """Put lines into a part of the page, stamped; what follows is measured from now on."""
-        text = "\n".join([*lines, "", stamp(self._others.cores())])
-        print(f"== {part}\n\n{text}\n", flush=True)
-        if not self.dry:
-            page = filled(self.path.read_text(encoding="utf-8"), {part: text})
-            with whole_file(self.path) as file:
-                file.write_text(page, encoding="utf-8")
-        self._others = OthersAtWork()
+def repeated(
+    work: Callable[[], object], times: int = 5, clock: Callable[[], float] = time.perf_counter
+) -> list[float]:
+    """Return what each of some repetitions takes, s."""
+    took = []
+    for _ in range(times):
+        began = clock()
+        work()
+        took.append(clock() - began)
+    return took
 
 
 def filled(page: str, parts: dict[str, str]) -> str:

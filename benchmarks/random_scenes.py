@@ -10,11 +10,12 @@ of some of the wider ones to 30 ms.
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pages import Page, arguments, table
+from benchmarks.pages import table, write_parts
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -44,9 +45,9 @@ def errors_table(errors: dict[str, list[np.ndarray]]) -> str:
     return table([*head, "below 1e-6 m"], rows)
 
 
-def narrow(count: int) -> list[str]:
+def narrow(asked: Namespace, _: Path) -> list[str]:
     """Benches near the paper's, each against itself at a tight tolerance."""
-    scenes = random_scenes(count)
+    scenes = random_scenes(asked.scenes)
     measured = [measure(scene) for scene in scenes]
     ratios = [x for scene in scenes if scene.supports is None for x in residual_ratios(scene)]
     wrong = [m for m in measured if m.wrong]
@@ -58,7 +59,7 @@ def narrow(count: int) -> list[str]:
     ]
     inside = np.mean([0.01 < ratio < 100.0 for ratio in ratios])
     return [
-        f"{count} benches:",
+        f"{len(scenes)} benches:",
         "",
         errors_table({f"{DEFAULT:g}": [m.error for m in measured]}),
         "",
@@ -77,9 +78,9 @@ def narrow(count: int) -> list[str]:
     ]
 
 
-def wide(count: int) -> list[str]:
+def wide(asked: Namespace, _: Path) -> list[str]:
     """Benches of all kinds, against the independent model."""
-    compared = []
+    compared, count = [], asked.wide
     for number, scene in enumerate(wide_scenes(count), 1):
         compared += [found] if (found := compare(scene)) is not None else []
         print(f"{number} of {count}", file=sys.stderr)
@@ -104,19 +105,11 @@ def wide(count: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    asked = arguments(
+if __name__ == "__main__":
+    write_parts(
+        "random_scenes",
         __doc__,
-        ("narrow", "wide"),
+        {"narrow": narrow, "wide": wide},
         scenes=(1000, "benches near the paper's"),
         wide=(300, "benches of all kinds"),
     )
-    page = Page("random_scenes", asked.dry)
-    if "narrow" in asked.parts:
-        page.write("narrow", *narrow(asked.scenes))
-    if "wide" in asked.parts:
-        page.write("wide", *wide(asked.wide))
-
-
-if __name__ == "__main__":
-    main()

@@ -7,19 +7,19 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.node_suite import Suite, endless
-from benchmarks.pages import Page, Spread, arguments, table
+from benchmarks.pages import Spread, repeated, table, write_parts
 from capture_sim import load_scene, simulate
 from capture_sim.messages.convert import RunDescription
 from capture_sim.recording.live import LiveRecorder
@@ -34,7 +34,7 @@ EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 REPEATS = 5
 
 
-def measure_write(folder: Path, _) -> list[str]:
+def write(_: Namespace, folder: Path) -> list[str]:
     """Write and read 20 s at 1 kHz on all topics."""
     result = simulate(load_scene("tilt_0", ["latch=null", "run.t_end=20", "run.rate=1000"]))
     path, run = folder / "long.mcap", RunDescription.of(result.scene, "x", PUBLISHERS)
@@ -66,11 +66,7 @@ def measure_write(folder: Path, _) -> list[str]:
         ("read into columns of all topics", read_columns),
         ("taken by the live recorder, without ROS", take),
     ):
-        took = []
-        for _ in range(REPEATS):
-            began = time.process_time()
-            work()
-            took.append(time.process_time() - began)
+        took = repeated(work, REPEATS, time.process_time)
         median = Spread.of(took).median
         spread = f"{min(took):.3f} to {max(took):.3f}"
         rows.append([what, f"{len(stream) / median / 1e3:.0f} k/s", f"{median:.3f}", spread])
@@ -82,8 +78,9 @@ def measure_write(folder: Path, _) -> list[str]:
     ]
 
 
-def measure_live(folder: Path, seconds: float) -> list[str]:
+def live(asked: Namespace, folder: Path) -> list[str]:
     """Record a paced run of the nodes."""
+    seconds = asked.seconds
     with processes() as start:
         suite = Suite(start, folder, rtf=1.0, overrides=endless(seconds))
         shares = suite.shares(seconds - 3.0)
@@ -99,7 +96,7 @@ def measure_live(folder: Path, seconds: float) -> list[str]:
     ]
 
 
-def measure_replay(folder: Path, _) -> list[str]:
+def replay(_: Namespace, folder: Path) -> list[str]:
     """Play the experiments at ten times real time for detector and recorder."""
     rows = []
     for name in EXPERIMENTS:
@@ -161,7 +158,7 @@ def fits(touches: bool = True, late: str = "") -> Fits:
     return Fits(np.array(off), np.median(errors, axis=0), warned, Spread.of(took).median)
 
 
-def measure_identify(*_) -> list[str]:
+def fit(*_: object) -> list[str]:
     """Fit four parameters to 20 noisy runs."""
     whole, poses, release, wrong = (
         fits(),
@@ -194,24 +191,6 @@ def measure_identify(*_) -> list[str]:
     ]
 
 
-PARTS = {
-    "write": measure_write,
-    "live": measure_live,
-    "replay": measure_replay,
-    "identify": measure_identify,
-}
-
-
-def main() -> None:
-    asked = arguments(__doc__, tuple(PARTS), seconds=(60.0, "of the live recording"))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
-    page = Page("recording", asked.dry)
-    for name in asked.parts:
-        with tempfile.TemporaryDirectory() as folder:
-            os.environ["ROS_LOG_DIR"] = folder
-            page.write(name, *PARTS[name](Path(folder), asked.seconds))
-
-
 if __name__ == "__main__":
-    main()
+    parts = {"write": write, "live": live, "replay": replay, "identify": fit}
+    write_parts("recording", __doc__, parts, seconds=(60.0, "of the live recording"))

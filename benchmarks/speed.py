@@ -18,10 +18,9 @@ import numpy as np
 
 from benchmarks import costs, other_engines, work_precision
 from benchmarks.machine import OthersAtWork
-from benchmarks.page import FOLDER, Results, page, summary, write_trials
-from benchmarks.pages import DOCS
+from benchmarks.page import FOLDER, Results, measured, write_trials
+from benchmarks.pages import DOCS, filled
 from benchmarks.plots import save_all
-from benchmarks.reference import load_reference
 from benchmarks.trial import Progress
 from capture_sim.bench import compile_kernels
 from capture_sim.launch.scenes import load_scene
@@ -44,8 +43,6 @@ def measure(quick: bool, progress: Progress) -> Results:
         works = [work_precision.measure(scene, plan, progress) for plan in plans]
         found = other_engines.measure(scene, plans[0], quick, progress)
         agreement = [] if quick else other_engines.exudyn_agreement(scene, progress)
-    names = [SCENE, *dict.fromkeys(f"{SCENE}_{a.law}" for a in agreement)]
-    references = {name: load_reference(name) for name in names}
     repeats, horizon = 5 if quick else 25, plans[0].t_end
     parts = costs.part_costs(scene, horizon, quick, repeats, progress)
     progress.at("cost of simulated time, and of batches", 0, 1)
@@ -55,9 +52,6 @@ def measure(quick: bool, progress: Progress) -> Results:
         works=works,
         engines=found,
         agreement=agreement,
-        uncertainty={
-            name: dict(zip(r.times, r.uncertainty, strict=True)) for name, r in references.items()
-        },
         parts=[*parts, costs.rail_cost(load_scene(_ON_RAIL), repeats)],
         times=[
             costs.run_cost(scene, t_end, repeats)
@@ -73,12 +67,14 @@ def measure(quick: bool, progress: Progress) -> Results:
 
 
 def save(results: Results, folder: Path) -> str:
-    """Write page, trials and pictures into a folder; return the tables for a terminal."""
+    """Write page, trials and pictures into a folder; return what was measured, for a terminal."""
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    (folder / "benchmark.md").write_text(page(results), encoding="utf-8")
+    found = measured(results)
+    page = filled((DOCS / "benchmark.md").read_text(encoding="utf-8"), found)
+    (folder / "benchmark.md").write_text(page, encoding="utf-8")
     write_trials(results, folder / FOLDER / "trials.csv")
     save_all(results, folder / FOLDER)
-    return f"{summary(results)}\n\npage in {folder / 'benchmark.md'}"
+    return "\n\n".join([*found.values(), f"page in {folder / 'benchmark.md'}"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

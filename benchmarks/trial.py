@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pages import Spread
+from capture_sim.errors import SimulationError
 from capture_sim.results import first_cluster
 
 #: A touch as any engine can give it; ``end`` is NaN for one that was still on.
@@ -36,6 +37,11 @@ class Outcome:
     impulse: float = math.nan  # N s, normal, of both walls
     peak_force: float = math.nan  # N
     failure: str = ""  # why there is no result
+
+    @classmethod
+    def failed(cls, why: str, evaluations: int = 0) -> Outcome:
+        """Return the outcome of a run that did not get to its end."""
+        return cls(np.full(8, np.nan), evaluations, failure=why)
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,10 @@ def _both(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     return difference
 
 
-#: Returns what is to be timed, which returns what reads the outcome.
-Prepare = Callable[[], Callable[[], Callable[[], Outcome]]]
-
+#: Makes a run ready: returns what is timed, and what reads the outcome of what that returns.
+Prepare = Callable[[], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
+#: What engines raise that cannot go on.
+STOPPED = (SimulationError, RuntimeError)
 
 #: Runs that take less, whoever's, are done once before they are timed, s.
 WARMED = 0.1
@@ -145,10 +152,15 @@ class Trial:
 
     def run(self) -> None:
         """Run once more."""
-        warm = self.prepare() if self.seconds and self.seconds[-1] < WARMED else None
-        seconds, read = timed(self.prepare(), warm)
+        warm = self.prepare()[0] if self.seconds and self.seconds[-1] < WARMED else None
+        job, read = self.prepare()
+        try:
+            seconds, result = timed(job, warm)
+        except STOPPED as error:
+            self.outcome = Outcome.failed(str(error).splitlines()[0])
+            return
         if self.outcome is None:
-            self.outcome = read()
+            self.outcome = read(result)
             self.errors = errors(self.outcome, self.truth)
         if not self.outcome.failure:
             self.seconds.append(seconds)

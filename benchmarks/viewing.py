@@ -9,17 +9,14 @@ without the viewer, and reads from the operating system what their processes too
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
-import tempfile
-import time
+from argparse import Namespace
 from pathlib import Path
 
 from benchmarks.node_suite import Suite
-from benchmarks.pages import Page, Spread, arguments, table
+from benchmarks.pages import Spread, repeated, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.commands.inputs import open_runs
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.plots import draw_overview, draw_run
@@ -31,7 +28,7 @@ NAMES = ("tilt_0", "tilt_p10", "tilt_m10")
 REPEATS = 5
 
 
-def files(folder: Path) -> list[str]:
+def files(_: Namespace, folder: Path) -> list[str]:
     """What each kind of file takes, and its size."""
     long = [simulate(load_scene(name, ["run.after_latch=null"])) for name in NAMES]
     assert all(len(run.samples) == 20_001 for run in long)
@@ -44,11 +41,7 @@ def files(folder: Path) -> list[str]:
         ("picture of the three", lambda p: save(draw_overview(short), p), folder / "b.png"),
         ("report of the three", lambda p: save_report(opened, p), folder / "a.html"),
     ):
-        took = []
-        for _ in range(REPEATS):
-            began = time.perf_counter()
-            make(path)
-            took.append(time.perf_counter() - began)
+        took = repeated(lambda make=make, path=path: make(path), REPEATS)
         spread = f"{min(took):.2f} to {max(took):.2f}"
         size = f"{path.stat().st_size / 1e6:.1f}"
         rows.append([what, f"{Spread.of(took).median:.2f}", spread, size])
@@ -56,9 +49,9 @@ def files(folder: Path) -> list[str]:
     return [table(head, rows)]
 
 
-def live(folder: Path, seconds: float) -> list[str]:
+def live(asked: Namespace, folder: Path) -> list[str]:
     """What a paced run takes with and without the viewer, in shares of a core."""
-    rows = []
+    rows, seconds = [], asked.seconds
     for rate in (100.0, 1000.0):
         row = [f"{rate:g}"]
         for viewed in (False, True):
@@ -83,34 +76,14 @@ def live(folder: Path, seconds: float) -> list[str]:
                 row.append(f"{sum(shares.values()):.1%}")
                 suite.end()
         rows.append(row)
+    head = ["standard topics, Hz", "suite without viewer", "viewer and its server", "suite beside"]
     return [
         f"tilt_p10 for {seconds:g} s at real time; shares of one core.",
         "",
-        table(
-            [
-                "standard topics, Hz",
-                "suite without viewer",
-                "viewer and its server",
-                "suite beside",
-            ],
-            rows,
-        ),
+        table(head, rows),
     ]
 
 
-def main() -> None:
-    asked = arguments(__doc__, ("files", "live"), seconds=(20.0, "of the live run"))
-    # the viewer finds the suite in one domain with it
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    compile_kernels()
-    page = Page("viewing", asked.dry)
-    with tempfile.TemporaryDirectory() as folder:
-        if "files" in asked.parts:
-            page.write("files", *files(Path(folder)))
-        if "live" in asked.parts:
-            page.write("live", *live(Path(folder), asked.seconds))
-
-
 if __name__ == "__main__":
-    main()
+    parts = {"files": files, "live": live}
+    write_parts("viewing", __doc__, parts, seconds=(20.0, "of the live run"))

@@ -5,25 +5,21 @@ from __future__ import annotations
 import functools
 import math
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchmarks.engines import own as own_runs
 from benchmarks.engines import scipy_ivp as scipy_runs
-from benchmarks.engines.scipy_ivp import CompiledProblem, NumpyProblem, Problem
 from benchmarks.pages import Spread
 from benchmarks.reference import load_reference
-from benchmarks.trial import Outcome, Progress, Trial, run_rounds
+from benchmarks.trial import STOPPED, Outcome, Progress, Trial, run_rounds
 from capture_sim.bench import error_scale
 from capture_sim.scene.parts import METHODS, Scene
 
 #: Right-hand sides that are handed to SciPy, by group.
-PROBLEMS: dict[str, Callable[[Scene], Problem]] = {
-    "compiled": CompiledProblem,
-    "numpy": NumpyProblem,
-}
 GROUP_NAMES = {"compiled": "compiled RHS", "numpy": "NumPy RHS"}
 
 #: Absolute tolerances that users give to SciPy with the relative one: rtol / 1000 for every state;
@@ -113,7 +109,8 @@ def measure(scene: Scene, plan: Plan, progress: Progress) -> WorkPrecision:
     own = list(own_trials(scene, plan, truth))
     rivals = list(scipy_trials(scene, plan, truth))
     for trial in own:  # once to warm up: branch predictors, caches, clock
-        trial.prepare()()()
+        with suppress(*STOPPED):
+            trial.prepare()[0]()
     stage = f"work and precision to {plan.t_end:g} s"
     run_rounds(own + rivals, plan.rounds, progress, stage)
     comparisons = [
@@ -149,31 +146,9 @@ def scipy_trials(scene: Scene, plan: Plan, truth: Outcome) -> Iterator[Trial]:
                     plain = {"rtol": rtol, "atol": np.full(16, 1e-3 * rtol)}
                     scaled = {"rtol": _LEAST_RTOL, "atol": rtol * scale}
                     options = {"method": method} | (plain if form == "plain" else scaled)
-                    job = functools.partial(_scipy_job, scene, y_0, group, allowed, options)
+                    job = functools.partial(scipy_runs.prepare, scene, group, y_0, allowed, options)
                     name = f"SciPy {method}, {GROUP_NAMES[group]}"
                     yield Trial(name, f"rtol {rtol:.0e} {form}", job, group, truth)
-
-
-def _scipy_job(
-    scene: Scene, y_0: np.ndarray, group: str, allowed: float, options: dict
-) -> Callable[[], Callable[[], Outcome]]:
-    """Make SciPy's run ready; forces are read in a second run that is not timed."""
-    problem = PROBLEMS[group](scene)
-
-    def run() -> Callable[[], Outcome]:
-        result = scipy_runs.solve(problem, y_0, scene.run.t_end, allowed, **options)
-        return lambda: read(result)
-
-    def read(result: scipy_runs.ScipyRun) -> Outcome:
-        if group == "compiled" and not result.failure:
-            again, dense = CompiledProblem(scene), options | {"dense_output": True}
-            found = scipy_runs.solve(again, y_0, scene.run.t_end, allowed, **dense)
-            if not found.failure:
-                scipy_runs.read_forces(found, again)
-                result = found
-        return scipy_runs.outcome(result, problem)
-
-    return run
 
 
 def families(trials: Iterable[Trial]) -> list[list[Trial]]:

@@ -34,6 +34,7 @@ NOTE = (
     "clamped on both sides"
 )
 _HALF_WIDTH = 0.1  # m, of the wall across the plane of motion
+_DOPRI5 = exu.DynamicSolverType.DOPRI5
 _KINDS = (exu.OutputVariableType.Coordinates, exu.OutputVariableType.Coordinates_t)
 
 
@@ -46,26 +47,21 @@ def trials(scene: Scene, truth: Outcome, quick: bool) -> Iterator[Trial]:
 
 def prepare(
     scene: Scene, rtol: float, mu: float | None = None
-) -> Callable[[], Callable[[], Outcome]]:
-    """Build the system; return what runs it and returns what reads the outcome.
+) -> tuple[Callable[[], bool], Callable[[bool], Outcome]]:
+    """Build the system; return what runs it and what reads the outcome.
 
     ``mu`` takes the place of the scene's coefficient of friction.
     """
     system, *nodes = build(scene, scene.friction.mu if mu is None else mu)
     settings = solver_settings(scene.run.t_end, rtol)
 
-    def run() -> Callable[[], Outcome]:
-        done = system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5)
+    def read(done: bool) -> Outcome:
+        if not done:
+            return Outcome.failed("solver gave up")
+        values = [np.atleast_2d(system.GetNodeOutput(node, _KINDS[0])) for node in nodes]
+        return Outcome(coordinates(*values)[0], 0)
 
-        def read() -> Outcome:
-            if not done:
-                return Outcome(np.full(8, np.nan), 0, failure="solver gave up")
-            values = [np.atleast_2d(system.GetNodeOutput(node, _KINDS[0])) for node in nodes]
-            return Outcome(coordinates(*values)[0], 0)
-
-        return read
-
-    return run
+    return lambda: system.SolveDynamic(settings, solverType=_DOPRI5), read
 
 
 def coordinates(chain: np.ndarray, body: np.ndarray) -> np.ndarray:
@@ -187,7 +183,7 @@ def run_trace(scene: Scene, rtol: float = 1e-9, step: float = 1e-3) -> tuple[np.
     system.Assemble()
     settings = solver_settings(scene.run.t_end, rtol, step)
     settings.solution.sensors.writePeriod = step
-    if not system.SolveDynamic(settings, solverType=exu.DynamicSolverType.DOPRI5):
+    if not system.SolveDynamic(settings, solverType=_DOPRI5):
         raise RuntimeError("Exudyn's solver gave up")
     values = [np.asarray(system.GetSensorStoredData(sensor)) for sensor in sensors]
     q, v = (coordinates(*(value[:, 1:] for value in pair)) for pair in (values[:2], values[2:]))

@@ -53,6 +53,8 @@ class Model:
         Whether the walls on +y and -y push; set by whoever integrates.
     chi : list of real (2,)
         Hysteresis damping of the present touches, N s/m^2.5.
+    evaluations : int
+        Of the equations of motion.
     """
 
     def __init__(self, scene: Scene, real: Any = float) -> None:
@@ -91,6 +93,7 @@ class Model:
             real, (scene.friction.mu, scene.friction.slip_regularization_speed)
         )
         self.touching, self.chi = [False, False], [real(0), real(0)]
+        self.evaluations = 0
 
     def latch(self, wall: int, approach: Any) -> None:
         """Begin a touch of a wall (0: +y, 1: -y) at an approach speed, m/s."""
@@ -119,7 +122,15 @@ class Model:
         gap = distance - self.R_t
         return Contact(gap, slide @ normal, slide @ turned(normal), normal, arm)
 
-    def normal_force(self, contact: Contact, wall: int) -> Any:
+    def gap(self, y: np.ndarray, wall: int) -> tuple[Any, Any]:
+        """Return the gap (m) of a wall and its rate (m/s)."""
+        return self.contact(y, wall)[:2]
+
+    def normal_force(self, y: np.ndarray, wall: int) -> Any:
+        """Return F_n of a wall in touch, N."""
+        return self._force(self.contact(y, wall), wall)
+
+    def _force(self, contact: Contact, wall: int) -> Any:
         """Return F_n of eq. (1), N; it never pulls."""
         penetration = max(-contact.gap, 0)
         force = penetration * np.sqrt(penetration) * (self.K - self.chi[wall] * contact.rate)
@@ -133,8 +144,9 @@ class Model:
             return self.mu * min(max(slip / self.v_eps, -1), 1)
         return self.real(0)
 
-    def rate_of_change(self, y: np.ndarray) -> np.ndarray:
+    def rate_of_change(self, _: Any, y: np.ndarray) -> np.ndarray:
         """Return dy/dt; ``y`` is q (8,), v (8,) and, if it has them, both impulses (2,)."""
+        self.evaluations += 1
         q, v = y[:8], y[8:16]
         h, spin, swing, r = q[4], v[3], v[2], q[4] - self.d
         e_S, e_P = direction(q[2]), direction(q[3])
@@ -157,7 +169,7 @@ class Model:
         for wall in (0, 1):
             if self.touching[wall]:
                 contact = self.contact(y, wall)
-                F_n = self.normal_force(contact, wall)
+                F_n = self._force(contact, wall)
                 F_t = -F_n * self.friction_coefficient(contact.slip)
                 force = F_n * contact.normal + F_t * turned(contact.normal)
                 Q += J_tip.T @ force

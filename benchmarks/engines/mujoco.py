@@ -41,24 +41,19 @@ def trials(scene: Scene, truth: Outcome, quick: bool) -> Iterator[Trial]:
 
 def prepare(
     scene: Scene, step: float, integrator: str, solref: Callable[[], Solref]
-) -> Callable[[], Callable[[], Outcome]]:
-    """Build the model; return what runs it and returns what reads the outcome."""
+) -> tuple[Callable[[], None], Callable[[None], Outcome]]:
+    """Build the model; return what runs it and what reads the outcome."""
     model = build(scene, step, integrator, solref())
     data, steps = at_release(scene, model), round(scene.run.t_end / step)
 
-    def run() -> Callable[[], Outcome]:
-        mujoco.mj_step(model, data, nstep=steps)
+    def read(_: None) -> Outcome:
+        q = fitted.coordinates(scene, data.qpos)
+        if not (np.isfinite(q).all() and np.abs(q).max() < 10.0):
+            return Outcome.failed("blew up")
+        evaluations = steps * (4 if integrator == "RK4" else 1)
+        return Outcome(q, evaluations, peak_force=_peak_force(scene, model, steps))
 
-        def read() -> Outcome:
-            q = fitted.coordinates(scene, data.qpos)
-            if not (np.isfinite(q).all() and np.abs(q).max() < 10.0):
-                return Outcome(np.full(8, np.nan), 0, failure="blew up")
-            evaluations = steps * (4 if integrator == "RK4" else 1)
-            return Outcome(q, evaluations, peak_force=_peak_force(scene, model, steps))
-
-        return read
-
-    return run
+    return lambda: mujoco.mj_step(model, data, nstep=steps), read
 
 
 def build(scene: Scene, step: float, integrator: str, solref: Solref) -> Any:

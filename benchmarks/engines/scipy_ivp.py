@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -27,33 +27,14 @@ from capture_sim.model.equations import N_STATE, N_TOTAL, make_system, tip_in_co
 from capture_sim.scene.parts import Scene
 
 METHODS = ("DOP853", "RK45", "LSODA", "BDF", "Radau")
+#: Right-hand sides that are handed to SciPy, by group.
+PROBLEMS = {"compiled": lambda scene: CompiledProblem(scene), "numpy": Model}
 _JUST_OFF = 1e-13  # m: gap at which a touch has ended, a thousand times its rounding
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(7)
 
 
-class Problem(Protocol):
-    """What an integrator needs to know of the bench; walls are 0: +y, 1: -y."""
-
-    evaluations: int
-
-    def rate_of_change(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return dy/dt (16,) at the time ``t`` (s)."""
-
-    def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
-        """Return gap (m) and its rate (m/s) of a wall."""
-
-    def latch(self, wall: int, approach: float) -> None:
-        """Begin a touch at this approach speed, m/s."""
-
-    def release(self, wall: int) -> None:
-        """End a touch."""
-
-    def normal_force(self, y: np.ndarray, wall: int) -> float:
-        """Return F_n of a wall in touch, N."""
-
-
 @entry_kernel
-def gap_of_wall(parameters, y, side):  # type: ignore[no-untyped-def]
+def gap_of_wall(parameters, y, side):
     """Return the gap (m) and its rate (m/s) of the wall on ``side`` (+1: +y, -1: -y)."""
     par = parameters[0]
     px, py, wx, wy = tip_in_cone(y, par)
@@ -62,7 +43,11 @@ def gap_of_wall(parameters, y, side):  # type: ignore[no-untyped-def]
 
 
 class CompiledProblem:
-    """The engine's own right-hand side, :func:`capture_sim.engine.loop.evaluate`."""
+    """The engine's own right-hand side, :func:`capture_sim.engine.loop.evaluate`.
+
+    What an integrator needs to know of the bench, as :class:`benchmarks.engines.model.Model` has it
+    in NumPy; walls are 0: +y, 1: -y.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.parameters = packed(scene)
@@ -97,29 +82,6 @@ class CompiledProblem:
         gap, rate = self.gap(y, wall)
         force = max(-gap, 0.0) ** 1.5 * (self.par["K"] - self.mode["chi"][wall] * rate)
         return max(float(force), 0.0)
-
-
-class NumpyProblem:
-    """The textbook's equations, :class:`benchmarks.engines.model.Model`."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._model = Model(scene)
-        self.latch, self.release = self._model.latch, self._model.release
-        self.evaluations = 0
-
-    def rate_of_change(self, _: float, y: np.ndarray) -> np.ndarray:
-        """Return dy/dt (16,)."""
-        self.evaluations += 1
-        return self._model.rate_of_change(y)
-
-    def gap(self, y: np.ndarray, wall: int) -> tuple[float, float]:
-        """Return gap (m) and its rate (m/s)."""
-        contact = self._model.contact(y, wall)
-        return float(contact.gap), float(contact.rate)
-
-    def normal_force(self, y: np.ndarray, wall: int) -> float:
-        """Return F_n, N."""
-        return float(self._model.normal_force(self._model.contact(y, wall), wall))
 
 
 class TookTooLongError(Exception):
@@ -160,15 +122,13 @@ class ScipyRun:
     failure: str = ""
 
 
-def solve(
-    problem: Problem, y_0: np.ndarray, t_end: float, allowed: float, **options: Any
-) -> ScipyRun:
+def solve(problem: Any, y_0: np.ndarray, t_end: float, allowed: float, **options: Any) -> ScipyRun:
     """Integrate from t = 0 to ``t_end`` (s), in at most ``allowed`` s of wall time.
 
     Parameters
     ----------
     problem
-        With no wall in touch.
+        :class:`CompiledProblem` or :class:`Model`, with no wall in touch.
     y_0
         (16,) q and v at t = 0.
     options
@@ -207,7 +167,7 @@ def solve(
 
 
 def _gap_event(
-    problem: Problem, wall: int, touching: bool, deadline: float
+    problem: Any, wall: int, touching: bool, deadline: float
 ) -> Callable[[float, np.ndarray], float]:
     """Return the event function of a wall: its gap, watched for the change that is to come."""
     zero = _JUST_OFF if touching else 0.0
@@ -217,12 +177,12 @@ def _gap_event(
             raise TookTooLongError
         return problem.gap(y, wall)[0] - zero
 
-    event.terminal = True  # type: ignore[attr-defined]
-    event.direction = 1.0 if touching else -1.0  # type: ignore[attr-defined]
+    event.terminal = True
+    event.direction = 1.0 if touching else -1.0
     return event
 
 
-def read_forces(run: ScipyRun, problem: Problem) -> None:
+def read_forces(run: ScipyRun, problem: Any) -> None:
     """Fill peak force and impulse of a run's touches from its dense output.
 
     Seven Gauss points a step; the peak is the parabola's through the highest and its neighbours.
@@ -252,18 +212,35 @@ def _peak(t: np.ndarray, force: np.ndarray) -> float:
     return float(force[k])
 
 
-def outcome(run: ScipyRun, problem: Problem) -> Outcome:
-    """Return what a run gave, in the form that all engines share."""
-    if run.failure:
-        return Outcome(np.full(8, np.nan), problem.evaluations, failure=run.failure)
-    touches = np.zeros(len(run.touches), TOUCHED)
-    for row, touch in zip(touches, run.touches, strict=True):
-        row["start"], row["end"], row["wall"] = touch.start, touch.end, 1 - 2 * touch.wall
-        row["peak_force"] = touch.peak_force
-    return Outcome(
-        q=run.y[:8].copy(),
-        evaluations=problem.evaluations,
-        touches=touches,
-        impulse=float(np.sum([touch.impulse for touch in run.touches])),
-        peak_force=float(touches["peak_force"].max(initial=0.0)),
-    )
+def prepare(
+    scene: Scene, group: str, y_0: np.ndarray, allowed: float, options: dict[str, Any]
+) -> tuple[Callable[[], ScipyRun], Callable[[ScipyRun], Outcome]]:
+    """Make a problem of :data:`PROBLEMS`; return what runs it and what reads the outcome.
+
+    Forces of a compiled one are read in a second run, with dense output, that is not timed.
+    """
+    problem = PROBLEMS[group](scene)
+
+    def read(run: ScipyRun) -> Outcome:
+        evaluations = problem.evaluations
+        if run.failure:
+            return Outcome.failed(run.failure, evaluations)
+        if group == "compiled":
+            again = CompiledProblem(scene)
+            found = solve(again, y_0, scene.run.t_end, allowed, **options, dense_output=True)
+            if not found.failure:
+                read_forces(found, again)
+                run = found
+        touches = np.zeros(len(run.touches), TOUCHED)
+        for row, touch in zip(touches, run.touches, strict=True):
+            row["start"], row["end"], row["wall"] = touch.start, touch.end, 1 - 2 * touch.wall
+            row["peak_force"] = touch.peak_force
+        return Outcome(
+            q=run.y[:8].copy(),
+            evaluations=evaluations,
+            touches=touches,
+            impulse=float(np.sum([touch.impulse for touch in run.touches])),
+            peak_force=float(touches["peak_force"].max(initial=0.0)),
+        )
+
+    return lambda: solve(problem, y_0, scene.run.t_end, allowed, **options), read

@@ -41,12 +41,10 @@ class Extrapolation:
         self.t, self.step = Real(0), FIRST_STEP
         self.touches: list[dict[str, Any]] = []
         self.open: list[dict[str, Any] | None] = [None, None]
-        self.evaluations = 0
 
     def f(self, y: np.ndarray) -> np.ndarray:
         """Evaluate dy/dt."""
-        self.evaluations += 1
-        return self.model.rate_of_change(y)
+        return self.model.rate_of_change(self.t, y)
 
     def leap(self, h: Any, f_0: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the state after a step of length ``h``, and its error (1: just good enough)."""
@@ -68,8 +66,7 @@ class Extrapolation:
         """Return the normal force of a wall (N) and its rate (N/s) in a state."""
         small = Real("1e-9")
         force, later = (
-            self.model.normal_force(self.model.contact(place, wall), wall)
-            for place in (y, y + small * self.f(y))
+            self.model.normal_force(place, wall) for place in (y, y + small * self.f(y))
         )
         return force, (later - force) / small
 
@@ -93,9 +90,9 @@ class Extrapolation:
 
     def _signed_gap(self, y: np.ndarray, wall: int) -> tuple[Any, Any]:
         """Return a function that goes below zero at the wall's next event, and its rate."""
-        contact = self.model.contact(y, wall)
+        gap, rate = self.model.gap(y, wall)
         sign = -1 if self.model.touching[wall] else 1
-        return sign * contact.gap, sign * contact.rate
+        return sign * gap, sign * rate
 
     def _hides_something(self, h: Any, y_new: np.ndarray) -> bool:
         """Return whether a dip below zero may lie inside a step that ends above zero."""
@@ -167,7 +164,7 @@ class Extrapolation:
             self.open[wall] = None
             self.model.release(wall)
             return
-        speed = -self.model.contact(self.y, wall).rate
+        speed = -self.model.gap(self.y, wall)[1]
         self.model.latch(wall, speed)
         values = (self.t, None, 1 - 2 * wall, speed, Real(0), self.t, impulse)
         self.open[wall] = dict(zip(COLUMNS, values, strict=True))

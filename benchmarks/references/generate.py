@@ -58,7 +58,7 @@ def generate(name: str) -> None:
         "friction": friction,
         "method": "extrapolated midpoint rule of order 16, extended precision, located touches",
         "tolerance": TOLERANCES[1],
-        "evaluations": run.evaluations,
+        "evaluations": run.model.evaluations,
         "times": TIMES,
         "uncertainty": np.abs(coarse - states)[:, :8].max(axis=1).astype(float).tolist(),
         "q": final[:, :8].tolist(),

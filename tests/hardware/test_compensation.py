@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from plate import plate_mass
 
-from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError

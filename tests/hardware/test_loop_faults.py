@@ -5,8 +5,8 @@ import os
 
 import numpy as np
 import pytest
+from plate import plate_mass
 
-from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop, close, late
 from capture_sim.hardware.compensation import compensation, critical_damping

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
+from plate import first_touch, plate_mass
 
-from benchmarks.hardware_in_the_loop import first_touch, plate_mass
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.engine.held_wrench import N_LOOP
 from capture_sim.errors import CaptureSimError

@@ -5,8 +5,8 @@ import signal
 from collections import deque
 
 import pytest
+from plate import plate_mass
 
-from benchmarks.hardware_in_the_loop import plate_mass
 from capture_sim import load_scene
 from capture_sim.hardware.closed_loop import Loop
 from capture_sim.hardware.in_the_loop import LoopStage
