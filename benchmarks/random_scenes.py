@@ -24,8 +24,8 @@ from random_accuracy import (
     DEFAULT,
     RTOLS,
     TIGHT,
-    compare,
-    measure,
+    against_itself,
+    against_the_model,
     residual_ratios,
 )
 from random_scenes import random_scenes, wide_scenes
@@ -48,7 +48,7 @@ def errors_table(errors: dict[str, list[np.ndarray]]) -> str:
 def narrow(asked: Namespace, _: Path) -> list[str]:
     """Benches near the paper's, each against itself at a tight tolerance."""
     scenes = random_scenes(asked.scenes)
-    measured = [measure(scene) for scene in scenes]
+    measured = [against_itself(scene) for scene in scenes]
     ratios = [x for scene in scenes if scene.supports is None for x in residual_ratios(scene)]
     wrong = [m for m in measured if m.wrong]
     # true error by estimate, wherever the two can be told from rounding's
@@ -82,26 +82,27 @@ def wide(asked: Namespace, _: Path) -> list[str]:
     """Benches of all kinds, against the independent model."""
     compared, count = [], asked.wide
     for number, scene in enumerate(wide_scenes(count), 1):
-        compared += [found] if (found := compare(scene)) is not None else []
+        compared += [found] if (found := against_the_model(scene)) is not None else []
         print(f"{number} of {count}", file=sys.stderr)
-    wrong = [c for c in compared if c.wrong]
+    default, tight = zip(*compared, strict=True)
+    wrong = [m for m in default if m.wrong]
     return [
         f"{len(compared)} benches of {count} drawn, the others touch nothing within a second or "
         "end where the model does:",
         "",
         errors_table(
             {
-                f"{DEFAULT:g}": [c.default for c in compared],
-                f"{TIGHT:g}": [c.tight for c in compared],
+                f"{DEFAULT:g}": [m.error for m in default],
+                f"{TIGHT:g}": [m.error for m in tight],
             }
         ),
         "",
         f"Touches in another order or number than the model's: {len(wrong)} at the default, "
-        f"{sum(c.wrong_tight for c in compared)} at {TIGHT:g}; of those at the default, not "
-        f"flagged by `simulate(..., check=True)`: {sum(not c.flagged for c in wrong)}; flagged "
-        f"though right: {sum(c.flagged and not c.wrong for c in compared)}. Largest force of the "
+        f"{sum(m.wrong for m in tight)} at {TIGHT:g}; of those at the default, not "
+        f"flagged by `simulate(..., check=True)`: {sum(not m.flagged for m in wrong)}; flagged "
+        f"though right: {sum(m.flagged and not m.wrong for m in default)}. Largest force of the "
         "default, where the touches are the same: within "
-        f"{max(c.peak for c in compared if not c.wrong):.1e}.",
+        f"{max(m.peak for m in default if not m.wrong):.1e}.",
     ]
 
 

@@ -24,11 +24,13 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from four_bodies import body_masses, probe_masses, spread
 from scipy.integrate import DOP853, DenseOutput
 from scipy.optimize import brentq, minimize, minimize_scalar
 
 from capture_sim.scene.parts import BallSupport, Scene
 
+compiled = numba.njit(cache=True)
 #: Constraint violations die out at this rate, 1/s (Baumgarte 1972, critically damped).
 BAUMGARTE = 100.0
 #: Longest step, s: no flight between two touches is much shorter.
@@ -99,18 +101,6 @@ class Constants(NamedTuple):
     v_eps_ball: float
 
 
-def probe_masses(scene: Scene) -> tuple[float, float, float]:
-    """Mass, distance of the centre of mass behind the tip's centre, and inertia of the probe."""
-    p = scene.probe
-    rod = p.density * math.pi * p.radius**2 * p.length
-    ball = p.density * 4.0 / 3.0 * math.pi * p.tip_radius**3
-    middle = p.tip_radius + 0.5 * p.length
-    behind = rod * middle / (rod + ball)
-    about_tip = rod * (p.length**2 / 12.0 + p.radius**2 / 4.0 + middle**2)
-    about_tip += ball * 0.4 * p.tip_radius**2
-    return rod + ball, behind, about_tip - (rod + ball) * behind**2
-
-
 def ball_limits(support: BallSupport, weight: float, ahead: float) -> np.ndarray:
     """Places of three balls and what each can resist, c_rr N, (3, 3).
 
@@ -125,11 +115,8 @@ def ball_limits(support: BallSupport, weight: float, ahead: float) -> np.ndarray
 
 def constants(scene: Scene) -> Constants:
     """Gather what the model needs from a scene."""
-    m_P, behind, I_P = probe_masses(scene)
+    m_P, behind, _ = probe_masses(scene)
     m_C, L_C = scene.cylinder.mass, scene.cylinder.length
-    masses = [scene.chaser.mass] * 2 + [scene.chaser.inertia]
-    masses += [m_C, m_C, m_C * L_C**2 / 12.0, m_P, m_P, I_P]
-    masses += [scene.target.mass] * 2 + [scene.target.inertia]
     p, b, cone = scene.probe, scene.buffer, scene.cone
     h_0 = b.rest_length or p.length + p.tip_radius
     sides = np.array([1.0, -1.0])
@@ -142,7 +129,7 @@ def constants(scene: Scene) -> Constants:
         v_eps_ball = scene.supports.rolling_regularization_speed
     sigma = sum((1.0 - m.nu**2) / m.E for m in (scene.contact.tip, scene.contact.wall))
     return Constants(
-        inverse_mass=1.0 / np.array(masses),
+        inverse_mass=1.0 / body_masses(scene),
         a=b.hinge_offset,
         half_cylinder=L_C / 2.0,
         tip_ahead=behind,
@@ -170,7 +157,7 @@ def constants(scene: Scene) -> Constants:
     )
 
 
-@numba.njit
+@compiled
 def wall_contact(
     z: np.ndarray, c: Constants, wall: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -196,7 +183,7 @@ def wall_contact(
     return distance - c.R_t, ux * nx + uy * ny, nx, ny, px, py
 
 
-@numba.njit
+@compiled
 def slip(z: np.ndarray, c: Constants, wall: int) -> float:
     """Slip of the tip's material on the wall's at the point of contact along (-n_y, n_x), m/s."""
     _, _, nx, ny, px, py = wall_contact(z, c, wall)
@@ -205,7 +192,7 @@ def slip(z: np.ndarray, c: Constants, wall: int) -> float:
     return uy * nx - ux * ny
 
 
-@numba.njit
+@compiled
 def contact_force(
     z: np.ndarray, c: Constants, wall: int, chi: float, sliding: float
 ) -> tuple[float, float]:
@@ -231,7 +218,7 @@ def contact_force(
     return normal, -share * normal
 
 
-@numba.njit
+@compiled
 def along_a_step(
     states: np.ndarray, c: Constants, wall: int, chi: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -246,7 +233,7 @@ def along_a_step(
     return gaps, rates, forces, slips
 
 
-@numba.njit
+@compiled
 def solve(M: np.ndarray, b: np.ndarray, n: int) -> None:
     """Gauss elimination of a positive definite system of n, in place; the result is in b."""
     for k in range(n):
@@ -261,23 +248,16 @@ def solve(M: np.ndarray, b: np.ndarray, n: int) -> None:
         b[k] /= M[k, k]
 
 
-@numba.njit
+@compiled
 def constraints(
-    z: np.ndarray,
-    c: Constants,
-    phi: np.ndarray,
-    rate: np.ndarray,
-    bias: np.ndarray,
-    J: np.ndarray,
+    z: np.ndarray, c: Constants, phi: np.ndarray, bias: np.ndarray, J: np.ndarray
 ) -> None:
-    """Eq. (6), theta_C = theta_P and eq. (7): values, rates, J' v and Jacobian J, in four rows."""
+    """Eq. (6), theta_C = theta_P and eq. (7): values, J' v and Jacobian J, in four rows."""
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
-    half = c.half_cylinder
+    half, spin = c.half_cylinder, z[17]
     dx, dy = z[6] - z[3], z[7] - z[4]
     ux, uy = z[18] - z[15], z[19] - z[16]
-    spin = z[17]
-    J[:] = 0.0
     phi[0] = z[0] + c.a * cS - z[3] - half * cC
     J[0, 0], J[0, 2], J[0, 3], J[0, 5] = 1.0, -c.a * sS, -1.0, half * sC
     bias[0] = -c.a * z[14] ** 2 * cS + half * spin**2 * cC
@@ -286,54 +266,35 @@ def constraints(
     bias[1] = -c.a * z[14] ** 2 * sS + half * spin**2 * sC
     phi[2] = z[5] - z[8]
     J[2, 5], J[2, 8] = 1.0, -1.0
-    bias[2] = 0.0
     phi[3] = cC * dy - sC * dx
     J[3, 3], J[3, 4], J[3, 6], J[3, 7] = sC, -cC, -sC, cC
     J[3, 5] = -(cC * dx + sC * dy)
     bias[3] = -2.0 * spin * (cC * ux + sC * uy) - spin**2 * phi[3]
-    for k in range(4):
-        rate[k] = 0.0
-        for j in range(12):
-            rate[k] += J[k, j] * z[12 + j]
 
 
-@numba.njit
+@compiled
 def no_slip(z: np.ndarray, c: Constants, wall: int, J: np.ndarray) -> float:
     """Jacobian (12,) of the slip on a wall; returns J' v, by a difference along the motion."""
     _, _, nx, ny, px, py = wall_contact(z, c, wall)
     J[6], J[7], J[8] = -ny, nx, nx * (px - z[6]) + ny * (py - z[7])
     J[9], J[10], J[11] = ny, -nx, -nx * (px - z[9]) - ny * (py - z[10])
     ahead, behind = z.copy(), z.copy()
-    for k in range(12):
-        ahead[k] += SMALL_TIME * z[12 + k]
-        behind[k] -= SMALL_TIME * z[12 + k]
+    ahead[:12] += SMALL_TIME * z[12:24]
+    behind[:12] -= SMALL_TIME * z[12:24]
     return (slip(ahead, c, wall) - slip(behind, c, wall)) / (2.0 * SMALL_TIME)
 
 
-@numba.njit
-def accelerations(
-    z: np.ndarray,
-    c: Constants,
-    touching: np.ndarray,
-    chi: np.ndarray,
-    sliding: np.ndarray,
-    resting: np.ndarray,
-    acc: np.ndarray,
-    held: np.ndarray,
-    friction: np.ndarray,
-) -> None:
-    """Accelerations (12,) of the four bodies.
-
-    ``held`` (2, 3) receives the wrench on either vehicle without its supports, ``friction`` (2,)
-    the force that holds a sticking tip, N.  A resting vehicle is one of infinite mass.
-    """
+@compiled
+def applied(
+    z: np.ndarray, c: Constants, touching: np.ndarray, chi: np.ndarray, sliding: np.ndarray
+) -> np.ndarray:
+    """Forces and moments (12,) of the buffer and of the walls."""
     Q = np.zeros(12)
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
     cP, sP = math.cos(z[8]), math.sin(z[8])
     # axial spring and damper: D of eq. (8), from the cylinder's rear to the probe's
-    L = 2.0 * c.half_cylinder
-    r = c.rear_behind
+    L, r = 2.0 * c.half_cylinder, c.rear_behind
     Dx = z[6] - r * cP - (z[0] + c.a * cS - L * cC)
     Dy = z[7] - r * sP - (z[1] + c.a * sS - L * sC)
     rate_x = z[18] + r * sP * z[20] - (z[12] - c.a * sS * z[14] + L * sC * z[17])
@@ -341,16 +302,12 @@ def accelerations(
     length = math.hypot(Dx, Dy)
     ex, ey = Dx / length, Dy / length
     pull = c.k_A * (length - c.l_0) + c.c_A * (ex * rate_x + ey * rate_y)
-    Q[0] += pull * ex
-    Q[1] += pull * ey
-    Q[2] += pull * c.a * (cS * ey - sS * ex)
-    Q[5] -= pull * L * (cC * ey - sC * ex)
-    Q[6] -= pull * ex
-    Q[7] -= pull * ey
-    Q[8] += pull * r * (cP * ey - sP * ex)
     torque = c.k_T * (z[5] - z[2]) + c.c_T * (z[17] - z[14])
-    Q[5] -= torque
-    Q[2] += torque
+    Q[0], Q[1] = pull * ex, pull * ey
+    Q[2] = pull * c.a * (cS * ey - sS * ex) + torque
+    Q[5] = -pull * L * (cC * ey - sC * ex) - torque
+    Q[6], Q[7] = -pull * ex, -pull * ey
+    Q[8] = pull * r * (cP * ey - sP * ex)
     for wall in range(2):
         if touching[wall]:
             _, _, nx, ny, px, py = wall_contact(z, c, wall)
@@ -362,41 +319,60 @@ def accelerations(
             Q[9] -= fx
             Q[10] -= fy
             Q[11] -= (px - z[9]) * fy - (py - z[10]) * fx
+    return Q
+
+
+@compiled
+def accelerations(
+    z: np.ndarray,
+    c: Constants,
+    touching: np.ndarray,
+    chi: np.ndarray,
+    sliding: np.ndarray,
+    resting: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Accelerations (12,) of the four bodies, and what holds them.
+
+    That is the wrench on either vehicle without its supports, (2, 3), and the force that holds a
+    sticking tip on either wall, (2,), N.  A resting vehicle is one of infinite mass.
+    """
+    Q, W = applied(z, c, touching, chi, sliding), c.inverse_mass.copy()
+    held = np.zeros((2, 3))
+    held[0], held[1] = Q[:3], Q[9:]
     for which in range(2):
         k = 9 * which
-        for i in range(3):
-            held[which, i] = Q[k + i]
-        if not resting[which]:
-            ct, st = math.cos(z[k + 2]), math.sin(z[k + 2])
-            for i in range(3):
-                x, y, limit = c.balls[which, i]
-                rx, ry = ct * x - st * y, st * x + ct * y
-                ux, uy = z[12 + k] - z[14 + k] * ry, z[13 + k] + z[14 + k] * rx
-                g = limit / math.sqrt(ux * ux + uy * uy + c.v_eps_ball**2)
-                Q[k] -= g * ux
-                Q[k + 1] -= g * uy
-                Q[k + 2] -= g * (rx * uy - ry * ux)
-    W = c.inverse_mass.copy()
-    for which in range(2):
         if resting[which]:
-            W[9 * which : 9 * which + 3] = 0.0
-    phi, rate, b = np.zeros(6), np.zeros(6), np.zeros(6)
-    J, M = np.zeros((6, 12)), np.zeros((6, 6))
-    constraints(z, c, phi, rate, b, J)
-    n = 4
+            W[k : k + 3] = 0.0
+            continue
+        ct, st = math.cos(z[k + 2]), math.sin(z[k + 2])
+        for i in range(3):
+            x, y, limit = c.balls[which, i]
+            rx, ry = ct * x - st * y, st * x + ct * y
+            ux, uy = z[12 + k] - z[14 + k] * ry, z[13 + k] + z[14 + k] * rx
+            g = limit / math.sqrt(ux * ux + uy * uy + c.v_eps_ball**2)
+            Q[k] -= g * ux
+            Q[k + 1] -= g * uy
+            Q[k + 2] -= g * (rx * uy - ry * ux)
+    phi, b, J, M = np.zeros(6), np.zeros(6), np.zeros((6, 12)), np.zeros((6, 6))
+    constraints(z, c, phi, b, J)
+    n, sticking = 4, [0, 0]
     for wall in range(2):
         if touching[wall] and c.friction == 4 and sliding[wall] == 0.0:
             b[n] = no_slip(z, c, wall, J[n])
-            rate[n] = slip(z, c, wall)
+            sticking[wall] = n
             n += 1
     for k in range(n):
-        b[k] += 2.0 * BAUMGARTE * rate[k] + BAUMGARTE**2 * phi[k]
+        rate = 0.0
+        for j in range(12):
+            rate += J[k, j] * z[12 + j]
+        b[k] += 2.0 * BAUMGARTE * rate + BAUMGARTE**2 * phi[k]
         for j in range(12):
             b[k] += J[k, j] * W[j] * Q[j]
         for i in range(n):
             for j in range(12):
                 M[k, i] += J[k, j] * W[j] * J[i, j]
     solve(M, b, n)  # b becomes the multipliers
+    acc, friction = np.zeros(12), np.zeros(2)
     for j in range(12):
         force = 0.0
         for k in range(n):
@@ -406,15 +382,13 @@ def accelerations(
             held[0, j] -= force
         elif j >= 9:
             held[1, j - 9] -= force
-    n = 4
     for wall in range(2):
-        friction[wall] = 0.0
-        if touching[wall] and c.friction == 4 and sliding[wall] == 0.0:
-            friction[wall] = -b[n]
-            n += 1
+        if sticking[wall]:
+            friction[wall] = -b[sticking[wall]]
+    return acc, held, friction
 
 
-@numba.njit
+@compiled
 def motion(
     z: np.ndarray,
     c: Constants,
@@ -426,8 +400,7 @@ def motion(
     """Rate of change of the state: 12 coordinates, 12 velocities, normal impulse of each wall."""
     rate = np.zeros(26)
     rate[:12] = z[12:24]
-    held, friction = np.zeros((2, 3)), np.zeros(2)
-    accelerations(z, c, touching, chi, sliding, resting, rate[12:24], held, friction)
+    rate[12:24] = accelerations(z, c, touching, chi, sliding, resting)[0]
     for wall in range(2):
         if touching[wall]:
             rate[24 + wall] = contact_force(z, c, wall, chi[wall], sliding[wall])[0]
@@ -482,23 +455,6 @@ class MaximalRun:
     v: list[np.ndarray] = field(default_factory=list)
     impulse: list[np.ndarray] = field(default_factory=list)
     drift: float = 0.0  # largest constraint violation after any step, m or rad
-
-
-def spread(c: Constants, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """State (26,) of the four bodies from minimal coordinates q (8,) and v (8,)."""
-    z = np.zeros(26)
-    for body, base in enumerate((0, 5)):
-        z[9 * body : 9 * body + 3] = q[base : base + 3]
-        z[12 + 9 * body : 15 + 9 * body] = v[base : base + 3]
-    e, f = np.array([math.cos(q[3]), math.sin(q[3])]), np.array([-math.sin(q[3]), math.cos(q[3])])
-    hinge = q[:2] + c.a * np.array([math.cos(q[2]), math.sin(q[2])])
-    hinge_rate = v[:2] + c.a * v[2] * np.array([-math.sin(q[2]), math.cos(q[2])])
-    for k, reach, rate in ((3, -c.half_cylinder, 0.0), (6, q[4] - c.tip_ahead, v[4])):
-        z[k : k + 2] = hinge + reach * e
-        z[k + 2] = q[3]
-        z[12 + k : 14 + k] = hinge_rate + rate * e + reach * v[3] * f
-        z[14 + k] = v[3]
-    return z
 
 
 def gather(c: Constants, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -556,7 +512,8 @@ class MaximalBench:
     ) -> None:
         self.c = constants(scene)
         self.rtol, self.atol = rtol, atol
-        self.t, self.z = t, spread(self.c, np.asarray(q), np.asarray(v))
+        self.t = t
+        self.z = np.concatenate([*spread(scene, np.asarray(q), np.asarray(v)), np.zeros(2)])
         self.touching = np.zeros(2, dtype=bool)
         self.chi = np.zeros(2)
         self.sliding = np.ones(2)  # Coulomb's law: sign of the slip, 0 where the tip sticks
@@ -571,10 +528,8 @@ class MaximalBench:
 
     def _reactions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Wrenches that hold the vehicles (2, 3) and friction that holds the tip (2,)."""
-        held, friction = np.zeros((2, 3)), np.zeros(2)
         state = (self.touching, self.chi, self.sliding, self.resting)
-        accelerations(z, self.c, *state, np.zeros(12), held, friction)
-        return held, friction
+        return accelerations(z, self.c, *state)[1:]
 
     def _load(self, z: np.ndarray) -> float:
         """Share of the supports' limit that the resting target uses."""
@@ -628,19 +583,15 @@ class MaximalBench:
         if was == 0.0 or abs(needed) >= self.c.mu_s * normal:
             self.sliding[wall] = 1.0 if needed < 0.0 else -1.0
 
-    def _gap(self, z: np.ndarray, wall: int, sign: float) -> tuple[float, float]:
-        gap, rate = wall_contact(z, self.c, wall)[:2]
-        return sign * gap, sign * rate
-
     def _crossing(self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int) -> float | None:
         """First time in a step when the gap (or, touching, the depth) goes below zero."""
         sign = -1.0 if self.touching[wall] else 1.0
 
         def value(t: float) -> float:
-            return self._gap(dense(t), wall, sign)[0]
+            return sign * wall_contact(dense(t), self.c, wall)[0]
 
         def slope(t: float) -> float:
-            return self._gap(dense(t), wall, sign)[1]
+            return sign * wall_contact(dense(t), self.c, wall)[1]
 
         gaps, rates, _, _ = along_a_step(self.ends, self.c, wall, 0.0)
         if (sign * gaps).min() > 2.0 * (t_b - t_a) * np.abs(rates).sum():
@@ -689,7 +640,7 @@ class MaximalBench:
                 touch.peak, touch.peak_time = float(-top.fun), float(top.x)
 
     def _begin(self, wall: int) -> None:
-        speed = max(-self._gap(self.z, wall, 1.0)[1], 0.0)
+        speed = max(-wall_contact(self.z, self.c, wall)[1], 0.0)
         self.touching[wall] = True
         self.sliding[wall] = 1.0 if slip(self.z, self.c, wall) >= 0.0 else -1.0
         self.chi[wall] = self.c.damping * self.c.K / max(speed, self.c.v_0_floor)
@@ -703,11 +654,6 @@ class MaximalBench:
         touch.end = self.t
         self.open[wall] = None
         self.touching[wall] = False
-
-    def _watch_drift(self) -> None:
-        phi, rate, bias, J = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros((4, 12))
-        constraints(self.z, self.c, phi, rate, bias, J)
-        self.run.drift = max(self.run.drift, float(np.abs(phi).max()))
 
     def _step(self, solver: DOP853) -> bool:
         """Take one step up to the first event in it; tells whether there was one."""
@@ -738,7 +684,9 @@ class MaximalBench:
         self._watch_peak(dense, t_a, first)
         self.z = dense(first) if happening is not None else solver.y.copy()
         self.t = first
-        self._watch_drift()
+        phi = np.zeros(4)
+        constraints(self.z, self.c, phi, np.zeros(4), np.zeros((4, 12)))
+        self.run.drift = max(self.run.drift, float(np.abs(phi).max()))
         if happening is None:
             return False
         if happening == 2:

@@ -11,6 +11,7 @@ from capture_sim.bench import Bench
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import changed
 from capture_sim.studies.measurements import Measurements, Series, measured_in
 from capture_sim.studies.touches import Touches, located
 
@@ -83,23 +84,11 @@ def with_parameters(
     scene: Scene, plan: LaunchPlan, c_rr: float, e: float, mu: float, c_A: float
 ) -> Scene:
     """Return a scene with these parameters and the launch as planned."""
-    replace = dataclasses.replace
-    assert scene.supports is not None
-    assert scene.string is not None
-    return replace(
-        scene,
-        supports=replace(
-            scene.supports,
-            chaser=replace(scene.supports.chaser, c_rr=c_rr),
-            target=replace(scene.supports.target, c_rr=c_rr),
-        ),
-        contact=replace(scene.contact, restitution=e),
-        friction=replace(scene.friction, mu=mu),
-        buffer=replace(scene.buffer, c_A=c_A),
-        string=replace(
-            scene.string,
-            impact_speed=None,
-            hanging_mass=plan.hanging_mass,
-            drop_height=plan.drop_height,
-        ),
-    )
+    for path, value in (
+        *(("supports.chaser.c_rr", c_rr), ("supports.target.c_rr", c_rr)),
+        *(("contact.restitution", e), ("friction.mu", mu), ("buffer.c_A", c_A)),
+    ):
+        scene = changed(scene, path, value)
+    launch = {"hanging_mass": plan.hanging_mass, "drop_height": plan.drop_height}
+    string = dataclasses.replace(scene.string, impact_speed=None, **launch)
+    return dataclasses.replace(scene, string=string)

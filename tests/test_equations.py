@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
+from four_bodies import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
 from capture_sim import load_scene, simulate
 from capture_sim.engine import loop

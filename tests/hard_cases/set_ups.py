@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import changed
 from capture_sim.simulation import Result
 
 ADAPTIVE = ("dop853", "dopri5")
@@ -23,19 +23,8 @@ def _loaded(name: str) -> Scene:
 
 
 def altered(scene: Scene, changes: dict[str, Any]) -> Scene:
-    """The scene with values changed by their dotted names; like load_scene, without YAML."""
-    parts: dict[str, Any] = {}
-
-    def put(whole: Any, names: list[str], value: Any) -> Any:
-        if len(names) > 1:
-            value = put(getattr(whole, names[0]), names[1:], value)
-        return dataclasses.replace(whole, **{names[0]: value})
-
-    for key, value in changes.items():
-        name, _, rest = key.partition(".")
-        part = parts.get(name, getattr(scene, name))
-        parts[name] = put(part, rest.split("."), value) if rest else value
-    return dataclasses.replace(scene, **parts)
+    """The scene with values changed by their dotted names, one by one; like load_scene's."""
+    return functools.reduce(lambda scene, item: changed(scene, *item), changes.items(), scene)
 
 
 def turned(angle: float, x: float, y: float) -> np.ndarray:

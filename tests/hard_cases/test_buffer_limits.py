@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from independent_model import momentum
+from four_bodies import momentum
 from row_model import Row
 from set_ups import METHODS, altered, anvil, in_a_row, residual, run
 

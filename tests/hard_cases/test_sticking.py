@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from independent_model import body_masses
+from four_bodies import body_masses, probe_masses
 from random_scenes import random_scenes
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -205,10 +205,9 @@ def stick_slip_of_one_freedom(scene, begin, theta, t_end):
     One freedom, the probe's angle about the hinge, which moves towards and along the wall;
     the normal force is that of spring and damper.
     """
-    m, inertia = body_masses(scene)
+    m_P, behind, I_P = probe_masses(scene)
+    m_C, I_C = body_masses(scene)[4:6]
     p, b, f = scene.probe, scene.buffer, scene.friction
-    rod = p.density * math.pi * p.radius**2 * p.length
-    behind = rod * (p.tip_radius + p.length / 2) / m[2]
     speed, drag = scene.initial.chaser.vx, scene.initial.chaser.vy
     touch = 1e-4 / speed
 
@@ -220,10 +219,10 @@ def stick_slip_of_one_freedom(scene, begin, theta, t_end):
 
     def about_hinge(h):
         lever = scene.cylinder.length / 2
-        return inertia[1] + m[1] * lever**2 + inertia[2] + m[2] * (h - behind) ** 2
+        return I_C + m_C * lever**2 + I_P + m_P * (h - behind) ** 2
 
     def coriolis(h, spin):
-        return 2 * m[2] * (h - behind) * speed * spin
+        return 2 * m_P * (h - behind) * speed * spin
 
     def standing(t, theta):
         """Rate of the angle that keeps the contact point where it is."""

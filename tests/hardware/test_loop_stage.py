@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from independent_model import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
+from four_bodies import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 from plate import first_touch, plate_mass
 
 from capture_sim import SceneError, load_scene, simulate
