@@ -6,9 +6,7 @@ import dataclasses
 import math
 import statistics
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,15 +16,33 @@ from benchmarks.pages import Spread
 from benchmarks.trial import Progress, timed
 from capture_sim.bench import Bench
 from capture_sim.kernels import entry_kernel
+from capture_sim.launch.scenes import load_scene
 from capture_sim.model.equations import N_TOTAL, make_system, rate_of_change
 from capture_sim.samples import EventKind
-from capture_sim.scene.parts import BallSupport, Latch, Scene, Stops, Supports
+from capture_sim.scene.parts import Scene
 
+_SUPPORT = "{balls: [[0.12, 0.0], [-0.06, 0.104], [-0.06, -0.104]], c_rr: 1.0e-3}"
+#: The paper's scene with and without its parts, by what changes it.
+PARTS = {
+    "vehicles, buffer's springs, contact": ["buffer.c_A=0", "friction.law=none"],
+    "+ axial damper": ["friction.law=none"],
+    "+ torsional damper as well": ["buffer.c_T=0.2", "friction.law=none"],
+    "+ axial damper and friction (tanh): the paper's scene": ["friction.law=tanh"],
+    **{
+        f"the paper's scene, friction {law}": [f"friction.law={law}"]
+        for law in ("clamp", "brown_mcphee", "coulomb")
+    },
+    "+ stroke stops, never met": [
+        "stops={compression: 0.1, extension: 0.1, stiffness: 1.0e+5, damping: 0}"
+    ],
+    "+ latch, never closed": ["latch={radius: 1.0e-5, stiffness: 2.0e+4, damping: 80}"],
+    "+ ball supports": [f"supports={{chaser: {_SUPPORT}, target: {_SUPPORT}}}"],
+}
 _LOOP = 20_000  # evaluations in one measurement of an evaluation
 
 
 @entry_kernel
-def evaluate_often(systems, y, f, n):  # type: ignore[no-untyped-def]
+def evaluate_often(systems, y, f, n):
     """Evaluate the equations of motion ``n`` times, each waiting for the one before."""
     for _ in range(n):
         rate_of_change(0.0, y, f, systems[0])
@@ -83,43 +99,17 @@ def run_cost(scene: Scene, t_end: float, repeats: int) -> RunCost:
     return RunCost(t_end, bench.touches.size, bench.statistics.evaluations, Spread.of(seconds))
 
 
-def parts(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield the paper's scene with and without its parts, each with its name."""
-
-    def change(old: Scene, **values: Any) -> Scene:
-        new = {
-            name: dataclasses.replace(getattr(old, name), **value)
-            if isinstance(value, dict)
-            else value
-            for name, value in values.items()
-        }
-        return dataclasses.replace(old, **new)
-
-    bare = change(scene, buffer={"c_A": 0.0, "c_T": 0.0}, friction={"law": "none"})
-    yield "vehicles, buffer's springs, contact", bare
-    damped = change(bare, buffer={"c_A": scene.buffer.c_A})
-    yield "+ axial damper", damped
-    yield "+ torsional damper as well", change(damped, buffer={"c_T": 0.2})
-    rubbing = change(damped, friction={"law": "tanh"})
-    yield "+ axial damper and friction (tanh): the paper's scene", rubbing
-    for law in ("clamp", "brown_mcphee", "coulomb"):
-        yield f"the paper's scene, friction {law}", change(rubbing, friction={"law": law})
-    yield "+ stroke stops, never met", change(rubbing, stops=Stops(0.1, 0.1, 1e5, 0.0))
-    yield "+ latch, never closed", change(rubbing, latch=Latch(1e-5, 2e4, 80.0))
-    support = BallSupport(((0.12, 0.0), (-0.06, 0.104), (-0.06, -0.104)), 1e-3)
-    yield "+ ball supports", change(rubbing, supports=Supports(support, support))
-
-
 def part_costs(
-    scene: Scene, t_end: float, quick: bool, repeats: int, progress: Progress
+    name: str, t_end: float, quick: bool, repeats: int, progress: Progress
 ) -> list[RunCost]:
-    """Measure the paper's scene with and without its parts; quick: some of them."""
-    rows, cases = [], list(parts(scene))[: 2 if quick else None]
-    for number, (name, case) in enumerate(cases):
-        progress.at("cost of parts", number, len(cases), name)
+    """Measure a scene with and without its parts; quick: some of them."""
+    rows, cases = [], list(PARTS.items())[: 2 if quick else None]
+    for number, (what, changes) in enumerate(cases):
+        progress.at("cost of parts", number, len(cases), what)
+        case = load_scene(name, changes)
         free, contact = (evaluation(case, on, repeats) for on in (False, True))
         cost = run_cost(case, t_end, repeats)
-        rows.append(dataclasses.replace(cost, name=name, free=free, contact=contact))
+        rows.append(dataclasses.replace(cost, name=what, free=free, contact=contact))
     return rows
 
 

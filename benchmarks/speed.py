@@ -44,7 +44,7 @@ def measure(quick: bool, progress: Progress) -> Results:
         found = other_engines.measure(scene, plans[0], quick, progress)
         agreement = [] if quick else other_engines.exudyn_agreement(scene, progress)
     repeats, horizon = 5 if quick else 25, plans[0].t_end
-    parts = costs.part_costs(scene, horizon, quick, repeats, progress)
+    parts = costs.part_costs(SCENE, horizon, quick, repeats, progress)
     progress.at("cost of simulated time, and of batches", 0, 1)
     return Results(
         scene=SCENE,
