@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
+from four_bodies import momentum
 
 from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.scene.parts import Scene
@@ -162,3 +163,10 @@ def first(result: Result, label: str) -> Any:
 def residual(result: Result) -> float:
     """Largest residual of the energy ledger, J."""
     return float(np.abs(result.samples["energy_residual"]).max(initial=0.0))
+
+
+def assert_conserved(result: Result, allowed: float) -> None:
+    """Momentum of all four bodies to ``allowed``, energy to 1e-9 of that at the start."""
+    before, after = (momentum(result.scene, result.q[k], result.v[k]) for k in (0, -1))
+    assert np.abs(after - before).max() <= allowed
+    assert residual(result) < 1e-9 * result.samples["kinetic"][0]
