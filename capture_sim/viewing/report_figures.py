@@ -125,7 +125,8 @@ def velocities(shown: Sequence[Shown]) -> Drawn:
     figure = make_subplots(3, 2, shared_xaxes=True, vertical_spacing=0.07, subplot_titles=heads)
     _add_over_time(figure, VELOCITIES, shown)
     for row, (quantity, _) in enumerate(VELOCITIES, 1):
-        figure.update_yaxes(title=f"{quantity.label}<br>[{quantity.unit}]", row=row, col=1)
+        label = {"text": f"{quantity.label}<br>[{quantity.unit}]", "standoff": 4}
+        figure.update_yaxes(title=label, automargin=True, row=row, col=1)
     figure.update_yaxes(title="", col=2)
     return drawn(figure, "velocities", "Velocities of both vehicles", "wide")
 

@@ -127,11 +127,12 @@ def every_touch(run: ViewableRun) -> np.ndarray:
     Those last to the last sample; their peak, which was not located, is that of the samples.
     """
     touches, samples = run.touches, run.samples
+    began = [e for e in run.events if e.kind is EventKind.TOUCH and e.t <= samples["t"][-1]]
     broken_off = []
     for column, side in enumerate((1, -1)):
-        if not len(samples) or not samples["walls"][-1] & (1 << column):
+        if not samples["walls"][-1] & (1 << column):
             continue
-        begun = [e.t for e in run.events if e.kind is EventKind.TOUCH and e.wall == side]
+        begun = [event.t for event in began if event.wall == side]
         if begun and not np.any(touches["end"][touches["wall"] == side] >= begun[-1]):
             within = samples[samples["t"] >= begun[-1]]
             force = np.nan_to_num(within["normal_force"][:, column])
@@ -148,7 +149,7 @@ def strongest(run: ViewableRun) -> tuple[float, float]:
     touches = every_touch(run)
     if not touches.size:
         return math.nan, 0.0
-    touch = touches[np.nan_to_num(touches["peak_force"]).argmax()]
+    touch = touches[touches["peak_force"].argmax()]
     return float(touch["peak_time"]), float(touch["peak_force"])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 
@@ -281,6 +282,11 @@ def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted, drawn):
     count = (runs[0].touches["start"] < last).sum()
     assert f"+y wall: {count} touches" in [line.get_label() for line in force.get_lines()]
     assert all(len(every_touch(run)) == len(run.touches) for run in runs)
+    # a window that ends in an earlier touch, which is known whole
+    earlier = interrupted.samples["t"] < begun
+    k = np.flatnonzero(interrupted.samples["walls"][earlier])[-1]
+    cut = dataclasses.replace(interrupted, samples=interrupted.samples[: k + 1])
+    assert len(every_touch(cut)) == len(cut.touches)
 
 
 def test_zone_as_large_as_allowed_is_drawn_without_a_warning(tmp_path):

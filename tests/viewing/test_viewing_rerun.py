@@ -20,7 +20,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import tip_in_cone
-from capture_sim.viewing.source import in_contact, resolved
+from capture_sim.viewing.source import first_touch, in_contact, resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -46,10 +46,6 @@ def rrd(runs, tmp_path_factory):
 def found(rrd):
     """What is in it, by entity."""
     return chunks(rrd)
-
-
-def first_touch_of(run):
-    return next(event.t for event in run.events if event.kind is EventKind.TOUCH)
 
 
 def test_rrd_holds_the_numbers_of_every_run(rrd, found, runs):
@@ -107,7 +103,7 @@ def test_aligned_time_begins_a_tenth_before_the_first_touch(found, runs):
             assert aligned[0] == -100_000_000, path
             whole, others = column(found, path, ending)
             # the same rows, late by the first touch, without a gap
-            late = round(first_touch_of(run) * 1e9)
+            late = round(first_touch(run).t * 1e9)
             start = np.searchsorted(whole, aligned[1] + late - 2)
             assert np.abs(whole[start : start + len(aligned) - 1] - late - aligned[1:]).max() <= 2
             assert np.array_equal(others[start - 1 : start - 1 + len(values)], values)
@@ -170,7 +166,7 @@ def test_window_is_drawn_finely_and_opens_at_its_first_sample(runs, tmp_path):
             batch = chunk.to_record_batch()
             if "since_first_touch" in batch.schema.names:
                 times += batch.column("since_first_touch").to_numpy().astype("i8").tolist()
-    late = first_touch_of(runs[1])
+    late = first_touch(runs[1]).t
     assert min(times) * 1e-9 == pytest.approx(window[0] - late, abs=2e-6)
     assert max(times) * 1e-9 == pytest.approx(window[1] - late, abs=2e-6)
 
@@ -252,7 +248,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         opening.append(rows.mean() / bench.shape[0])
         assert 0.4 < columns.mean() / bench.shape[1] < 0.8
         cone = picture(viewer, by_title[f"{name}: in the cone, mm"])
-        touches = in_contact(run)[round((first_touch_of(run) + SHOWN) * 1000)]
+        touches = in_contact(run)[round((first_touch(run).t + SHOWN) * 1000)]
         shown = style.rgb(colour) if touches else style.light(style.rgb(colour))
         mask = hue_mask(cone, np.array(shown) / 255)
         assert mask.sum() > 0.01 * mask.size
@@ -260,7 +256,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         touching.append(bool(touches))
     assert 0 < sum(touching) < len(runs)
     # seen from above, +y is up: compare with where the tips really are
-    k = [round((first_touch_of(run) + SHOWN) * 1000) for run in runs]
+    k = [round((first_touch(run).t + SHOWN) * 1000) for run in runs]
     truth = [-float(run.samples["tip_lateral"][i]) for run, i in zip(runs, k, strict=True)]
     assert np.argsort(lateral).tolist() == np.argsort(truth).tolist()
     # the cones in 3D open to the left: +10 degrees further down (to -y), -10 further up
