@@ -353,7 +353,7 @@ def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: f
     window
         s that are shown.
     """
-    figure, all_axes = subplots(9.0, 11.5, 5, 1, font=10.0, sharex=True)
+    figure, all_axes = subplots(9.0, 11.5, 5, 1, font=11.5, sharex=True)
     force, impulse, stroke, torsion, relative = all_axes.flat
     first = -_BEFORE * window
     for run, name, colour, line, mark in zip(
