@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from bench_processes import Client, Simulation, wait_until
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from rosbags.rosbag2 import StoragePlugin, Writer
 from std_srvs.srv import Trigger
 
@@ -26,6 +27,7 @@ from capture_sim.messages.topics import (
     Topic,
     topic_named,
 )
+from capture_sim.nodes.player import qos_from
 from capture_sim.recording.live import LiveRecorder, Split
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, Rewritten
@@ -170,6 +172,27 @@ def bench_bag(path, tmp_path_factory):
         ):
             writer.write(poses, time_, data)
     return folder
+
+
+@pytest.mark.parametrize(
+    "recorded, best_effort, latched, keep_all",
+    [
+        # rosbag2 has written numbers, and names since
+        ({"reliability": 2, "durability": 1, "history": 2, "depth": 0}, True, True, True),
+        ({"reliability": "best_effort", "durability": "transient_local"}, True, True, False),
+        ({"reliability": "reliable", "history": "keep_all"}, False, False, True),
+        # what DDS does not tell who listens
+        ({"reliability": 1, "durability": 2, "history": 3, "depth": 5}, False, False, False),
+    ],
+)
+def test_a_topic_has_the_quality_of_service_that_was_recorded(
+    recorded, best_effort, latched, keep_all
+):
+    profile = qos_from(recorded)
+    assert (profile.reliability is ReliabilityPolicy.BEST_EFFORT) == best_effort
+    assert (profile.durability is DurabilityPolicy.TRANSIENT_LOCAL) == latched
+    assert (profile.history is HistoryPolicy.KEEP_ALL) == keep_all
+    assert profile.depth == (recorded.get("depth") or 10)
 
 
 def test_nothing_played_is_a_failure(bench_bag, start):
