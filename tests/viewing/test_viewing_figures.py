@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.image import imread
 
+import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import EventKind
-from capture_sim.viewing import figures, style
+from capture_sim.viewing import figures, report_figures, style
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.curves import Trace
+from capture_sim.viewing.curves import Trace, as_shown
 from capture_sim.viewing.figures import snapshot_times, snapshots
 from capture_sim.viewing.shapes import tip_in_world
 from capture_sim.viewing.source import resolved, resolved_or_not
@@ -115,6 +117,17 @@ def test_overlaid_runs_start_together_at_their_first_touch(runs):
     assert "first touch" in axes.get_xlabel()
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names[:3] == ["tilt_0", "tilt_p10", "tilt_m10"]
+
+
+def test_stops_are_drawn_in_pictures_and_report(runs):
+    stops = "stops={compression: 0.009, extension: 0.012, stiffness: 1.0e+5, damping: 50.0}"
+    run = dataclasses.replace(runs[0], scene=capture_sim.load_scene("tilt_0", [stops]))
+    [axes] = figures.axial_performance(run).axes
+    dotted = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
+    assert [line.get_ydata()[0] for line in dotted] == pytest.approx([-9.0, 12.0])
+    page = json.loads(report_figures.over_time("axial_performance", as_shown(run)).data)
+    levels = sorted(shape["y0"] for shape in page["layout"]["shapes"])
+    assert levels == pytest.approx([-9.0, 12.0])
 
 
 def test_legend_leaves_the_curves_free(undamped, runs):
