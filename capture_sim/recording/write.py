@@ -47,7 +47,7 @@ class RunWriter:
     metadata
         Further entries for the metadata record.
     topics
-        Those that stand in the file even without a message; others are added when they come.
+        Those that may be written; they stand in the file even without a message.
     name
         That the file will have; of the path unless given.
 
@@ -73,7 +73,6 @@ class RunWriter:
     ) -> None:
         self.path = path
         self._run = run
-        self._channels: dict[Topic, int] = {}
         #: Entries for the metadata record at the end.
         self.closing: dict[str, str] = {}
         self._file: IO[bytes] | None = None
@@ -88,8 +87,7 @@ class RunWriter:
                 (DEFINITIONS_ATTACHMENT, "application/mcap", _definitions(topics)),
             ):
                 self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *attached)
-            for topic in topics:
-                self._channels[topic] = _add(topic, self.bag)
+            self._channels = {topic: _add(topic, self.bag) for topic in topics}
             self._file.flush()
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
@@ -98,7 +96,7 @@ class RunWriter:
         Parameters
         ----------
         topic, data
-            What is sent.
+            What is sent; the topic is one of the file's.
         time
             Log and publish time, ns; None for the latest so far.
         """
@@ -107,10 +105,7 @@ class RunWriter:
         if time is None:
             time = self.bag.span[1] if self.bag.span else EPOCH_NS
         try:
-            channel = self._channels.get(topic)
-            if channel is None:
-                channel = self._channels[topic] = _add(topic, self.bag)
-            self.bag.add(channel, time, data, time)
+            self.bag.add(self._channels[topic], time, data, time)
         except OSError:
             with self._checked():
                 raise
