@@ -26,7 +26,7 @@ def hitting(point, beside, heading, tilt, changes):
 
     ``point`` is "lip" or "edge" of the -y wall; ``tilt`` turns the target (rad).
     """
-    scene = load_scene("paper_designed")
+    scene = load_scene("paper_designed", ["cone.half_angle=0.9"])  # whose sine is not its cosine
     x, y = outer_lip(scene, -1.0)
     if point == "edge":
         x, y = -scene.cone.L_T, -scene.cone.R_c
