@@ -9,7 +9,7 @@ from itertools import zip_longest
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, not_negative, open_run, prepare_folder
-from capture_sim.commands.output import drawing, say, say_table
+from capture_sim.commands.output import drawing, echo, print_table
 from capture_sim.errors import RecordingError
 from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
 from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
@@ -49,17 +49,17 @@ def run(options: argparse.Namespace) -> int:
     ended = _check_window(a, b, options.window)
     labels = [f"A {options.a}", f"B {options.b}"]
     for label in labels:
-        say(label)
-    _say_characteristics(a, b)
+        echo(label)
+    _print_characteristics(a, b)
     for label, of in (("A", a), ("B", b)):
         if of.contact_may_be_late:
-            say(
+            echo(
                 f"{label} is aligned where {of.contact_source} first shows a force: touches "
                 "between its samples may have come before"
             )
-    _say_touches(a, b, options.window)
+    _print_touches(a, b, options.window)
     over = min(options.window, ended)
-    say(
+    echo(
         f"\nB - A over {over:.4g} s from the first contact on, poses from there"
         + (
             f" ({options.window:g} s were asked for; one ends there):"
@@ -71,13 +71,13 @@ def run(options: argparse.Namespace) -> int:
         _gap_row(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
         for gap in gaps(*measured, a.contact, b.contact, options.window)
     ]
-    say_table(["", "rms", "largest", "at s", "from"], rows)
+    print_table(["", "rms", "largest", "at s", "from"], rows)
     with drawing("no diagram: {error}"):
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_comparison
 
         path = options.out / f"{a.run.name}_compared.png"
-        say(f"diagram in {save(draw_comparison((a, b), labels, over), path)}")
+        echo(f"diagram in {save(draw_comparison((a, b), labels, over), path)}")
     return OK
 
 
@@ -129,7 +129,7 @@ def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
     return [f"{name} {unit}", rms, largest, f"{gap.at:.3f}", note]
 
 
-def _say_characteristics(a: Comparable, b: Comparable) -> None:
+def _print_characteristics(a: Comparable, b: Comparable) -> None:
     sampled = a.touches is None or b.touches is None
     mine, theirs = (characteristics(of, sampled=sampled) for of in (a, b))
     rows = []
@@ -145,20 +145,20 @@ def _say_characteristics(a: Comparable, b: Comparable) -> None:
                 share = f"{off / here.value:+z.2%}"
         source = _source(*("" if x is None else x.source for x in (here, there)))
         rows.append([name, *cells, gap, share, source])
-    say_table(["", "A", "B", "B - A", "%", "from"], rows)
+    print_table(["", "A", "B", "B - A", "%", "from"], rows)
 
 
-def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
+def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
     """Print the touches one by one, paired in their order."""
     tables = []
     for label, of in (("A", a), ("B", b)):
         if of.touches is None:
-            say(f"\n{label} has no single touches: {of.touch_source}")
+            echo(f"\n{label} has no single touches: {of.touch_source}")
         else:
             tables.append(of.touches.within(of.contact, window))
     if len(tables) < 2:
         return
-    say(
+    echo(
         f"\ntouches within {window:g} s, paired in their order, by "
         f"{_source(a.touch_source, b.touch_source)}; +- the wall:"
     )
@@ -178,14 +178,14 @@ def _say_touches(a: Comparable, b: Comparable, window: float) -> None:
             ]
         )
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
-    say_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
+    print_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
     if len(rows) > SHOWN:
-        say(f"    and {len(rows) - SHOWN} more in the diagram")
+        echo(f"    and {len(rows) - SHOWN} more in the diagram")
     for label, table in zip("AB", tables, strict=True):
         if table.start.size:
             impulse = float(table.impulse.sum())
             number = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
-            say(
+            echo(
                 f"  {label}: {number}, largest {table.peak.max():.2f} N"
                 + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
             )

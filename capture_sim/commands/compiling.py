@@ -9,7 +9,7 @@ from typing import Any
 from numba.core import event
 
 from capture_sim.bench import compile_kernels
-from capture_sim.commands.output import Progress, say
+from capture_sim.commands.output import Progress, echo
 from capture_sim.kernels import is_compiled
 
 
@@ -18,14 +18,14 @@ def compile_first() -> None:
     if is_compiled():
         compile_kernels()
         return
-    say("compiling the kernels, once for this version: about half a minute of one core")
+    echo("compiling the kernels, once for this version: about half a minute of one core")
     began = time.perf_counter()
     with (
         Progress("kernels") as progress,
         event.install_listener("numba:compile", _Compiling(progress)),
     ):
         compile_kernels()
-    say(f"compiled in {time.perf_counter() - began:.1f} s")
+    echo(f"compiled in {time.perf_counter() - began:.1f} s")
 
 
 class _Compiling(event.Listener):

@@ -19,7 +19,7 @@ from capture_sim.commands.inputs import (
     quantity,
     reader,
 )
-from capture_sim.commands.output import drawing, say, write_json, write_text
+from capture_sim.commands.output import drawing, echo, write_json, write_text
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import Spread
@@ -83,25 +83,25 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     compile_first()
     target = _target(options, scene)
-    say(
+    echo(
         f"wanted: {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
         f"{'with' if target.damped else 'without'} the damper"
     )
-    design = design_buffer(scene, target, _say_trial)
+    design = design_buffer(scene, target, _print_trial)
     _report(design)
     _keep(design, options.out)
     designs = []
     for factor in options.trade_off:
         stroke = factor * target.axial_stroke
         designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
-        say(_line(designs[-1]))
+        echo(_line(designs[-1]))
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design, draw_trade_off
 
-        say(f"picture in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"picture in {save(draw_design(design), options.out / 'design.png')}")
         if designs:
-            say(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
+            echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED
 
 
@@ -129,20 +129,20 @@ def _factors(text: str) -> list[float]:
     return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
 
 
-def _say_trial(trial: Trial) -> None:
+def _print_trial(trial: Trial) -> None:
     buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
     if trial.step == 5:
         strokes = f"{trial.axial_stroke * 1e3:.4f} mm  {trial.torsion * 1e3:.4f} mrad"
-        say(f"step 5  {buffer}  strokes {strokes} {trial.reason}")
+        echo(f"step 5  {buffer}  strokes {strokes} {trial.reason}")
     else:
         verdict = trial.verdict.label if trial.verdict is not None else ""
-        say(f"step 7  {buffer}  {verdict}: nearest {trial.nearest * 1e3:.2f} mm")
+        echo(f"step 7  {buffer}  {verdict}: nearest {trial.nearest * 1e3:.2f} mm")
 
 
 def _report(design: Design) -> None:
-    say("")
+    echo("")
     if not design.met:
-        say(f"no buffer meets the target: {design.refusal}")
+        echo(f"no buffer meets the target: {design.refusal}")
         return
     assert design.scene is not None
     assert design.undamped is not None
@@ -152,23 +152,23 @@ def _report(design: Design) -> None:
     assert design.capturing is not None
     b, energy = design.scene.buffer, design.energy
     low, high = design.capturing
-    say(f"k_A = {b.k_A:.5g} N/m, k_T = {b.k_T:.5g} N m/rad, c_A = {b.c_A:.4g} N s/m")
-    say(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m; {design.outcome.reason}")
+    echo(f"k_A = {b.k_A:.5g} N/m, k_T = {b.k_T:.5g} N m/rad, c_A = {b.c_A:.4g} N s/m")
+    echo(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m; {design.outcome.reason}")
     for name, contact in (("without", design.undamped), ("with", design.damped)):
-        say(
+        echo(
             f"  first contact {name} the damper: {contact.axial_stroke * 1e3:.4g} mm, "
             f"{contact.torsion * 1e3:.4g} mrad, {contact.duration * 1e3:.1f} ms, "
             f"touch {contact.peak_force:.1f} N, buffer {contact.buffer_force:.1f} N"
         )
-    say(
+    echo(
         f"  of {energy.approach * 1e3:.2f} mJ the damper absorbed {energy.damper * 1e3:.2f} "
         f"(area of load over stroke), the touches {energy.contact * 1e3:.2f} (force over "
         "penetration)"
     )
     if design.margin is not None:
-        say(f"  every capture is kept up to {design.margin:g} times the spread")
+        echo(f"  every capture is kept up to {design.margin:g} times the spread")
     steps = [trial.step for trial in design.history]
-    say(f"  {steps.count(5)} runs for the springs, {steps.count(7)} for the damper")
+    echo(f"  {steps.count(5)} runs for the springs, {steps.count(7)} for the damper")
 
 
 def _line(design: Design) -> str:
@@ -194,7 +194,7 @@ def _keep(design: Design, folder: Path) -> None:
     kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
     kept["target"] = dataclasses.asdict(design.target)
     kept["history"] = [plain(trial) for trial in design.history]
-    say(f"every run in {write_json(folder / 'design.json', kept)}")
+    echo(f"every run in {write_json(folder / 'design.json', kept)}")
     if design.met and design.scene is not None:
         scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")
-        say(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")
+        echo(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")

@@ -8,7 +8,7 @@ from dataclasses import fields
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, open_run, scene_of
-from capture_sim.commands.output import say
+from capture_sim.commands.output import echo
 from capture_sim.errors import SceneError
 from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.scene.parts import Detector
@@ -51,19 +51,19 @@ def run(options: argparse.Namespace) -> int:
         name, unit = limit.name, limit.metadata["unit"]
         value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))
         if value != of_scene:
-            say(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
+            echo(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
     state = None
     for status in statuses:
         if status.state is not state:
             since = status.t - status.time_in_state
             late = f", reported at {status.t:.3f} s" if status.time_in_state > _TICK else ""
-            say(f"{since:10.3f} s  {status.state.label:9} {status.reason}{late}")
+            echo(f"{since:10.3f} s  {status.state.label:9} {status.reason}{late}")
             state = status.state
     verdict = statuses[-1]
     since = verdict.t - verdict.time_in_state
     word = "verdict" if verdict.final else "no verdict, the run was ended in state"
-    say(
+    echo(
         f"{word}: {verdict.state.label} since {since:.3f} s; nearest "
         f"{verdict.nearest_distance * 1e3:.3f} mm, {len(statuses) - 1} measurements"
     )
@@ -72,19 +72,19 @@ def run(options: argparse.Namespace) -> int:
     before = recorded.statuses[-1]
     since_before = before.t - before.time_in_state
     same = before.state is verdict.state and since_before == since
-    say(
+    echo(
         f"recorded: {before.state.label} since {since_before:.3f} s ({before.reason})"
         + ("; the same" if same else "; DIFFERENT")
     )
     if same or changed or options.scene is not None:
         return OK
     if recorded.criteria is None:
-        say(
+        echo(
             "the recording does not hold the detector's limits: judged by the scene's, and others "
             "that were set on its node would explain the difference"
         )
     else:
-        say("the limits are the same: not all that the detector received is here, or it changed")
+        echo("the limits are the same: not all that the detector received is here, or it changed")
     return FAILED
 
 

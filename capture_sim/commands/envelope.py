@@ -18,7 +18,7 @@ from capture_sim.commands.inputs import (
     reader,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, say
+from capture_sim.commands.output import Progress, drawing, echo
 from capture_sim.errors import SceneError
 from capture_sim.recording.envelope_file import check_parquet, write_envelope
 from capture_sim.scene.parts import Scene
@@ -96,8 +96,8 @@ def run(options: argparse.Namespace) -> int:
         runs = KeptRuns(plan, executor, options.out.with_suffix(".runs"), progress.at)
         envelope = explore(plan, runs)
     if runs.resumed:
-        say(f"{runs.resumed} runs were there already")
-    say(f"table in {write_envelope(envelope, options.out)}")
+        echo(f"{runs.resumed} runs were there already")
+    echo(f"table in {write_envelope(envelope, options.out)}")
     runs.remove()
     report(envelope)
     with drawing():
@@ -107,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
 
         results = [simulate(scene) for scene in marks]
         path = options.out.with_suffix(".png")
-        say(f"picture in {save(draw_envelope(envelope, results), path)}")
+        echo(f"picture in {save(draw_envelope(envelope, results), path)}")
     return OK
 
 
@@ -158,13 +158,13 @@ def report(envelope: Envelope) -> None:
     """Print what share of each slice is captured, and how sure that is."""
     plan, rows = envelope.plan, envelope.rows
     name, unit, _ = AXES[plan.sliced]
-    say(f"{len(rows)} points, {int(rows['checked'].sum())} of them twice")
+    echo(f"{len(rows)} points, {int(rows['checked'].sum())} of them twice")
     for number, value in enumerate(plan.slices):
         share = envelope.shares[number]
-        say(
+        echo(
             f"{name} {value:.4g} {unit}: captured {share['surely']:.1%} to {share['perhaps']:.1%} "
             f"of the plane, {share['ill_conditioned']:.2%} ill-conditioned"
         )
     failed = int(rows["failed"].sum())
     if failed:
-        say(f"{failed} runs had to stop: their verdict is that of the run until then")
+        echo(f"{failed} runs had to stop: their verdict is that of the run until then")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import open_run, prepare_folder
-from capture_sim.commands.output import say, warn
+from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError
 from capture_sim.recording.export import KINDS, exported, save_tables
 
@@ -43,5 +43,5 @@ def run(options: argparse.Namespace) -> int:
     folder = options.out or (beside.parent if options.to == "npz" else beside.with_suffix(""))
     prepare_folder(folder)
     for path in save_tables(recorded, folder, options.to, options.topics, options.columns):
-        say(f"written: {path}")
+        echo(f"written: {path}")
     return OK

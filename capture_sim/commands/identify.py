@@ -16,7 +16,7 @@ from capture_sim.commands.inputs import (
     scene_of,
     whole,
 )
-from capture_sim.commands.output import say, say_table
+from capture_sim.commands.output import echo, print_table
 from capture_sim.recording.measured import launch_of, measurements, release_recorded, touches_of
 from capture_sim.scene.paths import ALIASES, current_name, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
@@ -106,30 +106,32 @@ def run(options: argparse.Namespace) -> int:
         share = f"{error / abs(value):.2%}" if value else "-"
         row = [name, f"{value:.6g}", f"{error:.2g}", share, f"{began:.6g}", ", ".join(notes)]
         rows.append(row)
-    say_table(["parameter", "value", "+-", "%", "began at", ""], rows)
+    print_table(["parameter", "value", "+-", "%", "began at", ""], rows)
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
             if abs(fit.correlation[i, j]) > 0.9:
-                say(f"{second} and {first} are hard to separate: {fit.correlation[i, j]:+.2f}")
-    say(
+                echo(f"{second} and {first} are hard to separate: {fit.correlation[i, j]:+.2f}")
+    echo(
         f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
         f"{fit.touches} touches, {fit.evaluations} simulations"
     )
     if fit.touches:
-        say(f"touches are those of {source}")
+        echo(f"touches are those of {source}")
     elif options.touches > 0:
-        say("no touches: neither events nor a force that is sampled fast enough")
+        echo("no touches: neither events nor a force that is sampled fast enough")
     changes = [
         f"--set {path}={value:.9g}"
         for name, value in zip(fit.names, fit.values, strict=True)
         if name != RELEASE
         for path in ALIASES.get(name, (name,))
     ]
-    say(" ".join(changes))
+    echo(" ".join(changes))
     for name in fit.undetermined:
-        say(f"{name}: what was measured does not depend on it; the value is where the search began")
+        echo(
+            f"{name}: what was measured does not depend on it; the value is where the search began"
+        )
     if not is_explained(fit):
-        say(
+        echo(
             "the model does not explain what was measured: the errors are widened by "
             f"{fit.chi2**0.5:.3g}, and may still be too small"
         )

@@ -35,7 +35,7 @@ RRD = "runs.rrd"
 _PAUSE = 10.0
 
 
-def say(text: str) -> None:
+def echo(text: str) -> None:
     """Print a line at once, also into a pipe."""
     print(text, flush=True)
 
@@ -45,7 +45,7 @@ def warn(text: str) -> None:
     print(f"capture-sim: {text}", file=sys.stderr, flush=True)
 
 
-def say_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
+def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
     """Print a table; the first ``left`` columns are aligned to the left.
 
     It is as wide as its contents where no terminal bounds it, and bold only on one.
@@ -128,7 +128,7 @@ def drawing(lacking: str = "no picture: {error}") -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        say(lacking.format(error=error))
+        echo(lacking.format(error=error))
 
 
 def report(summaries: list[dict[str, Any]], folder: Path) -> None:
@@ -141,9 +141,9 @@ def report(summaries: list[dict[str, Any]], folder: Path) -> None:
     if not summaries:
         return
     text = table(summaries)
-    say(f"\n{text}\n")
+    echo(f"\n{text}\n")
     kept = write_text(folder / "results.txt", text + "\n")
-    say(f"table in {kept}, numbers in {write_json(folder / 'results.json', summaries)}")
+    echo(f"table in {kept}, numbers in {write_json(folder / 'results.json', summaries)}")
 
 
 def draw(
@@ -179,7 +179,7 @@ def draw(
         from capture_sim.viewing.rerun_view import save_rrd
 
         path = folder / RRD if rrd is None else rrd
-        say(f"for rerun in {save_rrd(runs, path, labels)}")
+        echo(f"for rerun in {save_rrd(runs, path, labels)}")
 
 
 def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
@@ -189,9 +189,9 @@ def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: P
     for run, label in zip(runs, labels, strict=True):
         # that name is taken
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        say(f"picture in {save(draw_run(run, label), folder / name)}")
+        echo(f"picture in {save(draw_run(run, label), folder / name)}")
     if len(runs) > 1:
-        say(f"side by side in {save(draw_overview(runs, labels), folder / OVERVIEW)}")
+        echo(f"side by side in {save(draw_overview(runs, labels), folder / OVERVIEW)}")
     else:
         remove_earlier([folder / OVERVIEW])
 
@@ -201,4 +201,4 @@ def remove_earlier(paths: Iterable[Path]) -> None:
     for path in paths:
         if path.is_file():
             path.unlink()
-            say(f"removed {path}: it showed earlier runs")
+            echo(f"removed {path}: it showed earlier runs")

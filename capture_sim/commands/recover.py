@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from capture_sim.commands import FAILED, OK
-from capture_sim.commands.output import say, warn
+from capture_sim.commands.output import echo, warn
 from capture_sim.recording.recover import NothingWholeError, recover
 
 DESCRIPTION = (
@@ -32,13 +32,13 @@ def run(options: argparse.Namespace) -> int:
         warn(str(error))
         return FAILED
     count = sum(saved.messages.values())
-    say(f"saved {count} messages in {saved.chunks} chunks: {saved.path}")
+    echo(f"saved {count} messages in {saved.chunks} chunks: {saved.path}")
     for topic, number in saved.messages.items():
-        say(f"  {topic}: {number}")
+        echo(f"  {topic}: {number}")
     for line in saved.losses:
-        say(f"lost: {line}")
+        echo(f"lost: {line}")
     for line in saved.unconfirmed:
-        say(f"unconfirmed: {line}")
+        echo(f"unconfirmed: {line}")
     if not saved.losses and not saved.unconfirmed:
-        say("nothing was lost")
+        echo("nothing was lost")
     return OK

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
-from capture_sim.commands.output import say
+from capture_sim.commands.output import echo
 from capture_sim.viewing.report import save_report
 
 DESCRIPTION = (
@@ -33,5 +33,5 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     prepare_folder(options.out.parent)
     opened = open_runs(options.runs, options.scene, options.release)
-    say(f"report in {save_report(opened, options.out)}")
+    echo(f"report in {save_report(opened, options.out)}")
     return OK

@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_out, add_workers, prepare_folder
-from capture_sim.commands.output import say, write_text
+from capture_sim.commands.output import echo, write_text
 from capture_sim.errors import SceneError
 from capture_sim.studies.executors import open_executor
 from capture_sim.studies.paper import CASES, OPEN, Claim, Evidence, claims
@@ -46,17 +46,17 @@ def run(options: argparse.Namespace) -> int:
         evidence = Evidence(executor)
         for name in FIGURES if options.only is None else (options.only,):
             path = save(FIGURES[name].draw(evidence), folder / f"{name}.png")
-            say(f"{FIGURES[name].title}: {path}")
+            echo(f"{FIGURES[name].title}: {path}")
         if options.only is not None:
             return OK
         found = list(claims(evidence))
         titles = {name: figure.title for name, figure in FIGURES.items()}
         text = page(found, evidence, titles)
-    say("")
-    say(terminal_table(found))
-    say("")
+    echo("")
+    echo(terminal_table(found))
+    echo("")
     target = write_text(options.out / f"{NAME}.md", text)
-    say(f"page in {target}, figures in {folder}")
+    echo(f"page in {target}, figures in {folder}")
     return OK
 
 

@@ -7,7 +7,7 @@ import argparse
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import not_negative, open_run, scene_of
-from capture_sim.commands.output import say
+from capture_sim.commands.output import echo
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import software_versions
 from capture_sim.simulation import simulate
@@ -42,26 +42,26 @@ def run(options: argparse.Namespace) -> int:
     again = simulate(scene)
     traces = None if again.trace is None else (recorded.trace, again.trace)
     found = agreement(recorded.samples, again.samples, recorded.events, again.events, traces)
-    say(f"{found.compared} of {recorded.samples.size} samples compared")
+    echo(f"{found.compared} of {recorded.samples.size} samples compared")
     if found.foreign:
-        say(f"  {found.foreign} samples are none of this run's: another publisher, or another run")
+        echo(f"  {found.foreign} samples are none of this run's: another publisher, or another run")
     if found.missing:
-        say(f"  {found.missing} samples of the run were not recorded")
+        echo(f"  {found.missing} samples of the run were not recorded")
     if found.identical:
-        say("identical, bit for bit, events included")
+        echo("identical, bit for bit, events included")
     for difference in found.differences:
-        say(
+        echo(
             f"  {difference.name:20} differs by up to {difference.largest:.3g}, "
             f"first at {difference.first:.4f} s"
         )
     if not found.same_events:
-        say("  the events differ")
+        echo("  the events differ")
     if not found.same_trace:
-        say("  the traces of the contact differ")
+        echo("  the traces of the contact differ")
     before = recorded.metadata.get("software", "").split("\n")
     for line in sorted(set(before) ^ set(software_versions())):
         if line:
-            say(f"  {'then' if line in before else 'now'}: {line}")
+            echo(f"  {'then' if line in before else 'now'}: {line}")
     worst = max((d.largest for d in found.differences if d.name == "q"), default=0.0)
     close = worst <= options.tolerance and (found.same_events or options.tolerance > 0.0)
     return OK if close and found.compared and not found.foreign else FAILED

@@ -8,7 +8,7 @@ from pathlib import Path
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
-from capture_sim.commands.output import OVERVIEW, RRD, draw, remove_earlier, report, say, warn
+from capture_sim.commands.output import OVERVIEW, RRD, draw, echo, remove_earlier, report, warn
 from capture_sim.errors import SimulationError
 from capture_sim.simulation import Result, simulate
 
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.no_record:
             path = write_run(result, options.out / f"{scene.name}.mcap")
             recordings.append(path.stem)
-            say(f"{scene.name}: recorded in {path}")
+            echo(f"{scene.name}: recorded in {path}")
     report([result.summary for result in results], options.out)
     if options.no_record:
         _remove_replaced([result.scene.name for result in results], options.out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from capture_sim.commands import OK
-from capture_sim.commands.output import say
+from capture_sim.commands.output import echo
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.files import scene_names
 
@@ -20,5 +20,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(_: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     for name in scene_names():
-        say(f"{name:16} {load_scene(name).title}")
+        echo(f"{name:16} {load_scene(name).title}")
     return OK

@@ -20,7 +20,7 @@ from capture_sim.commands.inputs import (
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, say, say_table, write_json, write_text
+from capture_sim.commands.output import Progress, drawing, echo, print_table, write_json, write_text
 from capture_sim.scene.quantities import Range
 from capture_sim.studies.executors import open_executor
 from capture_sim.studies.sensitivity import (
@@ -89,26 +89,26 @@ def run(options: argparse.Namespace) -> int:
                 options.seed,
                 partial(progress.at, options.method),
             )
-    say("change of each quantity for a parameter that is off by its spread, by its derivative")
-    say("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)\n")
+    echo("change of each quantity for a parameter that is off by its spread, by its derivative")
+    echo("(!: ill-conditioned, does not converge; *: another verdict at an end of the spread)\n")
     head = ["parameter", "spread", *[f"{q.name} {q.unit}" for q in SMOOTH]]
-    say_table(head, _rows(near, "*", "!", 5))
+    print_table(head, _rows(near, "*", "!", 5))
     if all_at_once is not None:
-        say(
+        echo(
             f"captured in {all_at_once.captured:.1%} of {all_at_once.runs} runs over the whole "
             "spread"
         )
     kept = write_json(options.out / "sensitivity.json", _numbers(near, all_at_once))
     page = write_text(options.out / "sensitivity.md", _page(head, near, all_at_once, options))
-    say(f"numbers in {kept}, page in {page}")
+    echo(f"numbers in {kept}, page in {page}")
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_indices, draw_tornado
 
-        say(f"tornado in {save(draw_tornado(near), options.out / 'tornado.png')}")
+        echo(f"tornado in {save(draw_tornado(near), options.out / 'tornado.png')}")
         if all_at_once is not None:
             path = options.out / f"{all_at_once.method}.png"
-            say(f"indices in {save(draw_indices(all_at_once), path)}")
+            echo(f"indices in {save(draw_indices(all_at_once), path)}")
     return OK
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
-from capture_sim.commands.output import draw, say
+from capture_sim.commands.output import draw, echo
 from capture_sim.errors import RecordingError
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
@@ -89,4 +89,4 @@ def _draw_figures(
         aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
         paths = (folder / f"{name}{ending}" for ending in (".svg", ".png"))
         save(figure(runs, labels=labels, **aligned), *paths)
-    say(f"figures of the paper in {folder}")
+    echo(f"figures of the paper in {folder}")

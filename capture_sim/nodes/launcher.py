@@ -115,7 +115,7 @@ class LauncherNode(Participant):
         plan = launcher.plan
         self._hold(True)
         self.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
-        self._tell(0.0, launcher.status, latch=True)
+        self._publish_state(0.0, launcher.status, latch=True)
         how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
         if plan.hanging_mass > 0.0:
             how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
@@ -131,7 +131,7 @@ class LauncherNode(Participant):
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
-    def _tell(self, t: float, status: LauncherStatus, *, latch: bool) -> None:
+    def _publish_state(self, t: float, status: LauncherStatus, *, latch: bool) -> None:
         self.publish(self._telemetry.state(t, status), latch=latch)
 
     def _hold(self, hold: bool) -> None:
@@ -142,13 +142,13 @@ class LauncherNode(Participant):
     def _release(self, launcher: Launcher) -> None:
         self.publish(self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
         self._hold(False)
-        self._tell(0.0, launcher.release(), latch=True)
+        self._publish_state(0.0, launcher.release(), latch=True)
 
     def _abort(self, launcher: Launcher, t: float) -> None:
         """Tell everybody that the launch is given up."""
         self._hold(True)
         self.publish(self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
-        self._tell(t, launcher.status, latch=True)
+        self._publish_state(t, launcher.status, latch=True)
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
     def _take(self, topic: Topic, data: bytes) -> None:
@@ -183,7 +183,7 @@ class LauncherNode(Participant):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(launcher, own)
         else:
-            self._tell(own, status, latch=status.state is not before)
+            self._publish_state(own, status, latch=status.state is not before)
 
     def _collect(self, topic: Topic, stamp: int, numbers: list[Any]) -> None:
         parts = self._parts.setdefault(stamp, {})
@@ -208,7 +208,7 @@ class LauncherNode(Participant):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(self._launcher, t)
         else:
-            self._tell(t, status, latch=status.state is not before)
+            self._publish_state(t, status, latch=status.state is not before)
 
     def _asked_to_launch(self, _: Any, response: Any) -> Any:
         launcher = self._launcher

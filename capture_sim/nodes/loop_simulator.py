@@ -144,7 +144,7 @@ class LoopSimulatorNode(BenchNode):
         except SafeStopError as stop:
             stopped = str(stop)
             self.get_logger().error(stopped)
-        self._tell(stopped, late)
+        self._report_result(stopped, late)
         return FAILED if stopped else OK
 
     def _await_first(self) -> None:
@@ -161,7 +161,7 @@ class LoopSimulatorNode(BenchNode):
             self.send(TIP, tip_message(self.messages, self._stage.tip))
             time.sleep(KNOCK)
 
-    def _tell(self, stopped: str, late: int) -> None:
+    def _report_result(self, stopped: str, late: int) -> None:
         """Say what was measured, and write it where that is asked for."""
         touches = [
             {**asdict(touch), "restitution": touch.restitution} for touch in self._loop.touches

@@ -150,7 +150,7 @@ def _run_nodes(
     if namespace:
         arguments += ["-r", "/clock:=clock"]  # another suite's time must not mix with this one's
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
-    _say(f"starting {', '.join(parameters)} {where}")
+    _print(f"starting {', '.join(parameters)} {where}")
     with (
         _answered(_ENDING[1:], _interrupt),
         _Processes(list(parameters), arguments, environment) as processes,
@@ -183,7 +183,7 @@ def _claimed(namespace: str) -> Iterator[None]:
 _printing = threading.Lock()
 
 
-def _say(text: str, who: str = "suite") -> None:
+def _print(text: str, who: str = "suite") -> None:
     with _printing:
         print(f"[{who}] {text}", flush=True)
 
@@ -267,16 +267,16 @@ class _Processes:
         while self._running:
             for name, code in self._ended():
                 if code != OK:
-                    _say(f"{name} {_describe(code)}")
+                    _print(f"{name} {_describe(code)}")
                     status = max(status, REFUSED if code == REFUSED else FAILED)
                 if code != OK or name == announcer:
                     patience = 0.0 if code == REFUSED else GRACE
                     deadline = min(deadline, time.monotonic() + patience)
             if self._running and time.monotonic() > deadline:
-                _say(f"ending {', '.join(self._running)}")
+                _print(f"ending {', '.join(self._running)}")
                 return max(status, FAILED)
             time.sleep(0.02)
-        _say(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
+        _print(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
         return status
 
     def _start(self, name: str) -> None:
@@ -314,7 +314,7 @@ class _Processes:
                 try:
                     process.wait(max(0.0, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
-                    _say(f"{name} does not end on SIGINT: killed")
+                    _print(f"{name} does not end on SIGINT: killed")
                     process.kill()
                     process.wait()
             self._running.clear()
@@ -323,7 +323,7 @@ class _Processes:
 
     def _forward(self, name: str, stream: Any) -> None:
         for line in stream:
-            _say(line.rstrip(), name)
+            _print(line.rstrip(), name)
             if line.startswith(REFUSAL):
                 self.refusals.append(line.removeprefix(REFUSAL).rstrip())
 

@@ -180,7 +180,7 @@ class _Rescue:
         self.lost: list[str] = []
         self._parts: list[_Part] = []
         self._channels: dict[tuple[str, str, str], int] = {}  # by topic, type, encoding
-        self._telling: dict[int, Topic] = {}  # that tell of the run
+        self._descriptive: dict[int, Topic] = {}  # channels that describe the run
         self._done = {BAG_METADATA}  # attachments and metadata that are written; it is made anew
         self._run: RunDescription | None = None
         self._released: int | None = None  # log time, ns
@@ -233,7 +233,7 @@ class _Rescue:
         unconfirmed: list[str] = []
         for part in self._parts:
             where = f"{part.path.name}: " if several else ""
-            losses, doubts = self._said_of(part)
+            losses, doubts = self._summary_of(part)
             self.lost += [where + line for line in losses]
             unconfirmed += [where + line for line in doubts]
         self.lost += _absent(self._parts)
@@ -277,8 +277,8 @@ class _Rescue:
                 part.unknown += 1
                 continue
             self.bag.add(channel, log_time, data, *more)
-            if channel in self._telling:
-                self._hear(self._telling[channel], log_time, data)
+            if channel in self._descriptive:
+                self._learn(self._descriptive[channel], log_time, data)
 
     def _channel(self, part: _Part, number: int) -> int:
         """Return a topic's id in the new file, made when first needed; 0 if nothing defines it."""
@@ -297,11 +297,11 @@ class _Rescue:
             self._channels[key] = made
             topic = topic_named(known.topic)
             if topic in (RUN_INFO, LAUNCH_COMMAND, BENCH_STATE) and topic.type_name == type_name:
-                self._telling[made] = topic
+                self._descriptive[made] = topic
         part.ids[number] = self._channels[key]
         return part.ids[number]
 
-    def _hear(self, topic: Topic, log_time: int, data: bytes) -> None:
+    def _learn(self, topic: Topic, log_time: int, data: bytes) -> None:
         """Learn from a message how the run was announced, and when it was released."""
         with suppress(RecordingError):
             if topic is RUN_INFO and self._run is None:
@@ -333,7 +333,7 @@ class _Rescue:
             self._writer.add_metadata(RUN_METADATA, describing(run))
         return unconfirmed
 
-    def _said_of(self, part: _Part) -> tuple[list[str], list[str]]:
+    def _summary_of(self, part: _Part) -> tuple[list[str], list[str]]:
         """Return what was lost of a file, and what nothing confirms, in lines."""
         lost = [self._in_words(part, loss) for loss in part.losses[:_MOST_LINES]]
         if more := part.losses[_MOST_LINES:]:
