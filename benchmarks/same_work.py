@@ -18,13 +18,15 @@ import numpy as np
 from capture_sim import load_scene, simulate
 from capture_sim.bench import Bench
 from capture_sim.studies.approach import placed
-from capture_sim.studies.outcome import run_to_verdict
 from capture_sim.viewing.rerun_view import save_rrd
 
 try:
     from capture_sim.recording.offline import write_run
     from capture_sim.recording.read import read_run
+    from capture_sim.studies.outcome import run_to_verdict
 except ImportError:  # before the rebuild
+    from capture_sim.studies.verdict import run_to_verdict
+
     from capture_sim.recording import read_run, write_run
 
 TIMES = int(sys.argv[1])
