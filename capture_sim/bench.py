@@ -164,6 +164,11 @@ class Bench:
         self._read_events()
         return self._events
 
+    def times_of(self, kind: EventKind) -> np.ndarray:
+        """Return when events of a kind have happened so far, (n,), s, without making the events."""
+        read = [event.t for event in self._events if event.kind is kind]
+        return np.concatenate([read, *(raw["t"][raw["kind"] == kind] for raw in self._unread)])
+
     @property
     def event_count(self) -> int:
         """How many events there are so far."""

@@ -91,14 +91,15 @@ def run_to_verdict(scene: Scene) -> Outcome:
         if detector.final:
             break
     status = detector.finish()
-    began = [e.t for e in bench.events if e.kind is EventKind.TOUCH and e.t <= status.t]
+    began = bench.times_of(EventKind.TOUCH)
+    began = began[began <= status.t]
     before, after = bench.extremes
     return Outcome(
         verdict=status.state,
         t=status.t,
         reason=failure or status.reason,
-        first_touch=began[0] if began else math.nan,
-        touches=len(began),
+        first_touch=float(began[0]) if began.size else math.nan,
+        touches=began.size,
         peak_force=float(before["normal_force"]),
         axial_stroke=float(max(before["compression"], before["extension"])),
         torsion=float(before["torsion"]),
