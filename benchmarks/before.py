@@ -41,20 +41,21 @@ COMPILE = ("-c", "from capture_sim.bench import compile_kernels; compile_kernels
 
 def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:
     """Run a Python of a checkout; return processor time and time on the clock (s), and GB."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as output:
         out = [f"--out={folder}/{WRITTEN[name]}" for name in arguments if name in WRITTEN]
         process = subprocess.Popen(
             [python(checkout), *arguments, *out],
             cwd=folder,
             env=environment(checkout) | more,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
         )
         began = time.monotonic()
         _, status, used = os.wait4(process.pid, 0)
         clock = time.monotonic() - began
         process.returncode = os.waitstatus_to_exitcode(status)
-        assert process.returncode == 0, f"{checkout}: {' '.join(arguments)} failed"
+        output.seek(0)
+        assert process.returncode == 0, f"{checkout}: {' '.join(arguments)}: {output.read()}"
     return used.ru_utime + used.ru_stime, clock, used.ru_maxrss / 1e6
 
 
@@ -82,6 +83,19 @@ def running(name: str, command: tuple[str, ...], checkout: Path) -> dict[str, fl
     return {f"{name}, processor s": cpu, f"{name}, on the clock, s": clock}
 
 
+def starting(checkout: Path) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [python(checkout), "-u", *CLI, "bench", "tilt_0", f"--out={folder}/runs"]
+        given = {"cwd": folder, "env": environment(checkout), "text": True}
+        began = time.monotonic()
+        piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        with subprocess.Popen(command, **given, **piped) as process:
+            next(line for line in process.stdout if "released" in line)
+            took = time.monotonic() - began
+            process.stdout.read()
+    return {"from the command `bench` to the release, on the clock, s": took}
+
+
 def same_work(times: int, checkout: Path) -> dict[str, float]:
     command = [python(checkout), str(ROOT / "benchmarks" / "same_work.py"), str(times)]
     given = {"env": environment(checkout), "capture_output": True, "text": True}
@@ -98,6 +112,7 @@ def compared(asked: Namespace, _: Path) -> list[str]:
     work = [
         (few, compiling),
         *((asked.rounds, partial(running, name, command)) for name, command in COMMANDS.items()),
+        (asked.rounds, starting),
         (few, partial(running, f"`envelope`, {asked.points} points", envelope)),
         (asked.rounds, partial(same_work, asked.times)),
     ]

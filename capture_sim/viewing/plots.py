@@ -274,7 +274,8 @@ def key_moments(run: ViewableRun) -> list[Moment]:
     if touch is not None:
         peak_time, peak = source.strongest(run)
         touches = source.every_touch(run)
-        if peak > 0.0 and peak_time <= touches["end"][touches["start"] == touch.t].min():
+        first_end = touches["end"][touches["start"] == touch.t].min(initial=np.inf)
+        if peak > 0.0 and touch.t <= peak_time <= first_end:
             add(touch.t, f"first touch, {peak:.0f} N")
         else:
             add(touch.t, "first touch")

@@ -189,7 +189,9 @@ def _add_over_time(
                         showlegend=row == col == 1 and dash == "solid",
                         **place,
                     )
-            for limit in {limit for one in shown for limit in quantity.limits(one.run.scene)}:
+            # each once, in order: the same report gives the same bytes
+            limits = (limit for one in shown for limit in quantity.limits(one.run.scene))
+            for limit in dict.fromkeys(limits):
                 if quantity.from_zero:
                     look: Any = {"fillcolor": limit.colour, "opacity": 0.2, "line_width": 0}
                     figure.add_hrect(0.0, limit.value, **look, **place)

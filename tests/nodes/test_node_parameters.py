@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 import rclpy
 import yaml
 
@@ -34,7 +35,7 @@ def test_file_and_nodes_agree(tmp_path, monkeypatch):
     assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared
 
 
-def test_launcher_and_recorder_start_without_numba():
-    program = "import sys, capture_sim.nodes.launcher, capture_sim.nodes.recorder\n"
-    program += "raise SystemExit('numba' in sys.modules)"
+@pytest.mark.parametrize("name", ["launcher", "recorder", "capture_detector"])
+def test_nodes_that_compile_nothing_start_without_numba(name):
+    program = f"import sys, capture_sim.nodes.{name}\nraise SystemExit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0
