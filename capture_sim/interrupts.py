@@ -6,10 +6,14 @@ or tells of it in a traceback.  Compiling and loading the kernels is little else
 
 from __future__ import annotations
 
+import ctypes
 import os
+import struct
 import sys
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -61,3 +65,32 @@ def leave_if_busy(status: int, *names: str) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
+
+
+def end_within(seconds: int, status: int) -> None:
+    """End the process so long from now, if it has not ended by then, with this exit status.
+
+    Fast DDS as the wheels have it may spin for ever when a participant is destroyed in the very
+    moment in which another comes or goes (eProsima Fast-DDS issue 6513: built for the C++ library
+    of GCC 9, a deadline overflows).  rclpy holds Python's lock meanwhile, so that no thread, no
+    handler and no ``finally`` runs: a timer of the C library calls that library's ``_exit``.
+
+    Parameters
+    ----------
+    seconds
+        (wall)
+    status
+        Exit status of the process, if so.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with suppress(OSError, AttributeError):  # not GNU's C library, and so no such wheel
+        libc = ctypes.CDLL("librt.so.1")  # older versions have the timers there
+        leave = ctypes.cast(libc._exit, ctypes.c_void_p).value
+        sigev_thread = 2
+        # struct sigevent: value, signal, what is done, function, its attributes
+        event = struct.pack("PiiPP32x", status, 0, sigev_thread, leave, 0)
+        timer = ctypes.c_void_p()
+        if libc.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(timer)) == 0:
+            # struct itimerspec: every, and after, s and ns each
+            libc.timer_settime(timer, 0, struct.pack("4l", 0, 0, seconds, 0), None)

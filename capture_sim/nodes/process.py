@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.interrupts import leave_if_busy
+from capture_sim.interrupts import end_within, leave_if_busy
 from capture_sim.nodes import dds
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
@@ -39,6 +39,8 @@ except ImportError:
 
 #: Last messages are given this long to arrive before a node ends, s (wall).
 LINGER = 0.3
+#: DDS gets this long to end, s (wall).
+ENDING = 5
 
 
 class _Spinner:
@@ -158,6 +160,7 @@ def run(
         return _refuse(str(error).splitlines()[0])
     except KeyboardInterrupt:
         leave_if_busy(OK)
+        end_within(ENDING, OK)
         return OK
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -165,6 +168,7 @@ def run(
 
 def _refuse(reason: str) -> int:
     print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
+    end_within(ENDING, REFUSED)
     return REFUSED
 
 
@@ -198,6 +202,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
         elif interrupted:
             node.interrupted()
         node.drain(LINGER)
+        end_within(ENDING, status)
         node.destroy_node()
     return status
 

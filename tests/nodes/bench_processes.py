@@ -8,10 +8,10 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 
 import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
@@ -88,14 +88,24 @@ def processes():
             node.process.wait()
 
 
+@cache
+def join_dds():
+    """Let this process take part, once and until it ends; return the node that keeps it there.
+
+    A DDS participant is destroyed with its last node, and Fast DDS may then spin for ever if
+    another comes or goes in that moment: see capture_sim.interrupts.end_within.
+    """
+    rclpy.init(args=[])
+    return rclpy.create_node("keeper", enable_rosout=False, start_parameter_services=False)
+
+
 class Client:
     """A node of this process that calls services, sets parameters and listens."""
 
     def __init__(self):
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("experimenter", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        join_dds()
+        self.node = rclpy.create_node("experimenter")
+        self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._clients = {}
         self._closing = threading.Event()
@@ -113,7 +123,6 @@ class Client:
         # a node lives on until it is collected, and a simulator of the next test would wait for
         # its subscriptions
         self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
 
     def __enter__(self):
         return self

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import rclpy
-from bench_processes import Client, wait_until
+from bench_processes import Client, join_dds, wait_until
 from noisy_replay import Disturbance, disturbed, judge
 from rcl_interfaces.srv import DescribeParameters
 from recorded import values_of
@@ -164,18 +164,11 @@ def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):
         assert a.distance == pytest.approx(b.distance, rel=1e-12)
 
 
-@pytest.fixture
-def ros():
-    """A context for nodes of this process."""
-    rclpy.init()
-    yield
-    rclpy.shutdown()
-
-
 class Bench(BenchNode):
     """Stands in for the simulator: sends what cameras and encoders of a bench would."""
 
     def __init__(self):
+        join_dds()
         super().__init__("real_bench")
         self.open((RUN_INFO, CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS))
 
@@ -238,7 +231,7 @@ LATE = """
 @pytest.mark.parametrize(
     "name, change", [("tilt_m10", LATE), ("paper_undamped", "")], ids=["late", "in time"]
 )
-def test_detector_and_recorder_serve_a_bench_without_simulator(ros, start, tmp_path, name, change):
+def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name, change):
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
     nodes = [
@@ -266,8 +259,9 @@ def test_detector_and_recorder_serve_a_bench_without_simulator(ros, start, tmp_p
         assert decided == pytest.approx(offline.t - offline.time_in_state, abs=0.1)
 
 
-def test_changes_of_state_are_kept_for_a_busy_subscriber(ros):
+def test_changes_of_state_are_kept_for_a_busy_subscriber():
     """A publisher keeps the last for latecomers; who was there in time gets all of them."""
+    join_dds()
     sender, reader = BenchNode("sender"), BenchNode("reader")
     sender.open((CAPTURE_STATUS,))
     came = []
@@ -292,7 +286,7 @@ def test_changes_of_state_are_kept_for_a_busy_subscriber(ros):
     reader.destroy_node()
 
 
-def test_poses_alone_are_judged_by_a_scene_given_at_the_start(ros, start):
+def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     """As on a bench where cameras run and nobody announces anything."""
     name = "paper_undamped"
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))

@@ -106,6 +106,34 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
     assert (status, said) == (0, "gone on\n")
 
 
+@pytest.mark.parametrize("status", [0, 1])
+def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status):
+    ended_with, said = ended(
+        f"""
+        import ctypes
+        from capture_sim.nodes import process
+        from capture_sim.nodes.node import BenchNode
+
+        class Bench(BenchNode):
+            def __init__(self):
+                super().__init__("bench")
+
+            def work(self):
+                print("at work")
+                return {status}
+
+            def destroy_node(self):
+                print("never ends")
+                ctypes.PyDLL(None).sleep(50)
+
+        process.ENDING = 1
+        raise SystemExit(process.run(Bench))
+        """,
+        tmp_path,
+    )
+    assert (ended_with, said) == (status, "at work\nnever ends\n")
+
+
 # At any moment of loading the compiler and of compiling; where that is over, in what comes then
 @pytest.mark.parametrize("after", [0.7, 4.0])
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-import rclpy
 import yaml
+from bench_processes import join_dds
 
 from capture_sim.nodes.capture_detector import CaptureDetectorNode
 from capture_sim.nodes.launcher import LauncherNode
@@ -20,18 +20,15 @@ IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_ser
 def test_file_and_nodes_agree(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # below which the recorder has its folder
     declared = {}
-    rclpy.init(args=[])
-    try:
-        for make in (SimulatorNode, LauncherNode, CaptureDetectorNode, RecorderNode):
-            node = make()
-            names = node.list_parameters([], 0).names
-            values = {n: node.get_parameter_or(n).value for n in names if not IGNORED.match(n)}
-            # one without a value is not given in the file either
-            given = {name: value for name, value in values.items() if value is not None}
-            declared[f"/**/{node.get_name()}"] = {"ros__parameters": given}
-            node.destroy_node()
-    finally:
-        rclpy.shutdown()
+    join_dds()
+    for make in (SimulatorNode, LauncherNode, CaptureDetectorNode, RecorderNode):
+        node = make()
+        names = node.list_parameters([], 0).names
+        values = {n: node.get_parameter_or(n).value for n in names if not IGNORED.match(n)}
+        # one without a value is not given in the file either
+        given = {name: value for name, value in values.items() if value is not None}
+        declared[f"/**/{node.get_name()}"] = {"ros__parameters": given}
+        node.destroy_node()
     assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared
 
 
