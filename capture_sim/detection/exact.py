@@ -94,7 +94,7 @@ class Criteria(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> Criteria:
         """Return those of a scene."""
-        limits, cone = scene.detector, scene.cone
+        limits = scene.detector
         return cls(
             limits.capture_radius,
             limits.min_dwell,
@@ -105,10 +105,7 @@ class Criteria(NamedTuple):
             scene.probe.tip_radius,
             scene.rest_length,
             scene.buffer.hinge_offset,
-            cone.R_c,
-            cone.L_c,
-            math.cos(cone.half_angle),
-            math.sin(cone.half_angle),
+            *scene.cone.wall,
         )
 
 

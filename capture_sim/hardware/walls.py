@@ -71,16 +71,13 @@ class Walls:
     """The cone's two walls."""
 
     def __init__(self, scene: Scene) -> None:
-        self._cone, self._radius = scene.cone, scene.probe.tip_radius
-        self._cos, self._sin = math.cos(scene.cone.half_angle), math.sin(scene.cone.half_angle)
+        self._wall, self._radius = scene.cone.wall, scene.probe.tip_radius
 
     def touching(self, tip: TipState) -> list[Touching]:
         """Return the walls that the tip is in."""
         found = []
         for side in (1.0, -1.0):
-            distance, n_u, n_Y = _nearest_on_wall(
-                -tip.x, side * tip.y, self._cone.R_c, self._cone.L_c, self._cos, self._sin
-            )
+            distance, n_u, n_Y = _nearest_on_wall(-tip.x, side * tip.y, *self._wall)
             if distance < self._radius:
                 nx, ny = -n_u, side * n_Y
                 rate = -(nx * tip.vx + ny * tip.vy)

@@ -209,9 +209,8 @@ def _latch(scene: Scene) -> None:
 def _start(scene: Scene) -> None:
     px, py, _, _ = tip_at_release(scene)
     cone, initial = scene.cone, scene.initial
-    walls = cone.R_c, cone.L_c, math.cos(cone.half_angle), math.sin(cone.half_angle)
     for side, name in ((1.0, "+y"), (-1.0, "-y")):
-        distance, _, _ = plain(nearest_on_wall)(-(px + cone.L_T), side * py, *walls)
+        distance, _, _ = plain(nearest_on_wall)(-(px + cone.L_T), side * py, *cone.wall)
         gap = distance - scene.probe.tip_radius
         # a start at contact: the places' own rounding
         if gap < -1e-15 * max(1.0, abs(initial.chaser.x), abs(initial.target.x)):

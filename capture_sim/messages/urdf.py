@@ -18,6 +18,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+import numpy as np
+
 from capture_sim.messages.convert import (
     CHASER_FRAME,
     CONE_FRAME,
@@ -33,7 +35,8 @@ CYLINDER_FRAME = "chaser/cylinder"
 PROBE_FRAME = "chaser/probe"
 
 # for the eye, m
-_HALF_WIDTH, _HEIGHT, _REAR = 0.11, 0.06, 0.13
+_HALF_WIDTH, _HEIGHT = 0.11, 0.06
+_REAR = 0.13  # centre of mass to the rear
 _CYLINDER_RADIUS = 0.012
 _PLATE = 0.002  # thickness of the cone's plates
 _PLATES = 16
@@ -53,6 +56,30 @@ class Transform(NamedTuple):
     x: float  # m
     y: float  # m
     yaw: float  # rad
+
+
+class Box(NamedTuple):
+    """Extent of a vehicle's body in its own frame, m."""
+
+    back: float
+    front: float
+    half_width: float
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Closed outline, (5, 2), m."""
+        x0, x1, y = self.back, self.front, self.half_width
+        return np.array([[x0, -y], [x1, -y], [x1, y], [x0, y], [x0, -y]])
+
+
+def chaser_box(scene: Scene) -> Box:
+    """Return the chaser's body: up to just behind the hinge."""
+    return Box(-_REAR, 0.9 * scene.buffer.hinge_offset, _HALF_WIDTH)
+
+
+def target_box(scene: Scene) -> Box:
+    """Return the target's body: from just behind BE."""
+    return Box(-0.9 * scene.cone.L_T, _REAR, _HALF_WIDTH)
 
 
 def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
@@ -77,9 +104,7 @@ def urdf(scene: Scene) -> str:
         ElementTree.SubElement(material, "color", rgba=colour)
     ElementTree.SubElement(robot, "link", name=WORLD)
 
-    front = 0.9 * scene.buffer.hinge_offset
-    body = _link(robot, CHASER_FRAME)
-    _box(body, "chaser", (_REAR + front, 2 * _HALF_WIDTH, _HEIGHT), (0.5 * (front - _REAR), 0, 0))
+    _body(_link(robot, CHASER_FRAME), "chaser", chaser_box(scene))
     cylinder = _link(robot, CYLINDER_FRAME)
     length = scene.cylinder.length
     _rod(cylinder, "steel", _CYLINDER_RADIUS, length, -0.5 * length)
@@ -89,9 +114,7 @@ def urdf(scene: Scene) -> str:
     _rod(probe, "steel", scene.probe.radius, scene.probe.length, start + 0.5 * scene.probe.length)
     _ball(_link(robot, TIP_FRAME), "steel", scene.probe.tip_radius)
 
-    front = 0.9 * scene.cone.L_T
-    body = _link(robot, TARGET_FRAME)
-    _box(body, "target", (front + _REAR, 2 * _HALF_WIDTH, _HEIGHT), (0.5 * (_REAR - front), 0, 0))
+    _body(_link(robot, TARGET_FRAME), "target", target_box(scene))
     _plates(_link(robot, CONE_FRAME), scene)
 
     _joint(robot, "chaser", "planar", WORLD, CHASER_FRAME, axis="0 0 1")
@@ -130,6 +153,11 @@ def _visual(
     geometry = ElementTree.SubElement(visual, "geometry")
     ElementTree.SubElement(visual, "material", name=material)
     return geometry
+
+
+def _body(link: _Element, material: str, box: Box) -> None:
+    size = (box.front - box.back, 2 * box.half_width, _HEIGHT)
+    _box(link, material, size, (0.5 * (box.front + box.back), 0, 0))
 
 
 def _box(

@@ -133,8 +133,8 @@ def pack(
     for name in ("k_A", "c_A", "k_T", "c_T"):
         p[name] = getattr(scene.buffer, name)
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
-    p["L_T"], p["R_c"], p["L_c"] = scene.cone.L_T, scene.cone.R_c, scene.cone.L_c
-    p["cos_b"], p["sin_b"] = math.cos(scene.cone.half_angle), math.sin(scene.cone.half_angle)
+    p["L_T"] = scene.cone.L_T
+    p["R_c"], p["L_c"], p["cos_b"], p["sin_b"] = scene.cone.wall
     p["K"] = scene.contact_stiffness
     p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
     p["v_0_floor"] = scene.contact.min_approach_speed

@@ -20,6 +20,7 @@ from capture_sim.messages import topics
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase, stamp_seconds
 from capture_sim.messages.topics import Topic
 from capture_sim.model.equations import tip_motion
+from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.measured import (
     buffers_in,
@@ -34,7 +35,7 @@ from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
 from capture_sim.studies.measurements import Series
 
-_tip_motion = plain(tip_motion)
+_tip_motion, _nearest_on_wall = plain(tip_motion), plain(nearest_on_wall)
 
 #: Fields of SAMPLE that have no NaN for what is not known.
 _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
@@ -102,7 +103,11 @@ def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
     tip = np.stack([x + scene.cone.L_T, y], axis=-1)
     samples["tip_axial"], samples["tip_lateral"] = -tip[:, 0], tip[:, 1]
     samples["tip_distance"] = np.hypot(*tip.T)
-    gaps = np.stack([_gap(scene, tip, side) for side in (1, -1)], axis=-1)
+    wall = scene.cone.wall
+    distances = [
+        [_nearest_on_wall(-x, side * y, *wall)[0] for side in (1, -1)] for x, y in tip.tolist()
+    ]
+    gaps = np.array(distances) - scene.probe.tip_radius
     samples["penetration"] = -gaps
     in_reach = (gaps < scene.detector.max_contact_gap) @ np.array([1, 2])
     samples["walls"] = in_reach if measured.walls is None else measured.walls
@@ -141,17 +146,6 @@ def measured_run(
         wall, seen = int(touch["wall"]), "seen in the measurements"
         events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, seen))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
-
-
-def _gap(scene: Scene, tip: np.ndarray, side: int) -> np.ndarray:
-    """Return the gap between the tip and a wall, (n,), m."""
-    cone = scene.cone
-    inner = np.array([0.0, side * cone.R_c])
-    along = np.array([-np.cos(cone.half_angle), side * np.sin(cone.half_angle)])
-    reach = np.clip((tip - inner) @ along, 0.0, cone.L_c)
-    return np.asarray(
-        np.linalg.norm(tip - inner - reach[:, None] * along, axis=1) - scene.probe.tip_radius
-    )
 
 
 def _fill_forces(samples: np.ndarray, measured: AlignedMeasurements, gaps: np.ndarray) -> None:

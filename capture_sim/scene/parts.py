@@ -135,6 +135,11 @@ class Cone(Checked):
         doc="beta, angle between wall and axis",
     )
 
+    @property
+    def wall(self) -> tuple[float, float, float, float]:
+        """What :mod:`capture_sim.model.geometry` needs: R_c, L_c (m), cos beta, sin beta."""
+        return self.R_c, self.L_c, math.cos(self.half_angle), math.sin(self.half_angle)
+
 
 @dataclass(frozen=True)
 class Material(Checked):

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from capture_sim.messages.urdf import Box, chaser_box, target_box
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import shapes, source, style
@@ -217,11 +218,11 @@ def draw_bench(axes: Axes, one: Shown) -> str:
         seen += shapes.state_shapes(scene, start, one.colour, ghost=True, both=False)
     draw_shapes(axes, seen)
     degrees = round(float(np.rad2deg(then[shapes.TARGET[2]])))
-    _name(axes, "chaser", shapes.chaser_box(scene), then[list(shapes.CHASER)])
+    _name(axes, "chaser", chaser_box(scene), then[list(shapes.CHASER)])
     _name(
         axes,
         f"target\n{degrees:+d}°" if degrees else "target\n0°",
-        shapes.target_box(scene),
+        target_box(scene),
         then[5:],
     )
     axes.set_aspect("equal")
@@ -233,7 +234,7 @@ def draw_bench(axes: Axes, one: Shown) -> str:
     return f"at the {source.start_word(scene)} and at the {when}" if moved else f"at the {when}"
 
 
-def _name(axes: Axes, text: str, box: shapes.Box, pose: np.ndarray) -> None:
+def _name(axes: Axes, text: str, box: Box, pose: np.ndarray) -> None:
     """Write along a body's front-to-rear axis, in its middle."""
     middle = shapes.placed(np.array([[(box.back + box.front) / 2, 0.0]]), *pose)[0]
     axes.text(

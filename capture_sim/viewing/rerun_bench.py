@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from capture_sim.messages.urdf import chaser_box, target_box
 from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream
@@ -94,8 +95,8 @@ class BenchLog:
     def _log_bodies(self) -> None:
         scene, supports = self._scene, self._scene.supports
         for entity, box, balls, grey in (
-            ("chaser", shapes.chaser_box(scene), supports and supports.chaser.balls, 175),
-            ("target", shapes.target_box(scene), supports and supports.target.balls, 120),
+            ("chaser", chaser_box(scene), supports and supports.chaser.balls, 175),
+            ("target", target_box(scene), supports and supports.target.balls, 120),
         ):
             half = [(box.front - box.back) / 2, box.half_width, _BODY_HEIGHT / 2]
             centre = [(box.back + box.front) / 2, 0.0, _BODY_TOP - _BODY_HEIGHT / 2]

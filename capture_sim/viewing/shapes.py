@@ -1,6 +1,6 @@
 """Shapes of the bench and the cone from above, m: what pictures, report and rerun draw.
 
-Bodies are boxes: the scene gives their masses, not their sizes.  Cone's frame here: x from the
+Cone's frame here: x from the
 centre of BE along the target's +x, y along its +y.  The chaser comes from -x; the walls open
 towards it.
 """
@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.messages.urdf import chaser_box, target_box
 from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import style
 
@@ -21,8 +22,6 @@ TARGET = (5, 6, 7)
 THETA_P, H = 3, 4
 
 # for the eye only, m
-_HALF_WIDTH = 0.11
-_REAR = 0.13  # centre of mass to the rear
 _BALL_RADIUS = 0.009
 _HALF_GAUGE = 0.03
 _WALL_THICKNESS = 0.006
@@ -53,30 +52,6 @@ class Shape(NamedTuple):
     fill: str = ""
     dashed: bool = False
     order: float = 2.0
-
-
-class Box(NamedTuple):
-    """Extent of a vehicle's body in its own frame, m."""
-
-    back: float
-    front: float
-    half_width: float
-
-    @property
-    def corners(self) -> np.ndarray:
-        """Closed outline, (5, 2), m."""
-        x0, x1, y = self.back, self.front, self.half_width
-        return np.array([[x0, -y], [x1, -y], [x1, y], [x0, y], [x0, -y]])
-
-
-def chaser_box(scene: Scene) -> Box:
-    """Return the chaser's body: up to just behind the hinge."""
-    return Box(-_REAR, 0.9 * scene.buffer.hinge_offset, _HALF_WIDTH)
-
-
-def target_box(scene: Scene) -> Box:
-    """Return the target's body: from just behind BE."""
-    return Box(-0.9 * scene.cone.L_T, _REAR, _HALF_WIDTH)
 
 
 def placed(points: np.ndarray, x: float, y: float, theta: float) -> np.ndarray:
