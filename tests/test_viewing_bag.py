@@ -96,6 +96,24 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
 
 
+def test_bag_of_motion_capture_alone_is_drawn(tmp_path):
+    exact = "sensors.motion_capture={position_noise: 0, heading_noise: 0}"
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_p10", [exact]))
+    recorded = write_run(run, tmp_path / "run.mcap")
+    cameras = ("/motion_capture/chaser", "/motion_capture/target", "/joint_states")
+    seen = run_from_bag(
+        read_run(of_a_bench(recorded, tmp_path / "x.mcap", cameras)),
+        capture_sim.load_scene("tilt_0"),
+    )
+    every = run.samples[::10]
+    assert seen.samples["t"] == pytest.approx(every["t"], abs=1e-6)
+    assert seen.samples["q"] == pytest.approx(every["q"], abs=1e-9)
+    # differences of poses 10 ms apart, away from the jumps of a touch
+    free = every["t"] < first_touch(run).t - 0.02
+    assert seen.samples["v"][free] == pytest.approx(every["v"][free], abs=2e-3)
+    assert verdict(seen) == "captured"
+
+
 def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
     bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", (*STANDARD, "/capture/status")))
     scene = capture_sim.load_scene("tilt_0")

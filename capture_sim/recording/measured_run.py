@@ -25,6 +25,7 @@ from capture_sim.recording.detect import detect_again
 from capture_sim.recording.measured import (
     buffers_in,
     forces_in,
+    measured_sources,
     poses_of,
     rates_of,
     release_of,
@@ -244,15 +245,24 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
     def series(topic: Topic, *values: np.ndarray) -> Series:
         return series_of(run.columns(topic), release, np.column_stack(values))
 
-    bodies = []
-    for topic in (topics.CHASER_ODOMETRY, topics.TARGET_ODOMETRY):
-        columns = run.columns(topic)
-        if not columns:
-            raise RecordingError(f"{run.name}: holds no {topic.absolute_name}, nothing to draw")
-        poses = poses_of(columns, "pose.pose")
-        rates = series(topic, rates_of(columns, poses[:, 2]))
-        bodies.append((series(topic, poses), rates))
-    (chaser, chaser_rate), (target, target_rate) = bodies
+    sources = measured_sources(run, release)
+
+    def body(name: str, odometry: Topic) -> tuple[Series, Series]:
+        found = [poses for poses in sources.get(name, {}).values() if poses.t.size]
+        if not found:
+            raise RecordingError(
+                f"{run.name}: holds no pose of finite numbers of the {name}, on "
+                f"/motion_capture/{name} or {odometry.absolute_name}: nothing to draw"
+            )
+        poses = _unwrapped(found[0])
+        if columns := run.columns(odometry):
+            heading = poses_of(columns, "pose.pose")[:, 2]
+            return poses, series(odometry, rates_of(columns, heading))
+        rates = np.gradient(poses.values, poses.t, axis=0) if len(poses.t) > 1 else np.nan
+        return poses, Series(poses.t, np.broadcast_to(rates, poses.values.shape))
+
+    chaser, chaser_rate = body("chaser", topics.CHASER_ODOMETRY)
+    target, target_rate = body("target", topics.TARGET_ODOMETRY)
     buffers = buffers_in(run)
     if not buffers:
         raise RecordingError(
@@ -262,8 +272,6 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
         )
     topic, buffer = next(iter(buffers.items()))
     t = chaser.t
-    if not t.size or not target.t.size:
-        raise RecordingError(f"{run.name}: holds no pose of finite numbers, nothing to draw")
 
     def at(found: Series) -> np.ndarray:
         """Return values at the chaser's stamps, linear between their own; NaN without any."""
@@ -291,9 +299,9 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
         optional["string"] = np.column_stack([phase, values])
     return AlignedMeasurements(
         t=t,
-        chaser=_unwrapped(chaser).values,
+        chaser=chaser.values,
         chaser_rate=at(chaser_rate),
-        target=at(_unwrapped(target)),
+        target=at(target),
         target_rate=at(target_rate),
         buffer=at(series(topic, buffer["stroke"], buffer["torsion"])),
         buffer_rate=at(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
