@@ -9,13 +9,16 @@ from dataclasses import fields
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, open_run, scene_of
 from capture_sim.commands.output import echo
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError
+from capture_sim.messages.convert import stamp_seconds
 from capture_sim.recording.detect import detect_again, with_limits
+from capture_sim.recording.measured import release_of
 from capture_sim.scene.parts import Detector
 from capture_sim.scene.paths import current_name
 
-# stamps are decimal fractions
-_TICK = 1e-9
+# s: as fine as a float is for stamps that count from 1970
+_TICK = 1e-6
 
 DESCRIPTION = (
     "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
@@ -53,15 +56,17 @@ def run(options: argparse.Namespace) -> int:
         if value != of_scene:
             echo(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
+    released = stamp_seconds(release_of(recorded))
     state = None
     for status in statuses:
         if status.state is not state:
-            since = status.t - status.time_in_state
-            late = f", reported at {status.t:.3f} s" if status.time_in_state > _TICK else ""
+            since = _since(status, released)
+            reported = status.t - released
+            late = f", reported at {reported:.3f} s" if status.time_in_state > _TICK else ""
             echo(f"{since:10.3f} s  {status.state.label:9} {status.reason}{late}")
             state = status.state
     verdict = statuses[-1]
-    since = verdict.t - verdict.time_in_state
+    since = _since(verdict, released)
     word = "verdict" if verdict.final else "no verdict, the run was ended in state"
     echo(
         f"{word}: {verdict.state.label} since {since:.3f} s; nearest "
@@ -70,8 +75,8 @@ def run(options: argparse.Namespace) -> int:
     if not recorded.statuses:
         return OK
     before = recorded.statuses[-1]
-    since_before = before.t - before.time_in_state
-    same = before.state is verdict.state and since_before == since
+    since_before = _since(before, released)
+    same = before.state is verdict.state and abs(since_before - since) < _TICK
     echo(
         f"recorded: {before.state.label} since {since_before:.3f} s ({before.reason})"
         + ("; the same" if same else "; DIFFERENT")
@@ -86,6 +91,11 @@ def run(options: argparse.Namespace) -> int:
     else:
         echo("the limits are the same: not all that the detector received is here, or it changed")
     return FAILED
+
+
+def _since(status: CaptureStatus, released: float) -> float:
+    """Return when a status's state began, s since the release."""
+    return status.t - status.time_in_state - released
 
 
 def _limits_changed(overrides: Sequence[str]) -> set[str]:

@@ -17,7 +17,13 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import echo, print_table
-from capture_sim.recording.measured import launch_of, measurements, release_recorded, touches_of
+from capture_sim.recording.measured import (
+    launch_of,
+    measurements,
+    release_of,
+    release_recorded,
+    touches_of,
+)
 from capture_sim.scene.paths import ALIASES, current_name, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
@@ -95,7 +101,10 @@ def run(options: argparse.Namespace) -> int:
         until=options.until,
         starts=options.starts,
     )
-    given, rows = options.release or 0.0, []
+    # a release that is not recorded counts from the first pose, as --release does
+    counted_from = release_of(recorded, None if known else 0.0)
+    given = (release_of(recorded, options.release) - counted_from) / 1e9
+    rows = []
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
         notes = ["at the bound of its range"] if name in fit.at_bound else []
         if name == RELEASE:

@@ -358,6 +358,8 @@ class NoisyDetector:
         tip = self._tip(seen)
         if self._frozen(seen):
             return self._status(seen, tip)
+        if self._last is None:
+            self._memory.since = seen.t  # a bench's clock may count from 1970
         if self._last is None or seen.t > self._last[0].t:
             self._last = (seen, tip)
             self._buffer.append((seen.t, seen.buffer[0], seen.buffer[1]))

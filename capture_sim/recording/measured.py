@@ -29,6 +29,9 @@ from capture_sim.studies.touches import (
     located,
 )
 
+#: The first pose comes so long after the release at most, ns, if both are of one clock.
+LATE_POSE = 1_000_000_000
+
 
 def stamps_of(columns: Columns) -> np.ndarray:
     """Return the stamps of a topic's messages, (n,) int64, ns."""
@@ -61,9 +64,11 @@ def series_of(columns: Columns, release: int, values: np.ndarray) -> Series:
 
 
 def release_of(run: Run, after: float | None = None) -> int:
-    """Return the stamp of the release, ns: the launcher's, else that of simulated runs.
+    """Return the stamp of the release on the clock of the poses, ns.
 
-    Where neither is recorded, as on a bench whose clock is the wall's, the first pose's.
+    As :func:`release_recorded` has it.  On a bench with a clock of its own, when the release, or
+    where none was given the trial's announcement, arrived; where neither is recorded, the first
+    pose's.
 
     Parameters
     ----------
@@ -82,21 +87,61 @@ def release_of(run: Run, after: float | None = None) -> int:
     recorded = release_recorded(run)
     if recorded is not None:
         return recorded
-    stamps = _pose_stamps(run)
-    return EPOCH_NS if stamps is None else int(stamps.min())
+    poses, told = _poses(run), _told(run)
+    if poses is None:
+        return EPOCH_NS
+    return int(poses[0].min()) if told is None else told[1] + _ahead(run)
 
 
 def release_recorded(run: Run) -> int | None:
-    """Return the stamp of the release, ns, where the recording holds it; else None."""
+    """Return the stamp of the release, ns, where the recording holds it; else None.
+
+    That is the launcher's, else that of simulated runs, if it is of the clock of the poses.
+    """
+    told, poses = _told(run), _poses(run)
+    if told is None or poses is None:
+        return told and told[0]
+    first, last = int(poses[0].min()), int(poses[0].max())
+    return told[0] if first - LATE_POSE <= told[0] <= last else None
+
+
+def times_of(run: Run, topic: str | Topic) -> np.ndarray:
+    """Return when a topic's messages were stamped, where they have no stamp arrived, (n,).
+
+    Times are s since the release, whichever clock stamps are of: the bench's, or the trial's, which
+    the launcher goes by until it knows the bench's.
+    """
+    columns, release = run.columns(topic), release_of(run)
+    if not {"clock.sec", "header.stamp.sec"} & set(columns):
+        return (run.log_times(topic) - (release - _ahead(run))) / 1e9
+    stamps, told = stamps_of(columns), _told(run)
+    of_the_trial = release if told is None else told[0]
+    is_nearer = np.abs(stamps - of_the_trial) < np.abs(stamps - release)
+    return (stamps - np.where(is_nearer, of_the_trial, release)) / 1e9
+
+
+def _ahead(run: Run) -> int:
+    """Return by how much the poses' stamps are ahead of their arrival, ns; 0 without poses."""
+    poses = _poses(run)
+    return 0 if poses is None else int(np.median(poses[0] - poses[1]))
+
+
+def _told(run: Run) -> tuple[int, int] | None:
+    """Return stamp and time of arrival of the release, else of the run's announcement, ns."""
     commands = run.columns(topics.LAUNCH_COMMAND)
     if commands:
         released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
         if released.size:
-            return int(stamps_of(commands)[released[0]])
-    return EPOCH_NS if run.columns(topics.RUN_INFO) or run.columns(topics.BENCH_STATE) else None
+            stamps, arrivals = stamps_of(commands), run.log_times(topics.LAUNCH_COMMAND)
+            return int(stamps[released[0]]), int(arrivals[released[0]])
+    for topic in (topics.RUN_INFO, topics.BENCH_STATE):
+        if run.raw(topic):
+            return EPOCH_NS, int(run.log_times(topic)[0])
+    return None
 
 
-def _pose_stamps(run: Run) -> np.ndarray | None:
+def _poses(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return stamps and times of arrival of the poses, (n,) int64, ns."""
     for topic in (
         topics.CHASER_POSE,
         topics.CHASER_ODOMETRY,
@@ -104,15 +149,15 @@ def _pose_stamps(run: Run) -> np.ndarray | None:
         topics.TARGET_ODOMETRY,
     ):
         if poses := run.columns(topic):
-            return stamps_of(poses)
+            return stamps_of(poses), run.log_times(topic)
     return None
 
 
 def _after_first_pose(run: Run, after: float) -> int:
-    stamps = _pose_stamps(run)
-    if stamps is None:
+    poses = _poses(run)
+    if poses is None:
         raise RecordingError(f"release = {after:g} s: counts from the first pose: there is none")
-    first, last = int(stamps.min()), int(stamps.max())
+    first, last = int(poses[0].min()), int(poses[0].max())
     if not 0.0 <= after <= (last - first) / 1e9:
         raise RecordingError(
             f"release = {after:g} s: allowed is 0 to {(last - first) / 1e9:g} s, from the first "
