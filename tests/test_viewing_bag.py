@@ -17,6 +17,7 @@ from capture_sim.recording.measured_run import run_from_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
+from capture_sim.results import impact_speed
 from capture_sim.viewing import plots
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.source import decided_at, first_touch, verdict
@@ -96,21 +97,22 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
 
 
-def test_bag_of_motion_capture_alone_is_drawn(tmp_path):
-    exact = "sensors.motion_capture={position_noise: 0, heading_noise: 0}"
-    run = capture_sim.simulate(capture_sim.load_scene("tilt_p10", [exact]))
+@pytest.mark.parametrize("noise, within", [(0.0, 1.5e-3), (1e-3, 0.02)])
+def test_bag_of_motion_capture_alone_is_drawn(tmp_path, noise, within):
+    seen_by = f"sensors.motion_capture={{position_noise: {noise}, heading_noise: 0}}"
+    run = capture_sim.simulate(capture_sim.load_scene("tilt_p10", [seen_by]))
     recorded = write_run(run, tmp_path / "run.mcap")
     cameras = ("/motion_capture/chaser", "/motion_capture/target", "/joint_states")
-    seen = run_from_bag(
-        read_run(of_a_bench(recorded, tmp_path / "x.mcap", cameras)),
-        capture_sim.load_scene("tilt_0"),
-    )
+    bag = of_a_bench(recorded, tmp_path / "x.mcap", cameras)
+    seen = run_from_bag(read_run(bag), capture_sim.load_scene("tilt_0"))
     every = run.samples[::10]
     assert seen.samples["t"] == pytest.approx(every["t"], abs=1e-6)
-    assert seen.samples["q"] == pytest.approx(every["q"], abs=1e-9)
-    # differences of poses 10 ms apart, away from the jumps of a touch
-    free = every["t"] < first_touch(run).t - 0.02
-    assert seen.samples["v"][free] == pytest.approx(every["v"][free], abs=2e-3)
+    assert seen.samples["q"] == pytest.approx(every["q"], abs=1e-9 + 6.0 * noise)
+    # means of 0.2 s, away from the jumps of a touch; where the mass lands, the acceleration jumps
+    # by 0.057 m/s^2 and a mean is off by an eighth of that times 0.2 s
+    free = (every["t"] > 0.1) & (every["t"] < first_touch(run).t - 0.1)
+    assert seen.samples["v"][free] == pytest.approx(every["v"][free], abs=within)
+    assert impact_speed(seen.events) == pytest.approx(impact_speed(run.events), abs=within)
     assert verdict(seen) == "captured"
 
 

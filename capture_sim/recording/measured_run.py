@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import trapezoid
+from scipy.signal import savgol_filter
 
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import RecordingError, SceneError
@@ -38,6 +39,8 @@ from capture_sim.studies.measurements import Series
 
 _tip_motion, _nearest_on_wall = plain(tip_motion), plain(nearest_on_wall)
 
+#: Rates of poses that come without are means over so long, s.
+RATE_WINDOW = 0.2
 #: Fields of SAMPLE that have no NaN for what is not known.
 _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
 
@@ -61,6 +64,7 @@ class AlignedMeasurements:
     peak_force: np.ndarray | None = None  # (n, 1): N, largest since the instant before
     # (n, 4): phase as in StringState, tension N, mass height m, mass speed m/s
     string: np.ndarray | None = None
+    rate_window: float = 0.0  # s: over which the vehicles' rates are means
 
 
 @dataclass(frozen=True)
@@ -142,8 +146,9 @@ def measured_run(
     touches = _touches(samples, measured)
     events = []
     for touch in touches:
-        first = int(np.searchsorted(samples["t"], touch["start"]))
-        q, v = samples["q"][first], samples["v"][max(first - 1, 0)]
+        before = touch["start"] - 0.5 * measured.rate_window
+        first, free = np.searchsorted(samples["t"], [touch["start"], before])
+        q, v = samples["q"][first], samples["v"][max(free - 1, 0)]
         wall, seen = int(touch["wall"]), "seen in the measurements"
         events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, seen))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
@@ -258,9 +263,9 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
         if columns := run.columns(odometry):
             heading = poses_of(columns, "pose.pose")[:, 2]
             return poses, series(odometry, rates_of(columns, heading))
-        rates = np.gradient(poses.values, poses.t, axis=0) if len(poses.t) > 1 else np.nan
-        return poses, Series(poses.t, np.broadcast_to(rates, poses.values.shape))
+        return poses, _slopes(poses)
 
+    has_twist = all(map(run.raw, (topics.CHASER_ODOMETRY, topics.TARGET_ODOMETRY)))
     chaser, chaser_rate = body("chaser", topics.CHASER_ODOMETRY)
     target, target_rate = body("target", topics.TARGET_ODOMETRY)
     buffers = buffers_in(run)
@@ -305,8 +310,24 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
         target_rate=at(target_rate),
         buffer=at(series(topic, buffer["stroke"], buffer["torsion"])),
         buffer_rate=at(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
+        rate_window=0.0 if has_twist else RATE_WINDOW,
         **optional,
     )
+
+
+def _slopes(poses: Series) -> Series:
+    """Return the rates of poses without twist: slopes of lines through :data:`RATE_WINDOW`.
+
+    After Savitzky and Golay (1964).
+    """
+    count = len(poses.t)
+    t = np.linspace(poses.t[0], poses.t[-1], count)
+    step = (t[-1] - t[0]) / max(count - 1, 1)
+    odd = 2 * int(0.5 * RATE_WINDOW / step) + 1 if step > 0.0 else count + 1
+    if not 3 <= odd <= count:
+        return Series(poses.t[:0], poses.values[:0])
+    even = np.stack([np.interp(t, poses.t, column) for column in poses.values.T], axis=-1)
+    return Series(t, savgol_filter(even, odd, 1, deriv=1, delta=step, axis=0))
 
 
 def _unwrapped(poses: Series) -> Series:
