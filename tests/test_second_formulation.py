@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from four_bodies import momentum, probe_masses
 from maximal_model import MaximalBench, limit_used
 from random_accuracy import first_touch, run
 from random_scenes import wide_scenes
@@ -103,23 +102,6 @@ def test_maximal_coordinates_agree_on_the_floor():
     other = MaximalBench(scene, leave.t, leave.q, leave.v, rtol=1e-12)
     agree(found, other.advance(list(times)), times, exact=1e-11)
     assert other.run.moving == pytest.approx([moves.t], abs=1e-11)
-
-
-def test_free_bodies_keep_momentum_and_constraints():
-    """The second formulation by itself: nothing outside acts on chaser, cylinder and probe."""
-    scene = load_scene("paper_designed", ["initial.target.x=3", "initial.chaser.omega=2"])
-    model = MaximalBench(scene, 0.0, *scene.initial_coordinates(), rtol=1e-11)
-    start = momentum(scene, *scene.initial_coordinates())
-    model.advance([0.3])
-    q, v = model.run.q[0], model.run.v[0]
-    assert abs(q[4] - scene.rest_length) > 1e-4  # the buffer is at work
-    assert momentum(scene, q, v) == pytest.approx(start, abs=1e-9)
-    assert model.run.drift < 1e-12
-
-
-def test_probe_masses_are_those_of_the_paper():
-    mass, behind, inertia = probe_masses(load_scene("paper_designed"))
-    assert (mass, behind, inertia) == pytest.approx((0.178185, 0.0900, 8.7206e-4), rel=1e-4)
 
 
 def test_limit_of_the_supports_in_cases_that_can_be_solved_by_hand():

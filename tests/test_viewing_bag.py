@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
+from bags import STANDARD, copied, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
@@ -21,29 +19,6 @@ from capture_sim.results import impact_speed
 from capture_sim.viewing import plots
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.source import decided_at, first_touch, verdict
-
-WALL = 1_790_000_000  # s, of a wall clock
-STANDARD = ("/chaser/odom", "/target/odom", "/joint_states", "/contact/wrench")
-
-
-def of_a_bench(source, path, topics):
-    """Copy some topics into a bare MCAP, late by WALL seconds."""
-    with source.open("rb") as read, path.open("wb") as write:
-        writer = Writer(write)
-        writer.start(profile="ros2", library="another recorder")
-        channels = {}
-        for schema, channel, message in make_reader(read).iter_messages(topics=list(topics)):
-            if channel.topic not in channels:
-                kept = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kept)
-            data = bytearray(message.data)
-            # the stamp follows the four bytes that tell the byte order
-            (seconds,) = struct.unpack_from("<i", data, 4)
-            struct.pack_into("<i", data, 4, seconds + WALL)
-            late = message.log_time + WALL * 1_000_000_000
-            writer.add_message(channels[channel.topic], late, bytes(data), late)
-        writer.finish()
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +102,7 @@ def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
 
 
 def test_it_is_drawn_by_everything(recorded, tmp_path):
-    bag = read_run(of_a_bench(recorded, tmp_path / "trial of 6 May.mcap", STANDARD))
+    bag = read_run(of_a_bench(recorded, tmp_path / "trial of 6 May.mcap"))
     seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
     assert seen.scene.name == "trial_of_6_May"  # a scene's name, whatever the file is called
     assert save(plots.draw_run(seen), tmp_path / "x.png").stat().st_size > 50_000
@@ -139,26 +114,15 @@ def test_it_is_drawn_by_everything(recorded, tmp_path):
 
 def test_messages_of_another_encoding_are_left_out_with_a_word(recorded, tmp_path, capsys):
     """As a bridge writes JSON under the type's name, of a topic of its own and beside CDR."""
-    bare = of_a_bench(recorded, tmp_path / "bare.mcap", STANDARD)
-    path = tmp_path / "json.mcap"
-    with bare.open("rb") as read, path.open("wb") as write:
-        writer = Writer(write)
-        writer.start(profile="ros2", library="another recorder")
-        kept = {}
-        for schema, channel, message in make_reader(read).iter_messages():
-            if channel.topic not in kept:
-                cdr = writer.register_schema(schema.name, schema.encoding, schema.data)
-                text = writer.register_schema(schema.name, "jsonschema", b"{}")
-                names = {"/contact/wrench": "/contact/wrench", "/chaser/odom": "/bench/state"}
-                name = names.get(channel.topic)
-                kept[channel.topic] = (
-                    writer.register_channel(channel.topic, "cdr", cdr),
-                    name and writer.register_channel(name, "json", text),
-                )
-            for at, data in zip(kept[channel.topic], (message.data, b'{"x": 1}'), strict=True):
-                if at is not None:
-                    writer.add_message(at, message.log_time, data, message.log_time)
-        writer.finish()
+
+    def beside_json(topic, data):
+        yield topic, "cdr", data
+        if topic in ("/contact/wrench", "/chaser/odom"):
+            name = topic if topic == "/contact/wrench" else "/bench/state"
+            yield name, "json", b'{"x": 1}'
+
+    bare = of_a_bench(recorded, tmp_path / "bare.mcap")
+    path = copied(bare, tmp_path / "json.mcap", change=beside_json)
     told, plain = read_run(path), read_run(bare)
     assert told.topics == plain.topics
     assert told.damage == ""

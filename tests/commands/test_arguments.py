@@ -100,7 +100,6 @@ def test_a_scene_that_exists_does_not_hide_what_is_wrong(command, tmp_path, caps
     assert list(tmp_path.iterdir()) == []
 
 
-TILTED = ["run", "tilt_0", "--set"]
 DESIGN, ENVELOPE, SENSITIVITY = ["design"], ["envelope"], ["sensitivity"]
 BENCH, REPLAY = ["bench", "tilt_0"], ["replay", "x.mcap"]
 NO_FACTOR = "allowed is a number >= 0 and <= 1000"
@@ -109,18 +108,10 @@ NO_FACTOR = "allowed is a number >= 0 and <= 1000"
 @pytest.mark.parametrize(
     "command, arguments, said",
     [
-        (TILTED, ["chaser.mass=-1"], "chaser.mass = -1"),
-        (TILTED, ["target.inertia=0"], "target.inertia = 0"),
-        (TILTED, ["contact.law=hertz"], "contact.law = 'hertz'"),
-        (TILTED, ["buffer.k_A=.nan"], "buffer.k_A = nan"),
-        (TILTED, ["buffer.stiffness=500"], "buffer.stiffness"),
-        (TILTED, ["rail=null"], "rail"),
-        (TILTED, ["run.max_steps=1e3.5"], "run.max_steps"),
-        (TILTED, ["chaser.mass=["], "chaser.mass"),
-        (TILTED, ["name=../../evil"], "name"),
+        (["run", "tilt_0", "--set"], ["chaser.mass=-1"], "chaser.mass = -1"),
         (["run"], ["tilt_0", "tilt_0"], "given twice"),
-        *[(BENCH, ["--rtf", wrong], NO_FACTOR) for wrong in ("2000", "1000.1", "nan", "fast")],
-        *[(REPLAY, ["--rtf", wrong], NO_FACTOR) for wrong in ("2000", "inf")],
+        *[(BENCH, ["--rtf", wrong], NO_FACTOR) for wrong in ("1000.1", "nan", "fast")],
+        (REPLAY, ["--rtf", "inf"], NO_FACTOR),
         *[
             (BENCH, ["--namespace", wrong], "allowed is a ROS name such as lab")
             for wrong in ("a b", "1x", "", "lab//two", "lab/")
@@ -131,12 +122,9 @@ NO_FACTOR = "allowed is a number >= 0 and <= 1000"
         (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): allowed is both or none"),
         (DESIGN, ["--stroke=0", "--torsion=1"], "'0': allowed is a number > 0, in mm"),
         (DESIGN, ["--stroke=5", "--torsion=nan"], "'nan': allowed is a number > 0, in mrad"),
-        (DESIGN, ["--stroke=inf", "--torsion=2"], "in mm"),
         (DESIGN, ["--stroke=5 deg", "--torsion=2"], "in mm"),
         (DESIGN, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: allowed is >= 1e-06"),
-        (DESIGN, ["--peak-force=-1"], "'-1': allowed is a number > 0, in N"),
         (DESIGN, ["--spread=1,2"], "--spread: '1,2': allowed is %,mm,deg"),
-        (DESIGN, ["--spread=1,2,nan"], "%,mm,deg"),
         (DESIGN, ["--spread=50,1,1"], "Spread.speed = 0.5: allowed is >= 0 and <= 0.24"),
         (DESIGN, ["--spread=0,0,0"], "allowed is one above 0"),
         (DESIGN, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': allowed is LOW:HIGH:N"),
@@ -151,18 +139,14 @@ NO_FACTOR = "allowed is a number >= 0 and <= 1000"
         (ENVELOPE, ["--levels=-1"], "--levels: '-1': allowed is a whole number >= 0"),
         (ENVELOPE, ["--levels=11"], "levels = 11: allowed is >= 0 and <= 10"),
         (ENVELOPE, ["--rtol=1"], "rtol = 1.0"),
-        (ENVELOPE, ["--workers=-1"], "--workers"),
         (ENVELOPE, ["--out=x.csv"], "--out x.csv"),
         (ENVELOPE, ["--mark", "nowhere"], "nowhere"),
         (SENSITIVITY, ["--spread=0"], "--spread: '0': allowed is a number > 0 and <= 50 %"),
-        (SENSITIVITY, ["--spread=90"], "--spread: '90': allowed is a number > 0 and <= 50 %"),
         (SENSITIVITY, ["--workers=-1"], "--workers: '-1': allowed"),
-        (SENSITIVITY, ["--seed", "nan"], "whole number"),
         (SENSITIVITY, ["--seed", "-1"], "whole number"),
         (SENSITIVITY, ["--samples", "9" * 5000], "whole number"),
         (SENSITIVITY, ["--samples=3"], "samples = 3: allowed is >= 4"),
         (SENSITIVITY, ["--method=sobol", "--samples=20"], "with sobol a power of 2"),
-        (SENSITIVITY, ["--set", "friction.mu=-1"], "friction.mu = -1"),
     ],
 )
 def test_bad_input_is_said_in_a_line_before_anything_runs(

@@ -3,7 +3,7 @@
 import json
 from importlib.util import find_spec
 
-from test_viewing_bag import STANDARD, of_a_bench
+from bags import of_a_bench
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
@@ -64,7 +64,7 @@ def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys
 def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys):
     recording, picture = tmp_path / "tilt_p10.mcap", tmp_path / "tilt_p10.png"
     made = write_run(simulate(load_scene("tilt_p10")), tmp_path / "made" / "tilt_p10.mcap")
-    of_a_bench(made, recording, STANDARD)
+    of_a_bench(made, recording)
     picture.write_text("of the bench")
     before = recording.read_bytes(), picture.read_bytes()
     assert main(["run", "tilt_p10", "--out", str(tmp_path)]) == 0

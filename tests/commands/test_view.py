@@ -6,8 +6,8 @@ import shutil
 
 import pytest
 import yaml
+from bags import of_a_bench
 from matplotlib.image import imread
-from test_viewing_bag import STANDARD, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
@@ -72,7 +72,7 @@ def test_figures_of_the_paper_are_written_as_svg_and_png(recorded, tmp_path):
 
 
 def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, capsys):
-    bag = str(of_a_bench(recorded[1], tmp_path / "trial.mcap", STANDARD))
+    bag = str(of_a_bench(recorded[1], tmp_path / "trial.mcap"))
     assert main(["view", bag, "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1

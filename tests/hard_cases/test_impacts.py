@@ -52,13 +52,6 @@ def test_exact_law_returns_the_restitution_that_is_put_in(e, method):
     )
 
 
-@pytest.mark.parametrize("e, expected", [(0.1, 0.665), (0.5, 0.725), (0.7, 0.796), (0.9, 0.913)])
-def test_lankarani_nikravesh_returns_the_published_restitution(e, expected):
-    law = {"contact.law": "lankarani_nikravesh", "run.t_end": 0.01}
-    found, _ = returned(free_impact(1e-4, 0.1, e, law))
-    assert found == pytest.approx(expected, abs=1e-3)
-
-
 @pytest.mark.parametrize("law", CONTACT_LAWS)
 @pytest.mark.parametrize("e", [0.1, 0.5, 0.9])
 def test_every_law_returns_and_loses_what_its_published_factor_says(law, e):

@@ -8,6 +8,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from bags import copied
 from damage import cuts, expected, flips, saved_rightly
 from mcap.reader import make_reader
 from mcap.records import Message
@@ -253,20 +254,8 @@ def test_command_says_what_it_saved_and_what_is_lost(path, tmp_path, capsys):
 
 def test_times_of_what_is_lost_count_from_the_release(path, tmp_path):
     """As the samples' do: those that are missing lie in the interval that is named."""
-    later = tmp_path / "later.mcap"  # a log by the wall's clock has the same
-    with path.open("rb") as source, later.open("wb") as file:
-        writer = Writer(file, chunk_size=100_000)
-        writer.start("ros2", "another")
-        ids = {}
-        for schema, channel, message in make_reader(source).iter_messages():
-            if channel.topic not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                ids[channel.topic] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id, channel.metadata
-                )
-            time = message.log_time + 1_700_000_000 * 10**9
-            writer.add_message(ids[channel.topic], time, message.data, time)
-        writer.finish()
+    # a log by the wall's clock has the same
+    later = copied(path, tmp_path / "later.mcap", late=1_700_000_000, chunk_size=100_000)
     whole = read_run(path).samples["t"]
     for file in (path, later):
         parts = expected(file)

@@ -12,13 +12,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.export import save_tables, table
 from capture_sim.recording.measured import first_contact
-from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.samples import columns_of
 
@@ -105,16 +103,15 @@ def test_export_of_nothing_says_so(path, tmp_path, capsys):
     assert "holds no messages" in capsys.readouterr().err
 
 
-def test_bag_with_two_runs_is_not_judged_as_one(result, path, tmp_path, capsys):
-    again = write_run(result, tmp_path / "again.mcap")
-    folder = tmp_path / "bag"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topics = (*BENCH_TOPICS, ("/bench/run_info", "capture_sim/msg/RunInfo"))
-        opened = [writer.add_connection(name, kind, typestore=typestore()) for name, kind in topics]
-        for run in map(read_run, (path, again)):
-            for connection, (name, _) in zip(opened, topics, strict=True):
-                for time, data in zip(run.log_times(name).tolist(), run.raw(name), strict=True):
-                    writer.write(connection, time, data)
+def test_bag_with_two_runs_is_not_judged_as_one(path, tmp_path, capsys):
+    def announced_twice(time, message):
+        yield time, message
+        if hasattr(message, "run_id"):
+            message.run_id = "another"
+            yield time, message
+
+    topics = (*BENCH_TOPICS, ("/bench/run_info", "capture_sim/msg/RunInfo"))
+    folder = rewritten(path, tmp_path / "bag", announced_twice, topics)
     for command in (["detect"], ["identify", "mu"]):
         line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
         assert main(line) == 2
@@ -165,15 +162,9 @@ def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
 
 
 def test_topic_that_the_detector_needs_is_named(path, tmp_path):
-    run = read_run(path)
-    folder = tmp_path / "bag"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection(
-            "/chaser/odom", "nav_msgs/msg/Odometry", typestore=typestore()
-        )
-        writer.write(connection, EPOCH_NS, run.raw("chaser/odom")[0])
+    bag = read_run(rewritten(path, tmp_path / "bag", topics=BENCH_TOPICS[:1]))
     with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
-        detect_again(read_run(folder), run.scene)
+        detect_again(bag, read_run(path).scene)
 
 
 def test_csv_gives_the_same_bits(path, tmp_path, capsys):

@@ -67,6 +67,7 @@ def test_page_is_whole_and_refers_to_nothing_outside(page):
     assert len(parsed.references) >= 10
     inside = ("data:", "#")
     assert all(reference.startswith(inside) for reference in parsed.references)
+    assert "default-src 'none'; img-src data: blob:" in text  # nor may a browser ask for anything
     what = "Results, Figures, Energy, How far to trust the numbers, Events, Parameters, Versions"
     assert parsed.headings == what.split(", ")
     assert page.stat().st_size < 8e6  # of which plotly is 4.8
@@ -217,17 +218,6 @@ def test_page_opens_without_errors_and_is_seen(page, tmp_path):
     for colour in style.RUNS[:3]:
         near = np.abs(image - np.array(style.rgb(colour)) / 255).max(axis=-1) < 0.05
         assert near.sum() > 2000
-
-
-@needs_chromium
-def test_page_that_asks_for_something_is_found_out(page, tmp_path):
-    """The check above can fail: the page itself forbids what comes from elsewhere."""
-    text = page.read_text(encoding="utf-8")
-    altered = tmp_path / "altered.html"
-    altered.write_text(text.replace("<h1>", '<img src="http://example.org/x.png"><h1>'))
-    # without something to make, the browser would stay open
-    reported = chromium(altered, tmp_path, f"--screenshot={tmp_path / 'page.png'}")
-    assert any("Content Security Policy" in line for line in reported)
 
 
 @needs_chromium
