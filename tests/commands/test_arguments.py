@@ -170,7 +170,7 @@ def test_bad_input_is_said_in_a_line_before_anything_runs(
         (["--help"], True),
         (["--help"], False),
         (["show", "tilt_0"], True),
-        (["run", "paper_designed", "--no-record"], False),
+        (["run", "paper_designed", "--no-record", "--set", "run.t_end=0.01"], False),
     ],
 )
 def test_a_full_device_is_a_line(arguments, buffered, tmp_path):

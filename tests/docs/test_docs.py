@@ -109,12 +109,12 @@ def recordings(tmp_path_factory):
 def folder(tmp_path, recordings, page):
     """A folder as after `make run`, with the bag of a bench that tutorials call trial.mcap.
 
-    Of the recordings it holds those that the page names: all would be drawn again and again.
+    Of the recordings it holds those that the page's blocks name: all would be drawn each time.
     """
     (tmp_path / ".venv").symlink_to(sys.prefix)
     (tmp_path / "runs").mkdir()
     for name in EXPERIMENTS:
-        if name in (ROOT / page).read_text():
+        if any(name in block.text for block in blocks(page)):
             shutil.copy(recordings / f"{name}.mcap", tmp_path / "runs")
     shutil.copy(recordings / "tilt_0.mcap", tmp_path / "trial.mcap")
     return tmp_path

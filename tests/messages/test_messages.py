@@ -7,6 +7,7 @@ import importlib
 import math
 import operator
 import re
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -335,14 +336,16 @@ def test_rclpy_reads_what_was_sent(result, run):
         yield from detector.statuses((status.t, status) for status in result.statuses[::50])
         yield detector.end(complete=False, reason="é")
 
-    types = set()
+    seen = Counter()
     for message in sent():
         kind = message.topic.type_name
+        seen[kind] += 1
+        if seen[kind] % 10 != 1:
+            continue
         again = ros.serialize_message(ros.deserialize_message(message.data, ros_class(kind)))
         # padding between the fields may differ, values may not
         assert bytes(store.serialize_cdr(store.deserialize_cdr(again, kind), kind)) == message.data
-        types.add(kind)
-    assert types == {topic.type_name for topic in TOPICS}
+    assert set(seen) == {topic.type_name for topic in TOPICS}
 
 
 @given(

@@ -121,8 +121,8 @@ def test_a_stroke_longer_than_the_approach_has_energy_for_is_refused(paper):
     assert found.refusal.startswith("no springs give")
     strokes = [
         run_first_contact(with_buffer(paper, k_A, k_T, 0.0)).axial_stroke
-        for k_A in np.geomspace(20.0, 5000.0, 6)
-        for k_T in np.geomspace(5.0, 2e4, 4)
+        for k_A in (20.0, 300.0, 5000.0)
+        for k_T in (5.0, 300.0, 2e4)
     ]
     assert max(strokes) < 0.2
 

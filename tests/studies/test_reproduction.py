@@ -49,14 +49,18 @@ def test_first_impact_from_one_metre_comes_after_ten_seconds(evidence):
         assert far.summary[key] == pytest.approx(near.summary[key], rel=1e-6)
 
 
-def test_every_statement_agrees_but_cases_2_and_3(evidence):
-    found = list(paper.claims(evidence))
-    assert [claim.paper[:12] for claim in found if claim.agrees is False] == [
+@pytest.fixture(scope="module")
+def claims(evidence):
+    return list(paper.claims(evidence))
+
+
+def test_every_statement_agrees_but_cases_2_and_3(claims):
+    assert [claim.paper[:12] for claim in claims if claim.agrees is False] == [
         "paper_case_2",
         "paper_case_3",
     ]
-    assert sum(claim.agrees is None for claim in found) == 1
-    assert len(found) == 19
+    assert sum(claim.agrees is None for claim in claims) == 1
+    assert len(claims) == 19
 
 
 def test_a_statement_that_does_not_hold_differs(evidence):
@@ -120,16 +124,15 @@ def test_shares_of_samples():
     assert together.share(*CASES) == 0.25
 
 
-def test_the_page_has_every_figure_with_its_command(evidence):
-    found = list(paper.claims(evidence))
-    text = page(found, evidence, {name: figure.title for name, figure in FIGURES.items()})
+def test_the_page_has_every_figure_with_its_command(claims, evidence):
+    text = page(claims, evidence, {name: figure.title for name, figure in FIGURES.items()})
     commands = re.findall(r"!\[.*\]\(reproduction/(\w+)\.png\)\n\n`(.*)`\n", text)
     assert commands == [
         (name, f".venv/bin/capture-sim reproduce --only {name} --out runs") for name in FIGURES
     ]
     assert "16 statements agree, 2 do not, 1 cannot be compared." in text
     assert re.search(r"---\|\n\| radius \|.* \|\n\nEverything that the paper leaves open", text)
-    assert "agrees" in terminal_table(found)
+    assert "agrees" in terminal_table(claims)
 
 
 @pytest.mark.parametrize("name", FIGURES)
