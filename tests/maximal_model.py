@@ -279,8 +279,9 @@ def no_slip(z: np.ndarray, c: Constants, wall: int, J: np.ndarray) -> float:
     J[6], J[7], J[8] = -ny, nx, nx * (px - z[6]) + ny * (py - z[7])
     J[9], J[10], J[11] = ny, -nx, -nx * (px - z[9]) - ny * (py - z[10])
     ahead, behind = z.copy(), z.copy()
-    ahead[:12] += SMALL_TIME * z[12:24]
-    behind[:12] -= SMALL_TIME * z[12:24]
+    for j in range(12):  # Numba compiles slices of arrays ten times as long
+        ahead[j] += SMALL_TIME * z[12 + j]
+        behind[j] -= SMALL_TIME * z[12 + j]
     return (slip(ahead, c, wall) - slip(behind, c, wall)) / (2.0 * SMALL_TIME)
 
 
@@ -338,11 +339,13 @@ def accelerations(
     """
     Q, W = applied(z, c, touching, chi, sliding), c.inverse_mass.copy()
     held = np.zeros((2, 3))
-    held[0], held[1] = Q[:3], Q[9:]
+    for j in range(3):
+        held[0, j], held[1, j] = Q[j], Q[9 + j]
     for which in range(2):
         k = 9 * which
         if resting[which]:
-            W[k : k + 3] = 0.0
+            for j in range(3):
+                W[k + j] = 0.0
             continue
         ct, st = math.cos(z[k + 2]), math.sin(z[k + 2])
         for i in range(3):
@@ -388,7 +391,6 @@ def accelerations(
     return acc, held, friction
 
 
-@compiled
 def motion(
     z: np.ndarray,
     c: Constants,

@@ -63,7 +63,7 @@ def test_figures_of_the_paper_are_written_as_svg_and_png(recorded, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun")
     options = ["--figures", "--save", str(tmp_path / "x" / "window.rrd"), "--out", str(tmp_path)]
     window = ["--window", "2.7", "2.9"]
-    assert main(["view", *map(str, recorded), *options, *window]) == 0
+    assert main(["view", str(recorded[0]), *options, *window]) == 0
     assert (tmp_path / "x" / "window.rrd").stat().st_size > 100_000
     names = {file.name for file in (tmp_path / "figures").iterdir()}
     for figure in ("intrusion", "impact_force", "trajectory", "velocities"):

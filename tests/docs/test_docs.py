@@ -215,14 +215,6 @@ def test_every_figure_is_there(page):
         assert ((ROOT / page).parent / figure).stat().st_size > 5_000
 
 
-def test_every_figure_of_the_reproduction_has_its_command():
-    text = (ROOT / "docs/reproduction.md").read_text()
-    figures = re.findall(r"\(reproduction/(\w+)\.png\)", text)
-    assert len(figures) > 8
-    for figure in figures:
-        assert f"`.venv/bin/capture-sim reproduce --only {figure} --out runs`" in text
-
-
 def test_sweep_finds_what_captures(tmp_path, run):
     captured, of = map(int, re.findall(r"\d+", run(tmp_path, f"{ROOT}/examples/sweep_damping.py")))
     assert 0 < captured < of

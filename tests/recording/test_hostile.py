@@ -39,7 +39,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
 from capture_sim.recording.scan import UNPACKED_LEAST
 
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "150"))
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "100"))
 COMMANDS = ("detect", "export", "resimulate", "recover", "compare", "identify")
 
 

@@ -26,7 +26,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
 
 #: Cuts and flipped bytes; docs/recording.md has 50 of each.
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "15"))
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "8"))
 #: How the stretch is told that lost messages may have been in.
 TIMES = r"any messages between ([\d.]+) s and ([\d.]+) s since the release"
 

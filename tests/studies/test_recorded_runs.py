@@ -39,8 +39,6 @@ def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_pat
     assert main(["resimulate", str(tmp_path / "bag")]) == 0
     assert "identical, bit for bit" in capsys.readouterr().out
     assert main(["detect", str(tmp_path / "bag")]) == 0
-    for command in ("run", "view"):  # a bag's folder like a file
-        assert main([command, str(tmp_path / "bag"), "--out", str(tmp_path / command)]) == 0
 
     def lost(time, message):
         if getattr(message, "seq", None) != 5:
