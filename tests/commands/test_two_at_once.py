@@ -9,7 +9,8 @@ from capture_sim.recording.read import read_run
 
 def test_two_runs_into_one_folder(tmp_path):
     compile_kernels()
-    command = [sys.executable, "-m", "capture_sim.cli", "run", "tilt_0", "--out", "two"]
+    short = ["paper_designed", "--set", "run.t_end=0.3"]
+    command = [sys.executable, "-m", "capture_sim.cli", "run", *short, "--out", "two"]
     both = [
         subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         for _ in range(2)
@@ -22,7 +23,7 @@ def test_two_runs_into_one_folder(tmp_path):
     left = {path.name: path for path in (tmp_path / "two").iterdir()}
     assert not [name for name in left if name.startswith(".")]
     recordings = [path for name, path in left.items() if name.endswith(".mcap")]
-    assert "tilt_0.mcap" in left
+    assert "paper_designed.mcap" in left
     for path in recordings:
         run = read_run(path)
         assert run.problems == ()

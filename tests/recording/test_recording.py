@@ -97,9 +97,9 @@ def test_file_holds_the_messages_of_the_nodes_in_their_order(path, sent):
 
 
 def test_a_live_recording_is_not_overwritten(result, sent, tmp_path):
-    live = record(tmp_path, sent).close().path
+    live = record(tmp_path, sent[:50]).close().path
     before = live.read_bytes()
-    assert record(tmp_path, sent).close().path == tmp_path / f"{NAME}_2.mcap"
+    assert record(tmp_path, sent[:50]).close().path == tmp_path / f"{NAME}_2.mcap"
     assert write_run(result, live) == tmp_path / f"{NAME}_3.mcap"
     assert live.read_bytes() == before
     # but a simulated run, which can be made again, is replaced
