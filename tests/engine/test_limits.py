@@ -128,7 +128,7 @@ def test_spin_counts_in_the_error_scale():
     assert steps[1] < 3 * steps[0]
 
 
-@pytest.mark.parametrize("speed, t_end", [(1e-5, 200), (1e-7, 20_000)])
+@pytest.mark.parametrize("speed, t_end", [(1e-5, 200), (1e-7, 4_000)])
 def test_ledger_closes_at_the_slowest_approach(speed, t_end):
     """Without a floor of 1 mm/s in the scale, the ripple of a slow touch is an error."""
     over = [f"initial.chaser.vx={speed}", f"run.t_end={t_end}", "run.state_rate=1", "run.rate=1"]
