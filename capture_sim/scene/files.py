@@ -9,11 +9,13 @@ and makes one line of whatever is wrong with it.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import os
 import re
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -125,12 +127,16 @@ def parse(text: str, source: str) -> Any:
         raise SceneError(f"{source}{where}: not valid YAML: {problem}") from None
 
 
+# who loads a scene again and again, with other values, has its files parsed once
+_parsed = lru_cache(maxsize=32)(parse)
+
+
 def parse_scene(text: str, source: str) -> dict[str, Any]:
     """Return the parts that a YAML text says, unchecked; errors as of :func:`parse`."""
-    data = parse(text, source)
+    data = _parsed(text, source)
     if not isinstance(data, dict):
         raise SceneError(f"{source}: a scene is a mapping of parts, got {type(data).__name__}")
-    return data
+    return copy.deepcopy(data)
 
 
 def scene_names() -> list[str]:
