@@ -39,6 +39,7 @@ def test_standard_errors_are_those_of_many_noises():
         fits.append(identify(run.scene, run.measured, ("mu", "c_A"), plan=run.plan, starts=1))
     spread = np.std([fit.values for fit in fits], axis=0, ddof=1)
     told = np.mean([fit.errors for fit in fits], axis=0)
+    assert np.mean([fit.chi2 for fit in fits]) == pytest.approx(1.0, abs=0.1)
     # chi-square of 11: 0.1 % quantiles at 0.38 and 1.69
     assert np.all((spread / told > 0.38) & (spread / told < 1.69))
 
