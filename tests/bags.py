@@ -38,12 +38,12 @@ def copied(source, path, *, topics=None, late=0, change=unchanged, **how):
     return path
 
 
+def later(topic, data):
+    """Add WALL to a message's stamp, which follows the four bytes that tell the byte order."""
+    (seconds,) = struct.unpack_from("<i", data, 4)
+    yield topic, "cdr", data[:4] + struct.pack("<i", seconds + WALL) + data[8:]
+
+
 def of_a_bench(source, path, topics=STANDARD):
     """Copy some topics, late by WALL, by their stamps as well."""
-
-    def later(topic, data):
-        # the stamp follows the four bytes that tell the byte order
-        (seconds,) = struct.unpack_from("<i", data, 4)
-        yield topic, "cdr", data[:4] + struct.pack("<i", seconds + WALL) + data[8:]
-
     return copied(source, path, topics=topics, late=WALL, change=later)

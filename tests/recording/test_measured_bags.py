@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from bags import STANDARD, copied, of_a_bench
+from bags import STANDARD, copied, later, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.recording.export import table
 from capture_sim.recording.measured_run import run_from_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
@@ -89,6 +90,32 @@ def test_bag_of_motion_capture_alone_is_drawn(tmp_path, noise, within):
     assert seen.samples["v"][free] == pytest.approx(every["v"][free], abs=within)
     assert impact_speed(seen.events) == pytest.approx(impact_speed(run.events), abs=within)
     assert verdict(seen) == "captured"
+
+
+def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
+    run, recorded, tmp_path, capsys
+):
+    """The launcher's stamp is of the trial; the first second of the chaser's poses is missing."""
+
+    def change(topic, data):
+        if topic == "/launcher/command":
+            yield topic, "cdr", data
+        elif topic != "/chaser/odom" or data[4] != 1:  # of the stamp's second
+            yield from later(topic, data)
+
+    topics = (*STANDARD, "/launcher/command", "/capture/status")
+    path = copied(recorded, tmp_path / "own.mcap", topics=topics, change=change)
+    bag = read_run(path)
+    t = run.samples["t"][1000::10]
+    assert table(bag, "/chaser/odom")["t"] == pytest.approx(t, abs=1e-6)
+    assert table(bag, "/launcher/command")["t"].tolist() == [0.0, 0.0]
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_0"))
+    assert seen.samples["t"] == pytest.approx(t, abs=1e-6)
+    assert decided_at(seen) == pytest.approx(decided_at(run), abs=1e-6)
+    assert main(["detect", str(path), "--scene", "tilt_p10"]) == 0
+    told = capsys.readouterr().out
+    assert f"verdict: captured since {decided_at(run):.3f} s" in told
+    assert told.rstrip().endswith("the same")
 
 
 def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
