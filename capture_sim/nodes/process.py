@@ -82,17 +82,23 @@ class _Interrupt:
 
     Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
     would tear the end that the first has begun, before that can ignore it.  Raised within a
-    destructor it is lost, so it comes again until the node has taken it.
+    destructor it is lost, so it comes again until the node has taken it.  While ``is_held`` it is
+    put off.
     """
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     TOGETHER = 1.0  # s
     AGAIN = 1.2  # s
+    SOON = 0.05  # s
 
     def __init__(self) -> None:
         self._last = -math.inf
+        self.is_held = False
 
     def __call__(self, signum: int, frame: FrameType | None) -> None:
+        if self.is_held:
+            signal.setitimer(signal.ITIMER_REAL, self.SOON)
+            return
         now = time.monotonic()
         if now - self._last > self.TOGETHER:
             self._last = now
@@ -141,14 +147,15 @@ def run(
         print(_usage(make), flush=True)
         return OK
     # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
-    _Interrupt().install()
+    interrupt = _Interrupt()
+    interrupt.install()
     try:
         # held back until here, where it can no longer hit an import
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
         hidden = dds.configure(os.environ)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            status = _live(make, hidden)
+            status = _live(make, hidden, interrupt)
         finally:
             rclpy.try_shutdown()
         leave_if_busy(status)  # compiling goes on behind a Ctrl-C
@@ -172,7 +179,7 @@ def _refuse(reason: str) -> int:
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
+def _live(make: Callable[[], BenchNode], hidden: bool, interrupt: _Interrupt) -> int:
     node = make()
     log = node.get_logger()
     if hidden:
@@ -182,7 +189,9 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
     interrupted = False
     try:
         node.warn_of_unknown_parameters()
+        interrupt.is_held = True  # a thread that nobody knows of here would end in SIGABRT
         callbacks = _Spinner(node)
+        interrupt.is_held = False
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True

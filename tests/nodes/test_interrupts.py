@@ -31,6 +31,24 @@ def test_interrupted_twice_ends_in_order(start, tmp_path, gap):
     assert "Traceback" not in node.text
 
 
+def test_interrupt_while_the_callbacks_begin(start):
+    node = start(
+        "launcher",
+        """
+        from capture_sim.nodes import process
+        begin = process._Spinner.__init__
+        def slowly(self, node):
+            begin(self, node)
+            print("begun", flush=True)
+            process.time.sleep(0.5)
+        process._Spinner.__init__ = slowly
+        """,
+    )
+    node.wait_for("begun")
+    node.process.send_signal(signal.SIGINT)
+    assert node.status() == 0, node.text
+
+
 def test_signals_that_come_together_interrupt_once():
     interrupt = _Interrupt()
     before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
