@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import rclpy
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
@@ -21,10 +21,8 @@ from capture_sim.nodes.node import message_class, qos_of
 from capture_sim.nodes.services import definitions
 
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
-#: (rmw_fastrtps issue 842): s until one that may be asked twice is asked again, and until one
-#: that may not is asked at first.
-AGAIN = 5.0
-SETTLING = 0.2
+#: (rmw_fastrtps issue 842): s until one that may be asked twice is asked again.
+AGAIN = 2.0
 
 
 @dataclass
@@ -59,9 +57,22 @@ class Started:
         return status
 
 
+def fresh(program, arguments):
+    """Start Python with a program."""
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
 @contextmanager
-def processes():
-    """Give a function that starts a node: its name, Python code that changes it, parameters."""
+def processes(begin=fresh):
+    """Give a function that starts a node: its name, Python code that changes it, parameters.
+
+    ``begin`` starts a process of a program and its arguments.
+    """
     started = []
 
     def start(name, change="", **parameters):
@@ -70,13 +81,7 @@ def processes():
             arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={value}"]
         program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
         program += "raise SystemExit(node.main())"
-        process = subprocess.Popen(
-            [sys.executable, "-c", program, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        started.append(Started(process))
+        started.append(Started(begin(program, arguments)))
         return started[-1]
 
     try:
@@ -140,10 +145,13 @@ class Client:
         is_new = client is None
         if is_new:
             client = self._clients[name] = self.node.create_client(kind, name)
-        assert client.wait_for_service(timeout), f"no service {name}"
+        wait_until(client.service_is_ready, timeout, f"no service {name}")
         repeatable = kind.__name__.startswith(("Get", "List", "SetParameters"))
         if is_new and not repeatable:
-            time.sleep(SETTLING)
+            # nodes tell of their clients in turn: one that answers this knows where to answer next
+            probe = f"{name.rpartition('/')[0]}/list_parameters"
+            self._clients.pop(probe, None)
+            self.ask(ListParameters, probe, timeout)
         request = kind.Request(**fields)
         answers = [client.call_async(request)]
 

@@ -2,10 +2,11 @@
 
 import pytest
 from bench_processes import processes
+from forked import Forked
 
 
 @pytest.fixture
 def start():
     """Start a node: its name, Python code that changes it before, and parameters."""
-    with processes() as start:
+    with processes(Forked) as start:
         yield start

@@ -10,6 +10,7 @@ import time
 
 import pytest
 from bench_processes import Client, Simulation, processes, wait_until
+from forked import Forked
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from rcl_interfaces.srv import ListParameters
@@ -113,7 +114,7 @@ def bench(tmp_path_factory):
     """All nodes, the simulation stopped, and a client."""
     out = tmp_path_factory.mktemp("foreign") / "out"
     bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
-    with processes() as start, Client() as client:
+    with processes(Forked) as start, Client() as client:
         never = {"exit_when_done": "false"}
         nodes = {
             "simulator": start("simulator", initial_state="stopped", rtf=0.0, **never),

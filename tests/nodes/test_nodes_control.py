@@ -4,6 +4,7 @@ import time
 
 import pytest
 from bench_processes import Client, Simulation, processes, wait_until
+from forked import Forked
 from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
@@ -18,7 +19,7 @@ OVERRIDES = ["run.t_end=0.4"]
 @pytest.fixture(scope="module")
 def nodes(tmp_path_factory):
     """Simulator, stopped, and launcher; they serve all tests here."""
-    with processes() as start:
+    with processes(Forked) as start:
         yield {
             "simulator": start(
                 "simulator",

@@ -9,6 +9,7 @@ from dataclasses import fields
 
 import pytest
 from bench_processes import Client, processes
+from forked import Forked
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
@@ -135,7 +136,7 @@ for name, arguments in json.loads(sys.argv[1]):
 def bench(tmp_path_factory):
     """All nodes within a run that lasts as long as it is asked, and where it is recorded."""
     out = tmp_path_factory.mktemp("refused") / "out"
-    with processes() as start, Client() as client:
+    with processes(Forked) as start, Client() as client:
         nodes = {
             "recorder": start("recorder", out=out),
             "capture_detector": start("capture_detector"),

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from bench_processes import Client, processes, wait_until
+from forked import Forked
 from std_srvs.srv import Trigger
 
 from capture_sim.detection.exact import CaptureState
@@ -20,7 +21,7 @@ STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status,
 def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path):
     assert len(RIG.read_text().splitlines()) <= 65
     assert "capture_sim." not in RIG.read_text()
-    with processes() as start, Client() as client:
+    with processes(Forked) as start, Client() as client:
         rig = subprocess.Popen([sys.executable, str(RIG)])
         try:
             nodes = {
