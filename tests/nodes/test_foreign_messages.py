@@ -117,7 +117,14 @@ def bench(tmp_path_factory):
     with processes(Forked) as start, Client() as client:
         never = {"exit_when_done": "false"}
         nodes = {
-            "simulator": start("simulator", initial_state="stopped", rtf=0.0, **never),
+            # short runs: nobody is outrun, not this process either
+            "simulator": start(
+                "simulator",
+                initial_state="stopped",
+                rtf=0.0,
+                overrides="[run.t_end=1.0]",
+                **never,
+            ),
             "launcher": start("launcher", **never),
             "capture_detector": start("capture_detector", **never),
             "recorder": start("recorder", out=out, **never),

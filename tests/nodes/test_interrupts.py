@@ -9,6 +9,7 @@ import threading
 import time
 
 import pytest
+from bench_processes import wait_until
 
 import capture_sim
 from capture_sim import load_scene
@@ -18,17 +19,19 @@ from capture_sim.nodes.supervisor import run_suite, signals_deferred
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
+GAPS = (0.0003, 0.001, 0.004)  # s
 
-@pytest.mark.parametrize("gap", [0.0003, 0.001, 0.004])
-def test_interrupted_twice_ends_in_order(start, tmp_path, gap):
-    node = start("recorder", out=tmp_path)
-    node.wait_for("ready")
-    for _ in range(8):
-        if node.process.poll() is None:
+
+def test_interrupted_twice_ends_in_order(start, tmp_path):
+    nodes = {gap: start("recorder", out=tmp_path, __node=f"r{i}") for i, gap in enumerate(GAPS)}
+    for gap, node in nodes.items():
+        node.wait_for("ready")
+        for _ in range(8):
             node.process.send_signal(signal.SIGINT)
-        time.sleep(gap)
-    assert node.status(20.0) == 0, node.text
-    assert "Traceback" not in node.text
+            time.sleep(gap)
+    for node in nodes.values():
+        assert node.status() == 0, node.text
+        assert "Traceback" not in node.text
 
 
 def test_interrupt_while_the_callbacks_begin(start):
@@ -153,16 +156,16 @@ def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status
 
 
 # At any moment of loading the compiler and of compiling; where that is over, in what comes then
-@pytest.mark.parametrize("after", [0.7, 4.0])
 @pytest.mark.parametrize(
-    "program, status",
+    "program, status, after",
     [
-        ("from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))", 130),
-        ("from capture_sim.nodes.simulator import main; raise SystemExit(main())", 0),
+        ("from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))", 130, 0.7),
+        ("from capture_sim.nodes.simulator import main; raise SystemExit(main())", 0, 2.5),
         (  # it says nothing before
             "from capture_sim.nodes.loop_simulator import main; print('compiling'); "
             "raise SystemExit(main())",
             0,
+            2.5,
         ),
     ],
     ids=["command", "node", "loop"],
@@ -247,23 +250,17 @@ def test_interrupt_within_work_apart_is_not_lost():
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.parametrize("followers", [(), ("recorder",)])
-def test_interrupted_replay_says_so_by_its_status(tmp_path, followers):
+def test_interrupted_replay_says_so_by_its_status(tmp_path):
     scene = capture_sim.load_scene("tilt_0", ["run.t_end=3.0"])
     path = write_run(capture_sim.simulate(scene), tmp_path / "tilt_0.mcap")
     command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0.05"]
-    if followers:
-        command += ["--with", *followers, "--out", str(tmp_path / "out")]
+    command += ["--with", "recorder", "--out", str(tmp_path / "out")]
     replay = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
-        if followers:  # its file is there once it plays
-            deadline = time.monotonic() + 60.0
-            while not list((tmp_path / "out").glob("*.mcap")) and time.monotonic() < deadline:
-                time.sleep(0.05)
-        else:
-            time.sleep(4.0)
+        # its file is there once it plays
+        wait_until(lambda: list((tmp_path / "out").glob("*.mcap")), 60.0)
         assert replay.poll() is None
         replay.send_signal(signal.SIGINT)
         out, err = replay.communicate(timeout=30)
@@ -272,9 +269,8 @@ def test_interrupted_replay_says_so_by_its_status(tmp_path, followers):
         assert replay.returncode in (130, -signal.SIGINT), out + err
         assert "interrupted" in err
         assert "Traceback" not in out + err
-        if followers:
-            (file,) = (tmp_path / "out").glob("*.mcap")
-            assert read_run(file).raw("bench/run_info")
+        (file,) = (tmp_path / "out").glob("*.mcap")
+        assert read_run(file).raw("bench/run_info")
     finally:
         if replay.poll() is None:
             replay.kill()
@@ -298,7 +294,7 @@ def test_interrupt_waits_for_what_must_not_be_torn():
         pass  # what came before is forgotten
 
 
-def test_interrupt_while_nodes_are_started_leaves_none_behind(tmp_path, monkeypatch):
+def test_interrupt_while_nodes_are_started_ends_them_too(tmp_path, monkeypatch, capfd):
     started = []
     start = subprocess.Popen
 
@@ -312,4 +308,5 @@ def test_interrupt_while_nodes_are_started_leaves_none_behind(tmp_path, monkeypa
     with pytest.raises(KeyboardInterrupt):
         run_suite([load_scene("tilt_0")], tmp_path)
     assert len(started) == 4
-    assert all(process.poll() is not None for process in started)
+    assert [process.returncode for process in started] == [0] * 4
+    assert "Traceback" not in capfd.readouterr().out

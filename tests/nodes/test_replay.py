@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -14,11 +12,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from std_srvs.srv import Trigger
 
 import capture_sim
+from capture_sim.cli import main
 from capture_sim.control.simulation import Code, State
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
-    BENCH_STATE,
     CAPTURE_DETECTOR,
     CLOCK,
     RUN_INFO,
@@ -100,11 +98,8 @@ def padded(data):
 
 
 def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
-    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path)]
-    command += ["--rate", "10", "--with", "capture_detector", "recorder"]
-    command += ["--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stdout + done.stderr
+    options = ["--rate", "10", "--with", "capture_detector", "recorder"]
+    assert main(["replay", str(path), *options, "--out", str(tmp_path / "out")]) == 0
     one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
     assert two.problems == ()
     played = [topic for topic in TOPICS if CAPTURE_DETECTOR not in topic.publishers]
@@ -128,18 +123,12 @@ def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
 
 
 def test_what_is_left_out_is_not_missed(path, tmp_path):
-    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0"]
-    command += ["--with", "recorder", "--out", str(tmp_path)]
-    state = ("/bench/state", "/bench/run_info", "/bench/stream_counts")
-    one = read_run(path)
-    for number, (options, first) in enumerate(
-        ((("--start", "3"), 3000), (("--topics", *state), 0))
-    ):
-        done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stdout + done.stderr
-        two = read_run(tmp_path / f"{NAME}{f'_{number + 1}' if number else ''}.mcap")
-        assert two.problems == ()
-        assert two.raw("bench/state") == one.raw("bench/state")[first:]
+    topics = ["/bench/state", "/bench/run_info", "/bench/stream_counts"]
+    command = ["replay", str(path), "--rate", "0", "--start", "3", "--topics", *topics]
+    assert main([*command, "--with", "recorder", "--out", str(tmp_path)]) == 0
+    two = read_run(tmp_path / f"{NAME}.mcap")
+    assert two.problems == ()
+    assert two.raw("bench/state") == read_run(path).raw("bench/state")[3000:]
 
 
 def test_what_the_recording_lacks_is_missed_still(path):
@@ -196,36 +185,34 @@ def test_a_topic_has_the_quality_of_service_that_was_recorded(
 
 
 def test_nothing_played_is_a_failure(bench_bag, start):
+    options = {"bag": bench_bag, "topics": "[/target/odom]", "rtf": 0.0, "delay": 0.0}
     # looped, it would play nothing for ever
-    for loop in ("false", "true"):
-        node = start(
-            "player", bag=bench_bag, topics="[/target/odom]", rtf=0.0, delay=0.0, loop=loop
-        )
-        assert node.status() == 1, node.text
-        assert "nothing was played" in node.text
+    for player in [start("player", loop=loop, **options) for loop in ("false", "true")]:
+        assert player.status() == 1, player.text
+        assert "nothing was played" in player.text
 
 
-def test_run_that_nobody_announced_cannot_be_followed(bench_bag):
-    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(bench_bag)]
-    # the time allowed is shorter than the player's start_timeout of 60 s
-    done = subprocess.run(
-        [*command, "--with", "capture_detector"], capture_output=True, text=True, timeout=50
-    )
-    assert done.returncode == 2
-    (said,) = [line for line in done.stderr.splitlines() if line.startswith("capture-sim: ")]
-    assert "error:" not in done.stderr
+def test_run_that_nobody_announced_cannot_be_followed(bench_bag, capsys):
+    assert main(["replay", str(bench_bag), "--with", "capture_detector"]) == 2
+    errors = capsys.readouterr().err
+    (said,) = [line for line in errors.splitlines() if line.startswith("capture-sim: ")]
+    assert "error:" not in errors
     assert "consumers = ['capture_detector']: allowed are none, as no bench/run_info" in said
 
 
 def test_pause_step_and_latched_topics(path, start):
-    start("player", bag=path, paused="true", rtf=0.0, delay=0.5)
+    # at real time: an unpaced one is through before it can be asked again
+    start("player", bag=path, paused="true", rtf=1.0, delay=0.5)
     with Client() as client:
 
         def ask(name):
             return client.ask(Trigger, f"/player/{name}").success
 
-        states = client.listen(BENCH_STATE)
-        wait_until(lambda: client.node.count_publishers("/bench/state"), 60.0)
+        player = Simulation(client, "player")
+        states = player.states
+        # until the topics are connected, both ways: the services are later than those
+        assert player.state is State.PAUSED
+        assert list(player.features().features) == [24, 25, 26, 31, 32]
         time.sleep(1.0)
         assert not states
         assert ask("play_next")  # all of the first time: the announcement and a state
@@ -234,30 +221,18 @@ def test_pause_step_and_latched_topics(path, start):
         announced = client.listen(RUN_INFO)
         wait_until(lambda: announced)
         assert (len(announced), len(states)) == (1, 1)
-        assert ask("play_next")
-        wait_until(lambda: len(states) == 2)
-        assert not ask("pause")  # it is
-        assert ask("resume")
-        wait_until(lambda: len(states) > 1000)
-
-
-def test_services_of_simulation_interfaces(path, start):
-    # at real time: an unpaced one is through before it can be asked again
-    start("player", bag=path, paused="true", rtf=1.0, delay=0.5)
-    with Client() as client:
-        player = Simulation(client, "player")
-        wait_until(lambda: client.node.count_publishers("/bench/state"), 60.0)
-        time.sleep(1.0)  # until the topics are connected
-        assert player.state is State.PAUSED
         assert player.step(5) == (Code.OK, "")
-        wait_until(lambda: len(player.states) >= 5)
-        assert player.settle() == 5
+        wait_until(lambda: len(states) >= 6)
+        assert player.settle() == 6
+        assert not ask("pause")  # it is
         assert player.set(State.PAUSED)[0] == Code.ALREADY_IN_TARGET_STATE
         assert player.set(State.STOPPED)[0] == Code.INCORRECT_TRANSITION
         assert player.reset()[0] == Code.FEATURE_UNSUPPORTED
-        assert list(player.features().features) == [24, 25, 26, 31, 32]
         assert player.set(State.PLAYING) == (Code.OK, "")
         assert player.step()[0] == Code.OPERATION_FAILED
+        assert ask("pause")
+        assert ask("resume")
+        wait_until(lambda: len(states) > 1000)
 
 
 def test_bag_of_others_is_played_with_a_clock(tmp_path, start):
@@ -297,16 +272,15 @@ def test_bag_of_others_is_played_with_a_clock(tmp_path, start):
         (None, "damaged at byte"),
     ],
 )
-def test_command_says_what_is_wrong_as_every_command(options, said, path, tmp_path):
+def test_command_says_what_is_wrong_as_every_command(options, said, path, tmp_path, capsys):
     file = path
     if options is None:
         data = bytearray(path.read_bytes())
         data[-700] ^= 1
         file = tmp_path / "broken.mcap"
         file.write_bytes(data)
-    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(file), *(options or ())]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert done.stderr.startswith("capture-sim: ")
-    assert said in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert main(["replay", str(file), *(options or ())]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("capture-sim: ")
+    assert said in errors
+    assert errors.count("\n") == 1

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import textwrap
 
 import numpy as np
 import pytest
+from bench_processes import Started, fresh
 
 import capture_sim
-from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.viewing.shapes import tip_in_cone
@@ -48,9 +45,16 @@ def ended(node):
     return node.status(20.0) == 0 and "Traceback" not in node.text
 
 
-def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, run, tmp_path):
+def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_path):
     node, address = viewer()
-    assert run_suite([run.scene], tmp_path) == 0
+    consumers = "[launcher, capture_detector, recorder]"
+    nodes = [
+        start("simulator", scenes="[tilt_p10]", rtf=0.0, consumers=consumers),
+        start("launcher"),
+        start("capture_detector"),
+        start("recorder", out=tmp_path),
+    ]
+    assert [node.status() for node in nodes] == [0, 0, 0, 0]
     recorded = read_run(tmp_path / "tilt_p10.mcap")
     assert recorded.complete, recorded.problems
     node.wait_for("tilt_p10: shown")
@@ -77,6 +81,7 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
     node, address = viewer(scene="tilt_0")
     publisher = f"""
         import time, rclpy
+        from rclpy.duration import Duration
         from rclpy.serialization import deserialize_message
         from capture_sim.nodes.node import message_class, qos_of
         from capture_sim.recording.read import read_run
@@ -95,12 +100,14 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
             for sender, kind, data in zip(senders, kinds, row):
                 sender.publish(deserialize_message(data, kind))
             time.sleep(0.002)
-        time.sleep(1.0)
-        rclpy.shutdown()
+        print([sender.wait_for_all_acked(Duration(seconds=30)) for sender in senders], flush=True)
     """
-    subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(publisher)], check=True, timeout=60, env=os.environ
-    )
+    bench = Started(fresh(textwrap.dedent(publisher), []))
+    try:
+        bench.wait_for("[True, True, True]")
+    finally:  # plain rclpy may not come to its end: see capture_sim.interrupts.end_within
+        bench.process.kill()
+        bench.process.wait()
 
     def check(found):
         times, tip = column(found, "/bench/close_up/tip", "positions")
