@@ -23,6 +23,8 @@ from capture_sim.nodes.services import definitions
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
 #: (rmw_fastrtps issue 842): s until one that may be asked twice is asked again.
 AGAIN = 2.0
+#: What is waited for comes within this long, s, on a slow and busy machine too.
+PATIENCE = 120.0
 
 
 @dataclass
@@ -43,14 +45,14 @@ class Started:
     def text(self):
         return "".join(self.lines)
 
-    def wait_for(self, words, timeout=60.0, since=0):
+    def wait_for(self, words, timeout=PATIENCE, since=0):
         """Wait until the node says something, in the lines from ``since`` on."""
         deadline = time.monotonic() + timeout
         while words not in "".join(self.lines[since:]):
             assert time.monotonic() < deadline, f"never said {words!r}:\n{self.text}"
             time.sleep(0.01)
 
-    def status(self, timeout=60.0):
+    def status(self, timeout=PATIENCE):
         """Wait for the end and return the exit status."""
         status = self.process.wait(timeout)
         self.reader.join(5.0)
@@ -135,11 +137,11 @@ class Client:
     def __exit__(self, *error):
         self.close()
 
-    def ask(self, kind, name, timeout=30.0, **fields):
+    def ask(self, kind, name, timeout=PATIENCE, **fields):
         """Call a service and return its response."""
         return self.begin(kind, name, timeout, **fields)()
 
-    def begin(self, kind, name, timeout=30.0, **fields):
+    def begin(self, kind, name, timeout=PATIENCE, **fields):
         """Call a service; return a function that waits for the response."""
         client = self._clients.get(name)
         is_new = client is None
@@ -190,7 +192,7 @@ class Client:
         return messages
 
 
-def wait_until(condition, timeout=20.0, what=""):
+def wait_until(condition, timeout=PATIENCE, what=""):
     """Wait until something is so."""
     deadline = time.monotonic() + timeout
     while not condition():

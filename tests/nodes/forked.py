@@ -17,6 +17,14 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 
+from capture_sim import load_scene
+from capture_sim.bench import compile_kernels
+from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.messages.definitions import typestore
+
+NODES = ("simulator", "launcher", "capture_detector", "recorder", "player", "viewer")
+NODES += ("contact_rig", "loop_simulator")
+
 
 @cache
 def _server():
@@ -66,14 +74,7 @@ class Forked:
 
 
 def _load():
-    from capture_sim.bench import compile_kernels
-    from capture_sim.hardware.in_the_loop import LoopStage
-    from capture_sim.launch.scenes import load_scene
-    from capture_sim.messages.definitions import typestore
-
-    for name in ("simulator", "loop_simulator", "contact_rig", "player", "viewer"):
-        import_module(f"capture_sim.nodes.{name}")
-    for name in ("launcher", "capture_detector", "recorder"):
+    for name in NODES:
         import_module(f"capture_sim.nodes.{name}")
     with suppress(ImportError):
         import_module("capture_sim.viewing.live")  # needs rerun

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import rclpy
-from bench_processes import Client, join_dds, wait_until
+from bench_processes import PATIENCE, Client, join_dds, wait_until
 from noisy_replay import Disturbance, disturbed, judge
 from rcl_interfaces.srv import DescribeParameters
 from rosbags.highlevel import AnyReader
@@ -45,7 +45,7 @@ SENSED = ["sensors.motion_capture={}", "sensors.seed=3"]
 # parameters
 
 
-def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
+def test_criteria_are_described_and_recorded(start, tmp_path, capsys):
     names = [field.name for field in fields(Detector)]
     nodes = [
         start("capture_detector", dwell=0.3),
@@ -65,15 +65,11 @@ def test_criteria_are_described_refused_and_recorded(start, tmp_path, capsys):
             assert field.metadata["doc"] in descriptor.description
             allowed = f"{field.metadata['allowed']} {field.metadata['unit']}"
             assert descriptor.additional_constraints.endswith(f"decimal point, {allowed}")
-        refused = client.set("capture_detector", capture_radius=0.0)
-        assert refused == (False, "parameter capture_radius = 0.0 m: allowed is > 0 and <= 1")
         assert client.set("capture_detector", leave=0.03)[0]
         nodes.append(
             start("simulator", rtf=0.001, consumers="[launcher, capture_detector, recorder]")
         )
         nodes[-1].wait_for("released")
-        refused = client.set("capture_detector", min_dwell=-1.0)
-        assert refused == (False, "parameter min_dwell = -1.0 s: allowed is >= 0")
         # right, but of no effect on the run that is on
         assert client.set("capture_detector", capture_radius=1e-6)[0]
         assert client.set("simulator", rtf=0.0)[0]
@@ -135,7 +131,7 @@ class Bench(BenchNode):
         # the detector then waits for its own reader
         run = RunDescription.of(scene, "on the bench", publishers, consumers=["recorder"])
         ours = (CHASER_POSE, TARGET_POSE, BUFFER_STATE, STREAM_COUNTS)
-        wait_until(lambda: all(self.matched(topic) >= readers for topic in ours), 90.0)
+        wait_until(lambda: all(self.matched(topic) >= readers for topic in ours))
         self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(run)))
         assert self.drain(20.0)
         counts = {RUN_INFO.name: 1, **self.measure(measurements)}
@@ -186,21 +182,19 @@ LATE = """
 """
 
 
-@pytest.mark.parametrize(
-    "name, change", [("tilt_m10", LATE), ("paper_undamped", "")], ids=["late", "in time"]
-)
-def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path, name, change):
+def test_detector_and_recorder_serve_a_bench_without_simulator(start, tmp_path):
+    name = "tilt_m10"
     scene = load_scene(name, SENSED)
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(9)))
     nodes = [
-        start("capture_detector", change, drain_timeout=20.0),
-        start("recorder", change, out=tmp_path, drain_timeout=20.0),
+        start("capture_detector", LATE, drain_timeout=20.0),
+        start("recorder", LATE, out=tmp_path, drain_timeout=20.0),
     ]
     bench = Bench()
     bench.run(scene, measured, 2)
     bench.destroy_node()
-    assert nodes[0].status(30.0) == 0, nodes[0].text
-    assert nodes[1].status(30.0) == 0, nodes[1].text
+    assert nodes[0].status() == 0, nodes[0].text
+    assert nodes[1].status() == 0, nodes[1].text
     run = read_run(tmp_path / f"{name}.mcap")
     offline, _ = judge(scene, iter(measured))
     again = detect_again(run)[-1]
@@ -230,7 +224,7 @@ def test_changes_of_state_are_kept_for_a_busy_subscriber():
         sender.send(CAPTURE_STATUS, sender.messages.serialise(message), latch=True)
 
     def take(count):
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + PATIENCE
         while len(came) < count and time.monotonic() < deadline:
             rclpy.spin_once(reader, timeout_sec=0.1)
 
@@ -253,7 +247,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     bench = Bench()
     statuses = []
     bench.listen(CAPTURE_STATUS, statuses.append)
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE
     while any(bench.matched(t) < 1 for t in (CHASER_POSE, TARGET_POSE, BUFFER_STATE)):
         assert time.monotonic() < deadline
         rclpy.spin_once(bench, timeout_sec=0.05)
@@ -266,7 +260,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     assert verdicts[-1].state == CaptureState.REBOUND
     assert verdicts[-1].reason.startswith("retreated 20 mm from ")
     node.process.send_signal(signal.SIGINT)
-    assert node.status(20.0) == 0
+    assert node.status() == 0
     assert "Traceback" not in node.text
 
 

@@ -28,7 +28,7 @@ def test_the_loop_closes_through_dds(start, tmp_path, plate):
         "loop_simulator",
         report=report,
         rtf=0.2,
-        timeout=1.0,
+        timeout=10.0,
         energy_limit=1e3,
         mass=plate_mass(plate),
     )
@@ -60,7 +60,7 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     assert "Traceback" not in loop.text
     stiffness = load_scene("paper_designed").contact_stiffness
     start("contact_rig", scene="paper_designed", stiffness=stiffness, exponent=1.5)
-    loop = start("loop_simulator", scene="paper_designed", rtf=0.2, timeout=1.0)
+    loop = start("loop_simulator", scene="paper_designed", rtf=0.2, timeout=10.0)
     assert loop.status() == 1
     assert "N came: allowed is <= 500" in loop.text
 
@@ -75,7 +75,7 @@ def test_the_model_takes_the_paper_contact_through_dds(start, tmp_path):
         scene="paper_designed",
         overrides="[run.t_end=0.08]",
         rtf=0.05,
-        timeout=1.0,
+        timeout=10.0,
         compensation="model",
         stiffness=0.5 * stiffness,
         report=report,

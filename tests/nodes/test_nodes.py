@@ -33,8 +33,6 @@ AWAITED = {"rtf": "0.0", "consumers": "[launcher, capture_detector, recorder]"}
 # These carry the run's id, or what was computed from odometry instead of the state.
 OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/stream_counts"}
 JUDGED = {"capture/status"}
-# s; DDS sees after 6 s that a node was killed, a busy machine needs longer
-NOTICED = 20.0
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +276,7 @@ def test_dropped_messages_are_named(start_all):
             send(self, topic, message, **options)
         node.SimulatorNode.send = leaky
     """
-    nodes = start_all(drop, drain_timeout=1.0)
+    nodes = start_all(drop, drain_timeout=2.0)
     assert nodes["recorder"].status() == 1
     said = nodes["recorder"].text
     assert re.search(r"bench/state: 1 messages? missing \(seq 1234\)", said), said
@@ -314,15 +312,21 @@ def test_who_looks_on_is_not_taken_for_who_is_awaited(start, tmp_path):
 # nodes that die
 
 
+def begun(tmp_path):
+    """Wait until the recorder has written about 1000 samples; return its file."""
+    path = tmp_path / "out" / "tilt_0.mcap"
+    wait_until(lambda: path.is_file() and path.stat().st_size > 300_000)
+    return path
+
+
 def test_killed_simulator_leaves_a_readable_file_and_ends_the_others(start_all, tmp_path):
     nodes = start_all(rtf=2.0)
-    nodes["simulator"].wait_for("released")
-    time.sleep(1.5)
+    path = begun(tmp_path)
     nodes["simulator"].process.kill()
     for name in ("recorder", "launcher", "capture_detector"):
-        assert nodes[name].status(NOTICED) == 1
+        assert nodes[name].status() == 1
         assert "the simulator has gone" in nodes[name].text
-    run = read_run(tmp_path / "out" / "tilt_0.mcap")
+    run = read_run(path)
     assert not run.complete
     assert not run.damage
     whole = simulate(load_scene("tilt_0")).samples
@@ -334,9 +338,7 @@ def test_killed_simulator_leaves_a_readable_file_and_ends_the_others(start_all, 
 @pytest.mark.parametrize("victim", ["capture_detector", "recorder"])
 def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
     nodes = start_all(rtf=2.0, consumer_timeout=60.0)
-    nodes["simulator"].wait_for("released")
-    nodes["recorder"].wait_for("recording in")
-    time.sleep(1.0)  # of which a kill costs the recorder 0.5 s at most
+    path = begun(tmp_path)
     nodes[victim].process.kill()
     nodes["simulator"].wait_for("done, 5936 samples")
     assert nodes["simulator"].status() == 0
@@ -344,9 +346,9 @@ def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
     if victim != "recorder":
         assert nodes["recorder"].status() == 1
         assert victim in nodes["recorder"].text
-    run = read_run(tmp_path / "out" / "tilt_0.mcap")
+    run = read_run(path)
     assert not run.complete
-    assert run.samples.size > 100
+    assert run.samples.size > 500
 
 
 def test_reader_that_stands_still_is_left_behind_by_name(start_all, tmp_path):
@@ -368,7 +370,7 @@ def test_reader_that_stands_still_is_left_behind_by_name(start_all, tmp_path):
     nodes["simulator"].wait_for("/recorder: has read nothing of", 120.0)
     assert "/capture_detector" not in nodes["simulator"].text
     nodes["simulator"].wait_for("done, ")
-    assert nodes["capture_detector"].status(120.0) == 0
+    assert nodes["capture_detector"].status() == 0
     assert nodes["simulator"].status() == 1
 
 
@@ -506,7 +508,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 
 
 def test_disk_that_fails_ends_the_recorder_with_one_line(start_all):
-    nodes = start_all(recorder_change=_SMALL_DISK, drain_timeout=1.0)
+    nodes = start_all(recorder_change=_SMALL_DISK, drain_timeout=2.0)
     assert nodes["recorder"].status() == 1
     assert "Traceback" not in nodes["recorder"].text
     assert "Error occurred at" not in nodes["recorder"].text
@@ -517,7 +519,7 @@ def test_disk_that_fails_ends_the_recorder_with_one_line(start_all):
 
 def test_node_whose_callback_fails_says_so_and_ends(start):
     node = start("launcher", "node.LauncherNode._look_at_clock = lambda self: 1 / 0")
-    assert node.status(20.0) == 1
+    assert node.status() == 1
     assert "stopped by ZeroDivisionError: division by zero" in node.text
 
 
@@ -528,12 +530,12 @@ def test_unknown_parameter_is_named(start):
     node = start("launcher", auto_relase="true")
     node.wait_for("auto_relase is unknown here and has no effect; did you mean auto_release?")
     node.process.send_signal(signal.SIGINT)
-    assert node.status(10.0) == 0
+    assert node.status() == 0
 
 
 def test_help_shows_the_parameters_and_starts_nothing():
     command = [sys.executable, "-m", "capture_sim.nodes.simulator", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
     for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
         assert word in done.stdout

@@ -85,13 +85,10 @@ def test_stopped_sends_nothing_and_playing_runs_to_the_end(stopped):
     assert same(stopped.states, whole())
 
 
-def test_stopped_can_be_paused_without_a_sample_or_tick(paused):
+def test_step_sends_its_samples_and_returns_paused(paused):
     assert paused.state is State.PAUSED
     assert paused.settle() == 0
     assert paused.clock == []
-
-
-def test_step_sends_its_samples_and_returns_paused(paused):
     for count in (1, 1, 10, 30):
         before = len(paused.states)
         assert paused.step(count) == (Code.OK, "")
@@ -174,12 +171,6 @@ def test_experiment_is_changed_while_stopped(stopped):
         assert same(stopped.states, simulate(load_scene("tilt_p10", wanted)).samples)
     finally:
         assert stopped.client.set("simulator", scenes=["tilt_0"], overrides=OVERRIDES)[0]
-
-
-def test_experiment_is_kept_while_a_run_is_on(paused):
-    worked, reason = paused.client.set("simulator", scenes=["tilt_p10"])
-    assert not worked
-    assert "while the simulation is stopped; it is paused" in reason
 
 
 @pytest.mark.parametrize(

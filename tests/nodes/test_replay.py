@@ -255,7 +255,7 @@ def test_bag_of_others_is_played_with_a_clock(tmp_path, start):
     with Client() as client:
         heard = client.listen(Topic("/hello", "std_msgs/msg/String", (), Rate.EVENT))
         clocks = client.listen(CLOCK)
-        wait_until(lambda: client.node.count_publishers("/hello"), 60.0)
+        wait_until(lambda: client.node.count_publishers("/hello"))
         time.sleep(0.5)
         assert client.ask(Trigger, "/player/resume").success
         wait_until(lambda: len(heard) == 20)
