@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from bench_processes import Client, wait_until
+from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 
@@ -92,6 +93,8 @@ def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
             for kind, topic in zip(kinds, topics, strict=True)
         ]
         wait_until(lambda: all(sender.get_subscription_count() for sender in senders))
+        # nodes tell of their publishers in turn: one that answers a later client knows the others
+        client.ask(ListParameters, "/viewer/list_parameters")
         for row in zip(*(recorded.raw(topic.name) for topic in topics), strict=True):
             for sender, kind, data in zip(senders, kinds, row, strict=True):
                 sender.publish(deserialize_message(data, kind))
