@@ -356,12 +356,7 @@ def _open_recording(path: str, scene: str | None, release: float | None) -> Open
         return Opened(
             recorded, label, f"recorded in {path}", software, recorded.wall_time, problems
         )
-    if scene is None:
-        raise RecordingError(
-            f"{path}: holds no samples of the simulator; if it is of a real bench, name an "
-            "experiment of the same geometry by --scene"
-        )
-    run = run_from_bag(recorded, load_scene(scene), release)
+    run = run_from_bag(recorded, scene_of(recorded, scene, ()), release)
     return Opened(run, label, f"measured, in {path}", software, problems=problems, measured=True)
 
 
