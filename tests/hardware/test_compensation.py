@@ -377,7 +377,7 @@ uncompensated = functools.cache(with_a_fault)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", ["plate", "paper"])
 def test_no_way_makes_energy(name, way, case):
-    """At no moment, with answers 0.5 to 20.5 ms late; of these lags in none more than without it."""
+    """At no moment, with answers 0.5 to 20.5 ms late; and with none of these more than without."""
     approach = 0.5 * contact(name).felt * (0.02 if name == "plate" else 0.07) ** 2
     # a law in the vehicles' own steps is as exact as those: 12 of them in a touch of 0.3 ms
     bound = 2.5e-3 if "model" in way and name == "paper" else 1e-7
