@@ -244,8 +244,14 @@ def test_services_are_the_simulators_own_and_quitting_ends_it(when, start):
         node = start("simulator", exit_when_done="false", **when)
         simulation = Simulation(client)
         assert simulation.features().features
-        served = client.node.get_service_names_and_types_by_node("simulator", "/")
-        assert "/simulator/step_simulation" in [name for name, _ in served]
+        graph = client.node
+
+        def is_the_nodes_own(service):  # nodes tell of themselves later than DDS of their services
+            if ("simulator", "/") not in graph.get_node_names_and_namespaces():
+                return False
+            return service in dict(graph.get_service_names_and_types_by_node("simulator", "/"))
+
+        wait_until(lambda: is_the_nodes_own("/simulator/step_simulation"))
         assert simulation.set(State.QUITTING) == (Code.OK, "")
         assert node.status() == 0
         assert "Traceback" not in node.text
