@@ -17,7 +17,6 @@ from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, TOPICS, Rate, Stamp, Topic
-from capture_sim.nodes.node import from_bytes
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.nodes.process import run
@@ -78,8 +77,9 @@ class RecorderNode(Participant):
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))
         for topic in READ[RECORDER]:
-            # what is kept for latecomers may be of a run before
-            self.listen(topic, partial(self._take, topic), latched=False, raw=True)
+            if topic is not STREAM_COUNTS:  # which every participant listens to
+                # what is kept for latecomers may be of a run before
+                self.listen(topic, partial(self._take, topic), latched=False, raw=True)
         if self._sought:
             self._seek()
             self.create_timer(0.5, self._seek, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -153,12 +153,13 @@ class RecorderNode(Participant):
             if len(self._early) < _EARLY:
                 self._early.append((topic, data))
             return
-        if topic is STREAM_COUNTS:
-            counts: Any = from_bytes(topic, data)
-            if counts.publisher not in self.run.publishers:
-                return  # another recorder's
         self._recorder.take(topic, data)
         self.end_if_complete()
+
+    def _counted(self, counts: Any) -> None:
+        if self.run is None or counts.publisher in self.run.publishers:  # not another recorder's
+            self._take(STREAM_COUNTS, serialize_message(counts))
+        super()._counted(counts)
 
 
 main = partial(run, RecorderNode)
