@@ -53,7 +53,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.node import BenchNode, from_bytes, message_class
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.scene.parts import Scene
@@ -137,7 +137,7 @@ class Participant(BenchNode):
         watch = SubscriptionEventCallbacks(matched=self._announcers_changed)
         # the first subscription: an executor without order of arrival goes by this one
         super().listen(RUN_INFO, self._announced, event_callbacks=watch)
-        self.listen(STREAM_COUNTS, self._counted)
+        self.listen(STREAM_COUNTS, self._counted, raw=True)
         self.create_service(BeginTrial, "~/begin_trial", self._asked_to_begin)
         self.create_service(Trigger, "~/end_trial", self._asked_to_end)
         # a steady clock: this must also run when simulated time does not
@@ -312,7 +312,8 @@ class Participant(BenchNode):
             while self.matched(topic) < wanted and time.monotonic() < deadline:
                 time.sleep(0.002)
 
-    def _counted(self, counts: Any) -> None:
+    def _counted(self, data: bytes) -> None:
+        counts = from_bytes(STREAM_COUNTS, data)
         if len(counts.topics) != len(counts.counts):
             raise MessageError(f"{len(counts.counts)} counts of {len(counts.topics)} topics")
         if counts.publisher != SIMULATOR:

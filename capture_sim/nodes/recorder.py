@@ -17,6 +17,7 @@ from capture_sim.errors import MessageError
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, TOPICS, Rate, Stamp, Topic
+from capture_sim.nodes.node import from_bytes
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.nodes.process import run
@@ -156,10 +157,11 @@ class RecorderNode(Participant):
         self._recorder.take(topic, data)
         self.end_if_complete()
 
-    def _counted(self, counts: Any) -> None:
-        if self.run is None or counts.publisher in self.run.publishers:  # not another recorder's
-            self._take(STREAM_COUNTS, serialize_message(counts))
-        super()._counted(counts)
+    def _counted(self, data: bytes) -> None:
+        publisher = from_bytes(STREAM_COUNTS, data).publisher
+        if self.run is None or publisher in self.run.publishers:  # not another recorder's
+            self._take(STREAM_COUNTS, data)
+        super()._counted(data)
 
 
 main = partial(run, RecorderNode)
