@@ -51,7 +51,7 @@ def seen(address, path, check, timeout=120.0):
             time.sleep(0.25)
             try:
                 return check(chunks(path))
-            except (AssertionError, LookupError, ValueError, OSError):
+            except (AssertionError, LookupError, ValueError, OSError, RuntimeError):
                 if time.monotonic() > deadline:  # else there is more to come
                     raise
     finally:
