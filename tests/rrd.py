@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import time
 
 import numpy as np
+from ports import free_port
 from rerun.chunk import RrdReader
 
 from capture_sim.viewing.rerun_server import program
@@ -32,12 +32,6 @@ def column(found, path, ending, timeline="sim_time"):
         values += [row[0] if len(row) == 1 else row for row in batch.column(names[0]).to_pylist()]
     order = np.argsort(times, kind="stable")
     return np.array(times)[order], np.array(values)[order]
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def seen(address, path, check, timeout=120.0):

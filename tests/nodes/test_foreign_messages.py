@@ -13,6 +13,7 @@ from bench_processes import Client, Simulation, processes, wait_until
 from forked import Forked
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from ports import free_port
 from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
@@ -128,7 +129,7 @@ def bench(tmp_path_factory):
             "launcher": start("launcher", **never),
             "capture_detector": start("capture_detector", **never),
             "recorder": start("recorder", out=out, **never),
-            "viewer": start("viewer", port=9871, **never),
+            "viewer": start("viewer", port=free_port(), **never),
             CONTACT_RIG: start(CONTACT_RIG),
             LOOP_SIMULATOR: start(LOOP_SIMULATOR, start_timeout=3600.0, __ns="/loop"),
             "player": start("player", bag=bag, topics="[bench/state]", paused="true"),

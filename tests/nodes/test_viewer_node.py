@@ -21,7 +21,8 @@ from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")
 
-from rrd import column, free_port, seen
+from ports import free_port
+from rrd import column, seen
 
 # what is saved while it comes has no table of contents at its end
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")

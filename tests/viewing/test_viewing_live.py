@@ -22,7 +22,8 @@ from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")
 
-from rrd import column, free_port, seen
+from ports import free_port
+from rrd import column, seen
 
 from capture_sim.viewing.live import LiveView
 
