@@ -31,6 +31,8 @@ from capture_sim.studies.touches import (
 
 #: The first pose comes so long after the release at most, ns, if both are of one clock.
 LATE_POSE = 1_000_000_000
+#: So many poses tell how the bench's clock is ahead of their arrival.
+NEAR = 20
 
 
 def stamps_of(columns: Columns) -> np.ndarray:
@@ -121,9 +123,17 @@ def times_of(run: Run, topic: str | Topic) -> np.ndarray:
 
 
 def _ahead(run: Run) -> int:
-    """Return by how much the poses' stamps are ahead of their arrival, ns; 0 without poses."""
-    poses = _poses(run)
-    return 0 if poses is None else int(np.median(poses[0] - poses[1]))
+    """Return by how much poses' stamps are ahead of their arrival, ns; 0 without poses.
+
+    Of those nearest to the release: a bench's clock may run slow or fast.
+    """
+    poses, told = _poses(run), _told(run)
+    if poses is None:
+        return 0
+    stamps, arrivals = poses
+    since = arrivals - (arrivals[0] if told is None else told[1])
+    near = np.argsort(np.abs(since), kind="stable")[:NEAR]
+    return int(np.median((stamps - arrivals)[near]))
 
 
 def _told(run: Run) -> tuple[int, int] | None:

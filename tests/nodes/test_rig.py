@@ -61,9 +61,9 @@ def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path, capsys):
     assert "the model does not explain what was measured" in told["identify"]  # it is no physics
     # let go, the chaser is at the cone after a way of 0.2 m
     (since,) = re.findall(r"verdict: captured since (\d\.\d+) s", told["detect"])
-    assert 2.5 < float(since) < 3.5
+    assert 2.0 < float(since) < 4.0  # 3.0, and what messages are late by
     assert "the same" in told["detect"]
     with (tmp_path / "motion_capture_chaser.csv").open() as table:
         t = [float(row["t"]) for row in csv.DictReader(table)]
-    assert -1.0 < t[0] < 0.5
-    assert float(since) < t[-1] < 5.0
+    assert -5.0 < t[0] < 1.0
+    assert float(since) < t[-1] < 10.0
