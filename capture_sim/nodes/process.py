@@ -130,6 +130,8 @@ def run(
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
+    The process is then to end: where DDS does not, it is ended after :data:`ENDING`.
+
     Parameters
     ----------
     make

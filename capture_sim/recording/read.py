@@ -175,7 +175,7 @@ class Run:
         """How the run was made: run_id, name, scene_sha256, software, rates."""
         stored = self._contents.metadata.get(RUN_METADATA)
         if stored is None:
-            return {} if self._announced is None else describing(self._announced)
+            return {} if self.announced is None else describing(self.announced)
         return dict(stored)
 
     @property
@@ -215,7 +215,7 @@ class Run:
     @property
     def has_scene(self) -> bool:
         """Whether the file holds the scene that made the run."""
-        return SCENE_ATTACHMENT in self._contents.attachments or self._announced is not None
+        return SCENE_ATTACHMENT in self._contents.attachments or self.announced is not None
 
     @property
     def scene_text(self) -> str:
@@ -231,12 +231,12 @@ class Run:
                 return self._contents.attachments[SCENE_ATTACHMENT].decode()
             except UnicodeDecodeError:
                 raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is no text") from None
-        if self._announced is not None:
-            return self._announced.scene
+        if self.announced is not None:
+            return self.announced.scene
         raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}")
 
     @cached_property
-    def _announced(self) -> RunDescription | None:
+    def announced(self) -> RunDescription | None:
         """How the run was announced, as `ros2 bag record` keeps it; None unless it is one run."""
         if len(self.run_ids) != 1:
             return None

@@ -1,8 +1,7 @@
 """Shapes of the bench and the cone from above, m: what pictures, report and rerun draw.
 
-Cone's frame here: x from the
-centre of BE along the target's +x, y along its +y.  The chaser comes from -x; the walls open
-towards it.
+Cone's frame here: x from the centre of BE along the target's +x, y along its +y.  The chaser comes
+from -x; the walls open towards it.
 """
 
 from __future__ import annotations

@@ -118,6 +118,18 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
     assert told.rstrip().endswith("the same")
 
 
+def test_poses_of_another_type_do_not_hinder_the_export_of_what_else_is_there(recorded, tmp_path):
+    def change(topic, data):
+        yield {"/joint_states": "/motion_capture/chaser"}.get(topic, topic), "cdr", data
+
+    topics = ("/joint_states", "/target/odom", "/launcher/command")
+    path = copied(recorded, tmp_path / "odd.mcap", topics=topics, change=change)
+    with pytest.raises(RecordingError, match="motion_capture/chaser"):
+        run_from_bag(read_run(path), capture_sim.load_scene("tilt_0"))
+    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "target_odom.csv").is_file()
+
+
 def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
     bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", (*STANDARD, "/capture/status")))
     scene = capture_sim.load_scene("tilt_0")
