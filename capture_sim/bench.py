@@ -292,16 +292,16 @@ def check_times(
     try:
         t = np.ascontiguousarray(times, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise SceneError("sample times: allowed are numbers, s") from None
+        raise SceneError("sample times: must be numbers, s") from None
     if t.ndim != 1:
-        raise SceneError(f"sample times of shape {t.shape}: allowed is (n,)")
+        raise SceneError(f"sample times of shape {t.shape}: must be (n,)")
     if t.size and not (after < t[0] >= 0.0 and t[-1] <= t_end and np.all(np.diff(t) > 0.0)):
         before = np.concatenate([[after], t[:-1]])
         k = int(np.argmin((t > before) & (t >= 0.0) & (t <= t_end)))
         least = f"> {before[k]:.9g}" if before[k] >= 0.0 else ">= 0"
         most = "" if t_end == sys.float_info.max else f" and <= {t_end:.9g}"
         raise SceneError(
-            f"sample time number {k} = {t[k]:.9g} s: allowed is {least}{most}, finite and ascending"
+            f"sample time number {k} = {t[k]:.9g} s: must be {least}{most}, finite and ascending"
         )
     return t
 

@@ -42,7 +42,7 @@ class Reading(NamedTuple):
     wrench: Wrench | None = None
 
 
-class Sensors:
+class SimulatedSensors:
     """The sensors of one run; feed every sample in order.
 
     Parameters

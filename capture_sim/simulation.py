@@ -27,7 +27,7 @@ from capture_sim.results import rows as rows_of
 from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, Extremes, columns_of
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.parts import Run, Scene
-from capture_sim.sensors import Sensors
+from capture_sim.sensors import SimulatedSensors
 
 if TYPE_CHECKING:
     import pandas
@@ -310,7 +310,8 @@ def _check_memory(run: Run, beside: int) -> None:
     if needed > MOST_MEMORY:
         raise SceneError(
             f"run.t_end = {run.t_end:g} s at run.state_rate = {run.state_rate:g} Hz: {count:.3g} "
-            f"samples need {needed / 1e9:.3g} GB of memory: allowed are {MOST_MEMORY / 1e9:g} GB"
+            f"samples need {needed / 1e9:.3g} GB of memory: must be "
+            f"at most {MOST_MEMORY / 1e9:g} GB"
         )
 
 
@@ -364,7 +365,7 @@ def _judge(scene: Scene, samples: np.ndarray, *, cut: bool) -> list[CaptureStatu
     if scene.sensors is None or scene.sensors.motion_capture is None:
         exact = ExactDetector(scene)
         return [*exact.update(samples[::every]), exact.finish(cut=cut)]
-    detector, sensors = NoisyDetector(scene), Sensors(scene)
+    detector, sensors = NoisyDetector(scene), SimulatedSensors(scene)
     statuses: list[CaptureStatus] = []
     for k, sample in enumerate(samples):
         t, v = float(sample["t"]), sample["v"].tolist()

@@ -167,7 +167,7 @@ def listed(text):
 
 
 def refuse(name, value, allowed):
-    raise RuntimeError(f"argument {name}:={value}: allowed is {allowed}")
+    raise RuntimeError(f"argument {name}:={value}: must be {allowed}")
 
 
 def viewer(python, namespace):

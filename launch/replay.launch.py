@@ -73,7 +73,7 @@ def number(name, text, largest=float("inf")):
         value = -1.0
     if not 0.0 <= value <= largest or value == float("inf"):
         upward = "upward" if largest == float("inf") else f"to {largest:g}"
-        raise RuntimeError(f"argument {name}:={text}: allowed is a number from 0 {upward}")
+        raise RuntimeError(f"argument {name}:={text}: must be a number from 0 {upward}")
     return value
 
 

@@ -110,7 +110,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
         rates = {n: min(rate_of(mine[n]), rate_of(theirs[n])) for n in shared}
         finest = max(rates, key=lambda n: rates[n])
         raise RecordingError(
-            f"--window {window:g} s: allowed is {LEAST / rates[finest]:.4g} s ({LEAST} samples of "
+            f"--window {window:g} s: must be {LEAST / rates[finest]:.4g} s ({LEAST} samples of "
             f"the {finest}: {_source(a.sources[finest], b.sources[finest])}) to {ended:.4g} s, "
             "where one of the recordings ends"
         )

@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
 def _target(options: argparse.Namespace, scene: Scene) -> DesignTarget:
     stroke, torsion = options.stroke, options.torsion
     if (stroke is None) != (torsion is None):
-        raise SceneError("--stroke (mm), --torsion (mrad): allowed is both or none")
+        raise SceneError("--stroke (mm), --torsion (mrad): must be both or none")
     if stroke is None:
         b = scene.buffer
         own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))

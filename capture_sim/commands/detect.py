@@ -15,7 +15,6 @@ from capture_sim.messages.convert import stamp_seconds
 from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.recording.measured import release_of
 from capture_sim.scene.parts import Detector
-from capture_sim.scene.paths import current_name
 
 # s: as fine as a float is for stamps that count from 1970
 _TICK = 1e-6
@@ -110,10 +109,10 @@ def _limits_changed(overrides: Sequence[str]) -> set[str]:
     changed = set()
     for override in overrides:
         path, _, _ = override.partition("=")
-        part, _, name = current_name(path.strip()).partition(".")
+        part, _, name = path.strip().partition(".")
         if part != "detector" or name not in allowed:
             raise SceneError(
-                f"--set {override}: what is recorded is judged, so allowed are "
+                f"--set {override}: must be one of "
                 + ", ".join(f"detector.{name}" for name in allowed)
             )
         changed.add(name)

@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     if options.out.suffix != ".parquet":
-        raise SceneError(f"--out {options.out}: allowed is a name that ends in .parquet")
+        raise SceneError(f"--out {options.out}: must be a name that ends in .parquet")
     scene = load(options.scene, options.overrides)
     plan = Plan(
         scene,

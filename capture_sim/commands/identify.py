@@ -24,7 +24,7 @@ from capture_sim.recording.measured import (
     release_recorded,
     touches_of,
 )
-from capture_sim.scene.paths import ALIASES, current_name, value_of
+from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
 DESCRIPTION = (
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     recorded = open_run(options.recording)
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
-    names = list(map(current_name, options.parameters))
+    names = list(options.parameters)
     known = options.release is None and release_recorded(recorded) is not None
     if not known and not options.fix_release and RELEASE not in names:
         names.append(RELEASE)

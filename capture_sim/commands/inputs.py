@@ -51,14 +51,14 @@ def reader(read: Callable[[str], Read], allowed: str) -> Callable[[str], Read]:
     read
         Raises ValueError where a text is not allowed.
     allowed
-        Behind "allowed is".
+        Behind "must be".
     """
 
     def read_allowed(text: str) -> Read:
         try:
             return read(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed is {allowed}") from None
+            raise argparse.ArgumentTypeError(f"{text!r}: must be {allowed}") from None
 
     return read_allowed
 
@@ -249,7 +249,7 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
 def prepare_folder(folder: Path) -> None:
     """Make a folder, and make sure before anything runs that results can be written to it."""
     if reason := why_not_writable(folder):
-        raise RecordingError(f"--out {folder}: cannot be written: {reason}; allowed is a folder")
+        raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
 
 def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     if options.only is not None and options.only not in FIGURES:
-        raise SceneError(f"--only {options.only}: allowed are {', '.join(FIGURES)}")
+        raise SceneError(f"--only {options.only}: must be one of {', '.join(FIGURES)}")
     folder = options.out / NAME
     prepare_folder(folder)
     compile_first()

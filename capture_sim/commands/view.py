@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     window = None if options.window is None else (options.window[0], options.window[1])
     if window is not None and not window[0] < window[1]:
-        raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: allowed is FROM < TO")
+        raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: must be FROM < TO")
     prepare_folder(options.out)
     if options.save is not None:
         prepare_folder(options.save.parent)

@@ -149,7 +149,7 @@ class SimulationControl:
             if target not in self._states:
                 allowed = ", ".join(f"{state:d} {state.name.lower()}" for state in self._states)
                 return _answered(
-                    Code.INCORRECT_TRANSITION, f"state {target}: allowed are {allowed}"
+                    Code.INCORRECT_TRANSITION, f"state {target}: must be one of {allowed}"
                 )
             if self._state is State.QUITTING:
                 return _answered(Code.INCORRECT_STATE, "already quitting")

@@ -119,7 +119,7 @@ class Loop:
         most = 2.0 / h / (1.0 / mass_x + 1.0 / mass_y)
         if self._law.drag > most:
             raise CaptureSimError(
-                f"drag = {law.drag:g} N s/m: allowed is <= {most:g}, twice the tip's mass over the "
+                f"drag = {law.drag:g} N s/m: must be <= {most:g}, twice the tip's mass over the "
                 f"Runge-Kutta step of {h:g} s"
             )
         stage.take_law(self._law, gated=False)
@@ -339,7 +339,7 @@ class Loop:
 
     def _stop(self, why: str) -> None:
         raise SafeStopError(
-            f"stopped at t = {self.stage.t:.6g} s: {why}: allowed is <= {self._limit:g} J"
+            f"stopped at t = {self.stage.t:.6g} s: {why}: must be <= {self._limit:g} J"
         )
 
 

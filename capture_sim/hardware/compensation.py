@@ -55,7 +55,7 @@ def compensation(text: str) -> Compensation:
     names = set(text.split("+"))
     if not names <= set(WAYS):
         raise CaptureSimError(
-            f"compensation = {text!r}: allowed is {', '.join(WAYS)}, or several joined by +"
+            f"compensation = {text!r}: must be one of {', '.join(WAYS)}, or several joined by +"
         )
     if {"hybrid", "model"} <= names:
         raise CaptureSimError(f"compensation = {text!r}: hybrid and model exclude each other")
@@ -196,7 +196,7 @@ class ContactFit:
     def __init__(self, prior: WallLaw, noise: float = 0.1, doubt: float = 10.0) -> None:
         if prior.stiffness <= 0.0:
             raise CaptureSimError(
-                f"stiffness of the model = {prior.stiffness:g} N/m^p: allowed is > 0"
+                f"stiffness of the model = {prior.stiffness:g} N/m^p: must be > 0"
             )
         self._prior, self._variance = prior, noise**2
         scale = self.SPEED / prior.stiffness

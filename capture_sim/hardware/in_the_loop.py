@@ -66,7 +66,7 @@ def behind_the_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     for event in simulate(scene).events:
         if event.kind == EventKind.RAIL_END:
             return event.q, event.v
-    raise SceneError("rail: allowed in the loop is one that the chaser leaves")
+    raise SceneError("rail: must end before the contact for hardware in the loop")
 
 
 class LoopStage:
@@ -90,10 +90,7 @@ class LoopStage:
 
     def __init__(self, scene: Scene, step: float = 1e-3, substeps: int = 10) -> None:
         if scene.supports is not None:
-            raise SceneError(
-                "supports: allowed in the loop is null; when a vehicle comes to rest on them is "
-                "searched in the dense output of the bench's steps, which the loop's do not have"
-            )
+            raise SceneError("supports: must be null for hardware in the loop")
         self.scene = scene
         self.step, self.substeps = step, substeps
         self._system = make_system(pack(scene, 0.0, 0.0))
@@ -271,7 +268,7 @@ class WrenchHold:
         self._stamp, self._wrench = stamp, wrench
         force = math.hypot(wrench[0], wrench[1])
         if force > self._force_limit:
-            self._fault = f"a force of {force:.4g} N came: allowed is <= {self._force_limit:g}"
+            self._fault = f"a force of {force:.4g} N came: must be <= {self._force_limit:g}"
         return ""
 
     def at(self, now: float) -> tuple[float, Wrench]:
@@ -287,7 +284,7 @@ class WrenchHold:
         age = now - self._stamp
         if age > self._timeout + 1e-9:
             raise SafeStopError(
-                f"stopped at t = {now:.6g} s: the last wrench is {age:.3g} s old: allowed is "
+                f"stopped at t = {now:.6g} s: the last wrench is {age:.3g} s old: must be "
                 f"<= {self._timeout:g}"
             )
         self.ages.append(age)

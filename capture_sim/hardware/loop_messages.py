@@ -64,7 +64,7 @@ def tip_of(message: Any) -> TipState:
     rates = twist_values(place[2], twist.linear.x, twist.linear.y, twist.angular.z)
     tip = TipState(stamp_of(message), *place, *rates)
     if not all(math.isfinite(value) for value in tip):
-        raise MessageError(f"{tip}: allowed are finite numbers")
+        raise MessageError(f"{tip}: must be finite numbers")
     return tip
 
 
@@ -84,4 +84,4 @@ def wrench_of(message: Any) -> Wrench:
 def _check_frame(message: Any) -> None:
     frame = message.header.frame_id
     if frame != CONE_FRAME:
-        raise MessageError(f"header.frame_id = {frame!r}: allowed is {CONE_FRAME}")
+        raise MessageError(f"header.frame_id = {frame!r}: must be {CONE_FRAME}")

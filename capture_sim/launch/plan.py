@@ -137,7 +137,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
 
     if mass is not None and acceleration(mass) <= 0.0:
         raise SceneError(
-            f"string.hanging_mass = {mass!r} kg: allowed is > {friction / g:.6g}, "
+            f"string.hanging_mass = {mass!r} kg: must be > {friction / g:.6g}, "
             "the mass that overcomes rolling resistance"
         )
     if height is None:
@@ -147,7 +147,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     assert scene.rail is not None
     if height > scene.rail.length:
         raise SceneError(
-            f"string.drop_height = {height!r} m: allowed is <= {scene.rail.length:g}, "
+            f"string.drop_height = {height!r} m: must be <= {scene.rail.length:g}, "
             "rail.length: the mass must land before the rail ends"
         )
     if mass is None:
@@ -156,7 +156,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
         a = (v * v + 2.0 * coast * (travel - height)) / (2.0 * height)
         if a >= g:
             raise SceneError(
-                f"string.drop_height = {height!r} m: allowed is > "
+                f"string.drop_height = {height!r} m: must be > "
                 f"{(v * v + 2.0 * coast * travel) / (2.0 * (g + coast)):.6g}, "
                 f"the least that gives {v!r} m/s in free fall"
             )

@@ -24,7 +24,6 @@ from capture_sim.scene.files import (
     read_scene,
 )
 from capture_sim.scene.parts import Scene, as_mapping
-from capture_sim.scene.paths import with_current_names
 from capture_sim.scene.quantities import refuse
 
 
@@ -60,9 +59,9 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
 def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
     """Make a scene of resolved YAML text (no ``extends``), as recordings hold it.
 
-    See :func:`load_scene`.  Names that fields had before are read without a word.
+    See :func:`load_scene`.
     """
-    return _changed(with_current_names(parse_scene(text, "scene")), overrides)
+    return _changed(parse_scene(text, "scene"), overrides)
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
@@ -166,7 +165,7 @@ def _rail(scene: Scene) -> None:
         raise refuse("initial.chaser.omega", chaser.omega, "rad/s", "0 on the rail")
     if abs(across) > 1e-12 * max(1.0, abs(along)) or along < 0.0:
         raise SceneError(
-            f"initial.chaser.vx, vy = {chaser.vx!r}, {chaser.vy!r} m/s: allowed on the rail is a "
+            f"initial.chaser.vx, vy = {chaser.vx!r}, {chaser.vy!r} m/s: must be, on the rail, a "
             "velocity along the chaser's heading, forwards"
         )
     for name, unit in (("vx", "m/s"), ("vy", "m/s"), ("omega", "rad/s")):
@@ -184,18 +183,18 @@ def _string(scene: Scene) -> None:
     if string is None:
         return
     if scene.rail is None:
-        raise SceneError("string: allowed only with a rail to guide the chaser; rail is null")
+        raise SceneError("string: must be null without a rail to guide the chaser")
     names = ("impact_speed", "hanging_mass", "drop_height")
     given = [name for name in names if getattr(string, name) is not None]
     if len(given) != 2:
         raise SceneError(
-            f"string: {', '.join(given) if given else 'nothing'} given: allowed are exactly two of "
+            f"string: {', '.join(given) if given else 'nothing'} given: must be exactly two of "
             "impact_speed (m/s), hanging_mass (kg), drop_height (m); the third is null and follows"
         )
     start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
     if start != 0.0:
         raise SceneError(
-            f"initial.chaser.vx, vy: speed {start!r} m/s: allowed is 0 with a string: the mass "
+            f"initial.chaser.vx, vy: speed {start!r} m/s: must be 0 with a string: the mass "
             "starts from rest, and the string would be slack"
         )
 
@@ -215,6 +214,6 @@ def _start(scene: Scene) -> None:
         # a start at contact: the places' own rounding
         if gap < -1e-15 * max(1.0, abs(initial.chaser.x), abs(initial.target.x)):
             raise SceneError(
-                f"initial: the tip starts {-gap:.6g} m inside the cone's {name} wall: allowed is a "
+                f"initial: the tip starts {-gap:.6g} m inside the cone's {name} wall: must be a "
                 "gap >= 0 m; move initial.target.x or initial.chaser.x"
             )

@@ -159,11 +159,11 @@ class Launcher:
             if abs(self._speed - wanted) > slack:
                 self.abort(
                     f"speed {self._speed:.4g} m/s after {travel:.4g} m: "
-                    f"allowed is {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
+                    f"must be {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
                 )
         latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
         if t is not None and t > latest:
             self.abort(
                 f"no contact {t:.4g} s after the release: expected at {plan.contact_time:.4g}, "
-                f"allowed is {latest:.4g}"
+                f"must be at most {latest:.4g}"
             )

@@ -25,7 +25,6 @@ from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Columns, Template, fill
 from capture_sim.messages.definitions import blank, typestore
 from capture_sim.samples import SAMPLE, TRACE, Event, Phase
-from capture_sim.scene.paths import RENAMED
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
@@ -50,11 +49,16 @@ MOST_KINDS = 200
 #: Packages whose version decides about a run's numbers or its file.
 _SOFTWARE = ("capture_sim", "numpy", "numba", "mcap", "rosbags")
 
-#: Fields of CaptureCriteria, and those of a scene's ``detector``, which were called so before.
+#: Fields of CaptureCriteria, and the fields of a scene's ``detector`` that they report.
 CRITERIA = {
-    name.removeprefix("detector."): field
-    for name, field in RENAMED.items()
-    if name.startswith("detector.")
+    "radius": "capture_radius",
+    "dwell": "min_dwell",
+    "contact_gap": "max_contact_gap",
+    "leave": "min_retreat",
+    "still_speed": "max_still_speed",
+    "still_time": "min_still_time",
+    "delay": "max_delay",
+    "gap": "max_data_gap",
 }
 
 # indices into q and v, see samples.COORDINATES
@@ -148,7 +152,7 @@ class RunDescription:
         for name in ("state_rate", "rate"):
             values[name] = value = float(values[name])
             if not 0.0 < value < math.inf:
-                raise MessageError(f"RunInfo.{name} = {value:g} Hz: allowed is above 0")
+                raise MessageError(f"RunInfo.{name} = {value:g} Hz: must be above 0")
         values |= {n: tuple(values[n]) for n in ("software", "publishers", "consumers")}
         return cls(**values)
 

@@ -103,7 +103,7 @@ def _joints(message: Any) -> Values:
         if len(message.velocity):
             values += (message.velocity[slide], message.velocity[hinge])
     except (ValueError, IndexError):
-        raise MessageError(f"allowed are joints {SLIDE_JOINT} and {HINGE_JOINT}") from None
+        raise MessageError(f"joints: must be {SLIDE_JOINT} and {HINGE_JOINT}") from None
     return values
 
 

@@ -30,7 +30,7 @@ from capture_sim.messages.convert import (
 )
 from capture_sim.messages.topics import Stamp, Topic
 from capture_sim.samples import SAMPLE, Event, EventKind
-from capture_sim.sensors import Sensors
+from capture_sim.sensors import SimulatedSensors
 
 if TYPE_CHECKING:
     from capture_sim.detection.exact import CaptureStatus
@@ -193,7 +193,7 @@ class BenchTelemetry(_Stream):
         self._scene = scene
         self._every = samples_per_message(run.state_rate, run.rate)
         self._interval = ContactInterval()
-        self._sensors = None if scene.sensors is None else Sensors(scene)
+        self._sensors = None if scene.sensors is None else SimulatedSensors(scene)
         self._pending: list[Event] = []
         self._trace = np.zeros(0, SAMPLE)  # points that wait for a later sample
 

@@ -122,9 +122,7 @@ class ParameterNode(Node):
             right = False
         if not right:
             shown = "[]" if value is None else repr(value)  # rclpy: [] is None
-            raise ParameterError(
-                f"parameter {name} = {shown}: allowed is {allowed} ({description})"
-            )
+            raise ParameterError(f"parameter {name} = {shown}: must be {allowed} ({description})")
         if check is not None:
             if value is not None:
                 check(value)

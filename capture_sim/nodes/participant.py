@@ -170,7 +170,7 @@ class Participant(BenchNode):
         overrides = self.declare("overrides", list, "changes of that scene (SI)")
         if overrides and not name:
             raise ParameterError(
-                f"parameter overrides = {overrides!r}: allowed are none without a scene"
+                f"parameter overrides = {overrides!r}: must be empty without a scene"
             )
         return load_scene(name, overrides) if name else None
 
@@ -286,10 +286,10 @@ class Participant(BenchNode):
         except CaptureSimError as error:
             raise MessageError(str(error)) from None
         if described.rate > described.state_rate:
-            raise MessageError(f"rate = {info.rate:g} Hz: allowed is <= {info.state_rate:g}")
+            raise MessageError(f"rate = {info.rate:g} Hz: must be <= {info.state_rate:g}")
         if not info.name.isprintable() or len(info.name) > LONGEST_NAME:
             raise MessageError(
-                f"name = {shown(info.name)}: allowed are {LONGEST_NAME} printable characters"
+                f"name = {shown(info.name)}: must be at most {LONGEST_NAME} printable characters"
             )
         if self.run is not None:
             self._finish(f"another run, {info.name}, was announced meanwhile")

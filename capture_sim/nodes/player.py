@@ -59,7 +59,7 @@ class PlayerNode(BenchNode):
         super().__init__(PLAYER)
         path = self.declare("bag", "", "recording: an .mcap file, or a bag's folder")
         if not path:
-            raise ParameterError("parameter bag = '': allowed is an .mcap file or a bag's folder")
+            raise ParameterError("parameter bag = '': must be an .mcap file or a bag's folder")
         factor = self.declare(
             "rtf",
             1.0,
@@ -97,7 +97,7 @@ class PlayerNode(BenchNode):
         length = (self._playback.end - self._playback.start) / 1e9
         if self._offset > length:
             raise ParameterError(
-                f"parameter start = {self._offset:g} s: allowed is 0 to {length:g}, "
+                f"parameter start = {self._offset:g} s: must be 0 to {length:g}, "
                 "the recording's length"
             )
         self._played = self._chosen(wanted)
@@ -105,8 +105,8 @@ class PlayerNode(BenchNode):
             topic_named(name) is RUN_INFO and self._playback.counts[name] for name in self._played
         ):
             raise ParameterError(
-                f"parameter consumers = {self._consumers!r}: allowed are none, as no "
-                f"{RUN_INFO.name} is played, by which nodes take up a run"
+                f"parameter consumers = {self._consumers!r}: must be empty: the "
+                f"replay contains no {RUN_INFO.name}, so no node can join"
             )
         self._control = SimulationControl(
             State.PAUSED if paused else State.PLAYING,
@@ -142,7 +142,7 @@ class PlayerNode(BenchNode):
         if unknown:
             raise ParameterError(
                 f"parameter topics = {list(wanted)!r}: {', '.join(unknown)} not in the recording; "
-                f"allowed are {', '.join(sorted(there))}"
+                f"must be among {', '.join(sorted(there))}"
             )
         own = {
             topic.absolute_name

@@ -40,7 +40,7 @@ class RecorderNode(Participant):
         self._out = Path(self.declare("out", "runs", "folder of the recordings"))
         if reason := why_not_writable(self._out):
             raise ParameterError(
-                f"parameter out = '{self._out}': allowed is a folder that can be written: {reason}"
+                f"parameter out = '{self._out}': must be a folder that can be written: {reason}"
             )
         wanted = self.declare(
             "topics",

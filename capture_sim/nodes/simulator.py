@@ -174,7 +174,7 @@ class SimulatorNode(BenchNode):
             elif command.action == LaunchAction.ABORT:
                 self.control.cut("aborted by the launcher")
             else:
-                raise MessageError(f"action = {command.action}: allowed are 1 to 3")
+                raise MessageError(f"action = {command.action}: must be 1 to 3")
 
     def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
@@ -387,13 +387,13 @@ def _plan(scene: Scene, armed: Any) -> LaunchPlan:
 def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
     """Return the scenes; refuses here what could not be launched later."""
     if not names:
-        raise ParameterError("parameter scenes = []: allowed are names of scenes, one at least")
+        raise ParameterError("parameter scenes = []: must be names of scenes, one at least")
     scenes = [load_scene(name, list(overrides)) for name in names]
     for scene in scenes:
         plan_launch(scene)
     if len({scene.name for scene in scenes}) != len(scenes):
         raise ParameterError(
-            f"parameter scenes = {list(names)!r}: allowed are experiments of different names"
+            f"parameter scenes = {list(names)!r}: must be experiments of different names"
         )
     return scenes
 

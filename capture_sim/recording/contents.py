@@ -78,7 +78,7 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
             contents.messages[topic] = [contents.messages[topic][i] for i in order]
         if times and contents.log_times[topic][-1] >= 1 << 63:
             last = contents.log_times[topic][-1]
-            raise RecordingError(f"{path}: {topic}: log time {last} ns: allowed is below 2^63")
+            raise RecordingError(f"{path}: {topic}: log time {last} ns: must be below 2^63")
     return contents
 
 
@@ -174,7 +174,7 @@ class _Reader:
     def _channel(self, channel: Channel) -> None:
         topic, contents = channel.topic, self._contents
         if not topic.isprintable():
-            raise ValueError(f"topic {topic!r}: allowed are printable characters")
+            raise ValueError(f"topic {topic!r}: must be printable characters")
         if channel.message_encoding != CDR:  # a type's name says nothing of other bytes
             self._lists[channel.id] = deque(maxlen=0), deque(maxlen=0)
             contents.left_out[topic] = channel.message_encoding

@@ -62,7 +62,7 @@ def save_tables(
     wanted = ["/" + name.lstrip("/") for name in topics] or known
     if unknown := [name for name in wanted if name not in known]:
         raise RecordingError(
-            f"{run.path}: makes no table of {', '.join(unknown)}; allowed are {', '.join(known)}"
+            f"{run.path}: makes no table of {', '.join(unknown)}; must be one of {', '.join(known)}"
         )
     tables = {topic: _with(columns, table(run, topic)) for topic in wanted}
     there = {name for found in tables.values() for name in columns_of(found)}

@@ -272,7 +272,7 @@ class LiveRecorder:
     def _log_time(self, topic: Topic, data: bytes) -> int | None:
         stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
         if stamp is not None and stamp < 0:
-            raise MessageError(f"stamp = {stamp / 1e9:g} s: allowed is >= 0")
+            raise MessageError(f"stamp = {stamp / 1e9:g} s: must be >= 0")
         return stamp
 
     def _take_info(self, data: bytes) -> None:

@@ -174,7 +174,7 @@ def _after_first_pose(run: Run, after: float) -> int:
     first, last = int(poses[0].min()), int(poses[0].max())
     if not 0.0 <= after <= (last - first) / 1e9:
         raise RecordingError(
-            f"release = {after:g} s: allowed is 0 to {(last - first) / 1e9:g} s, from the first "
+            f"release = {after:g} s: must be 0 to {(last - first) / 1e9:g} s, from the first "
             "pose to the last"
         )
     return first + round(after * 1e9)

@@ -196,7 +196,7 @@ class Run:
     @property
     def wall_time(self) -> float | None:
         """How long the run took, s of wall time; None when the recording ended before it."""
-        return self._known_at_end("wall_time", _seconds, "allowed is s, 0 or more")
+        return self._known_at_end("wall_time", _seconds, "must be a number of seconds >= 0")
 
     @property
     def extremes(self) -> Extremes | None:
@@ -399,7 +399,7 @@ class Run:
         highest = max(kinds)
         if (wrong := values[values > highest]).size:
             raise RecordingError(
-                f"{self.path}: {topic.name}: {name} = {wrong[0]}: allowed is 0 to {highest}"
+                f"{self.path}: {topic.name}: {name} = {wrong[0]}: must be 0 to {highest}"
             )
 
     def _store_for(self, type_name: str) -> Typestore:

@@ -24,7 +24,6 @@ import yaml
 from capture_sim.errors import SceneError
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import current_name, with_current_names
 from capture_sim.scene.quantities import accept, declared, refuse, shown
 
 #: Longest text of a scene, characters: the package's own are 3000 at most.
@@ -174,7 +173,7 @@ def find_scene(name_or_path: str | Path, beside: Path | None = None) -> Path:
     names = scene_names()
     near = difflib.get_close_matches(text[:100], names, n=1)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise SceneError(f"scene {shown(text)}: unknown; known are {', '.join(names)}{hint}")
+    raise SceneError(f"scene {shown(text)}: not found{hint}; available scenes: {', '.join(names)}")
 
 
 def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -204,12 +203,12 @@ def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise SceneError(f"scene file {path.name}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise SceneError(f"scene file {path.name}: cannot be read: no UTF-8: {error}") from None
-    data = with_current_names(parse_scene(text, path.name), path.name)
+    data = parse_scene(text, path.name)
     parent = data.pop("extends", None)
     if parent is None:
         return data
     if not isinstance(parent, str):
-        raise SceneError(f"{path.name}: extends = {shown(parent)}: allowed is the name of a scene")
+        raise SceneError(f"{path.name}: extends = {shown(parent)}: must be the name of a scene")
     return _laid_over(read_scene(find_scene(parent, path.parent), (*readers, place)), data)
 
 
@@ -240,10 +239,10 @@ def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, An
     items = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
     changes = []
     for name, value in items:
-        name, over = current_name(name), value
+        over = value
         for part in reversed(name.split(".", MAX_DEPTH)):
             over = {part: over}
-        data = _laid_over(data, with_current_names(over))
+        data = _laid_over(data, over)
         changes.append(f"{name}={value if isinstance(value, str) else shown(value)}")
     return data, changes
 
@@ -254,10 +253,6 @@ def _split(item: str) -> tuple[str, Any]:
     if not sign or not name:
         raise SceneError(f"override {shown(item)}: must read part.field=value, as buffer.c_A=13")
     return name, parse(text, f"override {shown(item)}")
-
-
-#: Fields that were, and why they went.
-_GONE = {"run.stiff": "there are no implicit steps any more (docs/model.md says why); take it out"}
 
 
 def build(data: Any, part: Any = Scene, where: str = "") -> Any:
@@ -281,18 +276,13 @@ def build(data: Any, part: Any = Scene, where: str = "") -> Any:
         raise refuse(where, data, "", "a mapping of its fields")
     prefix = f"{where}." if where else ""
     fields = declared(part)
-    # recordings of before hold fields that have gone, switched off
-    for key in [key for key in data if f"{prefix}{key}" in _GONE]:
-        if data[key]:
-            raise SceneError(f"{prefix}{key}: {_GONE[f'{prefix}{key}']}")
-    data = {key: value for key, value in data.items() if f"{prefix}{key}" not in _GONE}
     for key in data:
         if key not in fields:
             by_lower = {name.lower(): name for name in fields}
             near = difflib.get_close_matches(str(key)[:100].lower(), by_lower, n=1, cutoff=0.5)
             hint = f"; did you mean {prefix}{by_lower[near[0]]}?" if near else ""
             raise SceneError(
-                f"{prefix}{shown(key)[1:-1]}: unknown field; allowed are {', '.join(fields)}{hint}"
+                f"{prefix}{shown(key)[1:-1]}: unknown field{hint}; available: {', '.join(fields)}"
             )
     values = {}
     for name, what in fields.items():

@@ -409,7 +409,7 @@ class Scene(Checked):
         super().__post_init__()
         if not _NAME.fullmatch(self.name):
             raise SceneError(
-                f"name = {shown(self.name)}: allowed are up to 64 letters (a to z), digits and "
+                f"name = {shown(self.name)}: must be 1 to 64 letters (a to z), digits and "
                 "_ . -, beginning with neither . nor -: files bear it"
             )
 

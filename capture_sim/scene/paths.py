@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,22 +16,6 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "e": ("contact.restitution",),
     "mu": ("friction.mu",),
     "c_A": ("buffer.c_A",),
-}
-#: Names that fields had before, and what they are called now; CaptureCriteria.msg has the old ones.
-RENAMED: Mapping[str, str] = {
-    "buffer.a": "hinge_offset",
-    "cone.beta": "half_angle",
-    "contact.v_0_floor": "min_approach_speed",
-    "friction.v_eps": "slip_regularization_speed",
-    "supports.v_eps": "rolling_regularization_speed",
-    "detector.radius": "capture_radius",
-    "detector.dwell": "min_dwell",
-    "detector.contact_gap": "max_contact_gap",
-    "detector.leave": "min_retreat",
-    "detector.still_speed": "max_still_speed",
-    "detector.still_time": "min_still_time",
-    "detector.delay": "max_delay",
-    "detector.gap": "max_data_gap",
 }
 #: Parts of a scene that are how it is simulated, judged and measured, not what is on the bench.
 NO_PHYSICS = ("run", "detector", "sensors")
@@ -60,62 +42,17 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
     SceneError
         It is no number there, or no property of the bench.
     """
-    paths = ALIASES.get(name) or (current_name(name),)
+    paths = ALIASES.get(name) or (name,)
     for path in paths:
         value = get(scene, path)
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not is_number or path.split(".")[0] in NO_PHYSICS or path in LAUNCH:
             raise SceneError(
-                f"parameter {name}: allowed are {', '.join(ALIASES)}, or a number of the bench as "
-                f"buffer.k_A; not of {', '.join(NO_PHYSICS)}, and not {', '.join(LAUNCH)}, which "
-                "are as recorded"
+                f"parameter {name}: must be one of {', '.join(ALIASES)}, or a number of the bench "
+                f"as buffer.k_A; not of {', '.join(NO_PHYSICS)}, and not {', '.join(LAUNCH)}, "
+                "which are as recorded"
             )
     return paths
-
-
-def current_name(name: str) -> str:
-    """Return what a field is called now; a line says so where that is another name."""
-    if name not in RENAMED:
-        return name
-    now = f"{name.partition('.')[0]}.{RENAMED[name]}"
-    _warn(f"{name} is now called {now}")
-    return now
-
-
-@functools.cache
-def _warn(text: str) -> None:
-    """Write a line once, however often a scene is made."""
-    logging.getLogger(__name__).warning(text)
-
-
-def with_current_names(data: Mapping[str, Any], source: str = "") -> dict[str, Any]:
-    """Return a scene's data with the names that fields have now.
-
-    Parameters
-    ----------
-    data
-        Parts by name, unchecked.
-    source
-        What a line names that says so; none is written if empty.
-
-    Raises
-    ------
-    SceneError
-        A field is given by both of its names.
-    """
-    current, found = dict(data), []
-    for old, new in RENAMED.items():
-        part, _, name = old.partition(".")
-        fields = current.get(part)
-        if not isinstance(fields, Mapping) or name not in fields:
-            continue
-        if new in fields:
-            raise SceneError(f"{old} and {part}.{new}: two names of one field, give one")
-        current[part] = {new if key == name else key: fields[key] for key in fields}
-        found.append(f"{old} is now called {part}.{new}")
-    if found and source:
-        _warn(f"{source}: {', '.join(found)}")
-    return current
 
 
 def get(scene: Scene, path: str) -> Any:

@@ -106,7 +106,7 @@ def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
     if isinstance(value, float) and not math.isfinite(value) and allowed != ANY:
         allowed = f"finite and {allowed}"
     with_unit = f"{shown(value)} {unit}" if unit not in ("", "1") else shown(value)
-    return SceneError(f"{where} = {with_unit}: allowed is {allowed}")
+    return SceneError(f"{where} = {with_unit}: must be {allowed}")
 
 
 _CALLED = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}

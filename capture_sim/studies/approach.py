@@ -108,7 +108,7 @@ class Spread(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.speed or self.offset or self.angle):
-            raise SceneError("Spread: speed, offset and angle are 0: allowed is one above 0")
+            raise SceneError("Spread: speed, offset and angle are 0: must be one above 0")
 
 
 def corners(spread: Spread) -> list[tuple[float, float, float]]:

@@ -133,7 +133,7 @@ class Plan:
             _check_axis(name, unit, allowed, getattr(self, name))
         if sum(isinstance(axis, Slices) for axis in self._axes) != 1:
             raise SceneError(
-                "angle, offset, speed: allowed is a list of values for one of them and "
+                "angle, offset, speed: must be a list of values for one of them and "
                 "LOW:HIGH:CELLS for the other two"
             )
         if self.levels not in _LEVELS:
@@ -208,9 +208,9 @@ def _check_axis(name: str, unit: str, allowed: Range, axis: Span | Slices) -> No
         if value not in allowed:
             raise refuse(name, value, unit, allowed)
     if not values or list(values) != sorted(set(values)):
-        raise SceneError(f"{name} = {values!r} {unit}: allowed are ascending values")
+        raise SceneError(f"{name} = {values!r} {unit}: must be ascending values")
     if isinstance(axis, Span) and axis.cells not in _CELLS:
-        raise SceneError(f"{name}: {axis.cells!r} cells: allowed is {_CELLS}")
+        raise SceneError(f"{name}: {axis.cells!r} cells: must be {_CELLS}")
 
 
 def evaluate(plan: Plan, keys: Sequence[Key], rtol: float, *, check: bool = False) -> np.ndarray:

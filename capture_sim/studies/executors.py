@@ -98,9 +98,7 @@ def _dask_client(address: str) -> Any:
     """Return a client of a cluster; its workers need this package of the same version."""
     parts = urlsplit(address)
     if parts.scheme not in ("tcp", "tls", "inproc", "ucx", "ws", "wss") or not parts.netloc:
-        raise ExecutorError(
-            f"--scheduler {address}: allowed is an address like tcp://127.0.0.1:8786"
-        )
+        raise ExecutorError(f"--scheduler {address}: must be an address like tcp://127.0.0.1:8786")
     try:
         from distributed import Client
     except ImportError:

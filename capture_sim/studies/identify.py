@@ -148,7 +148,7 @@ def identify(
         if min(touches.start_noise, touches.peak_noise) <= 0.0:
             raise SceneError(
                 f"noise of touches = {touches.start_noise:g} s, {touches.peak_noise:g} N: "
-                "allowed is > 0"
+                "must be > 0"
             )
         touches = touches.of(touches.start <= until)
     problem = _Problem(scene, measured, names, plan, noise or {}, until)
@@ -200,7 +200,7 @@ class _Problem:
         self._paths = [() if name == RELEASE else paths_of(scene, name) for name in names]
         self.in_scene = np.array([name != RELEASE for name in names])
         if not names or len(set(names)) != len(names):
-            raise SceneError(f"parameters {', '.join(names)!r}: allowed are names, each once")
+            raise SceneError(f"parameters {', '.join(names)!r}: must be names, each once")
         self._scene = scene
         self._plan = Bench(scene).plan if plan is None else plan
         self.evaluations = 0

@@ -96,7 +96,7 @@ def default_parameters(part: float = 0.1) -> tuple[Parameter, ...]:
         ``part`` is out of its range.
     """
     if not 0.0 < part <= 0.5:
-        raise SceneError(f"spread = {part!r}: allowed is > 0 and <= 0.5")
+        raise SceneError(f"spread = {part!r}: must be > 0 and <= 0.5")
     return (
         Parameter("approach.speed", "m/s", part),
         Parameter("approach.offset", "m", 2e-3, relative=False),
@@ -188,7 +188,7 @@ def value_of(scene: Scene, parameter: Parameter) -> float:
         return approach_of(scene)[_APPROACH.index(name)]
     value = paths.get(scene, name)
     if not isinstance(value, (int, float)) or isinstance(value, bool):
-        raise SceneError(f"{name}: allowed is a number of the scene that it has")
+        raise SceneError(f"{name}: must be a number of the scene that it has")
     return float(value)
 
 
@@ -294,9 +294,9 @@ def check_method(method: str, samples: int) -> None:
         SALib is not installed.
     """
     if method not in ("morris", "sobol"):
-        raise SceneError(f"method = {method!r}: allowed is morris or sobol")
+        raise SceneError(f"method = {method!r}: must be morris or sobol")
     if not 4 <= samples <= 65536 or (method == "sobol" and samples & (samples - 1)):
-        raise SceneError(f"samples = {samples!r}: allowed is >= 4, with sobol a power of 2")
+        raise SceneError(f"samples = {samples!r}: must be >= 4, with sobol a power of 2")
     import SALib  # noqa: F401
 
 

@@ -55,7 +55,7 @@ class RecordingServer:
                 probe.bind((LOCALHOST, port))
             except OSError as error:
                 raise CaptureSimError(
-                    f"port {port}: {error.strerror or error}; allowed is one that is free"
+                    f"port {port}: {error.strerror or error}; must be one that is free"
                 ) from None
         # a killed viewer cannot end its server: then the system does, where util-linux is there
         keeper = shutil.which("setpriv")

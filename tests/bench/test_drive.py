@@ -71,5 +71,5 @@ def test_sample_times_are_ascending_finite_and_within_the_run(times, number, all
 def test_a_bench_is_not_asked_backwards():
     bench = Bench(load_scene("paper_designed"))
     bench.advance(np.array([0.1]))
-    with pytest.raises(SceneError, match=r"0\.05 s: allowed is > 0\.1"):
+    with pytest.raises(SceneError, match=r"0\.05 s: must be > 0\.1"):
         bench.advance(np.array([0.05]))

@@ -11,14 +11,14 @@ from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import CHASER_POSE, LOAD_CELL, TARGET_POSE
 from capture_sim.recording.offline import PUBLISHERS
-from capture_sim.sensors import Sensors, low_pass
+from capture_sim.sensors import SimulatedSensors, low_pass
 
 BOTH = ["sensors.motion_capture={}", "sensors.load_cell={}", "sensors.seed=7"]
 QUIET = ["sensors.load_cell={bandwidth: 1e+5}"]
 
 
 def readings(result, scene=None):
-    sensors = Sensors(result.scene if scene is None else scene)
+    sensors = SimulatedSensors(result.scene if scene is None else scene)
     return [sensors.read(sample) for sample in result.samples]
 
 

@@ -102,7 +102,7 @@ def test_a_scene_that_exists_does_not_hide_what_is_wrong(command, tmp_path, caps
 
 DESIGN, ENVELOPE, SENSITIVITY = ["design"], ["envelope"], ["sensitivity"]
 BENCH, REPLAY = ["bench", "tilt_0"], ["replay", "x.mcap"]
-NO_FACTOR = "allowed is a number >= 0 and <= 1000"
+NO_FACTOR = "must be a number >= 0 and <= 1000"
 
 
 @pytest.mark.parametrize(
@@ -113,39 +113,39 @@ NO_FACTOR = "allowed is a number >= 0 and <= 1000"
         *[(BENCH, ["--rtf", wrong], NO_FACTOR) for wrong in ("1000.1", "nan", "fast")],
         (REPLAY, ["--rtf", "inf"], NO_FACTOR),
         *[
-            (BENCH, ["--namespace", wrong], "allowed is a ROS name such as lab")
+            (BENCH, ["--namespace", wrong], "must be a ROS name such as lab")
             for wrong in ("a b", "1x", "", "lab//two", "lab/")
         ],
         (["view"], ["tilt_0", "--window", "nan", "1"], "a number"),
         (["resimulate"], ["x.mcap", "--tolerance", "nan"], "a number >= 0"),
         (["identify"], ["x.mcap", "mu", "--starts", "0x10"], "whole number"),
-        (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): allowed is both or none"),
-        (DESIGN, ["--stroke=0", "--torsion=1"], "'0': allowed is a number > 0, in mm"),
-        (DESIGN, ["--stroke=5", "--torsion=nan"], "'nan': allowed is a number > 0, in mrad"),
+        (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be both or none"),
+        (DESIGN, ["--stroke=0", "--torsion=1"], "'0': must be a number > 0, in mm"),
+        (DESIGN, ["--stroke=5", "--torsion=nan"], "'nan': must be a number > 0, in mrad"),
         (DESIGN, ["--stroke=5 deg", "--torsion=2"], "in mm"),
-        (DESIGN, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: allowed is >= 1e-06"),
-        (DESIGN, ["--spread=1,2"], "--spread: '1,2': allowed is %,mm,deg"),
-        (DESIGN, ["--spread=50,1,1"], "Spread.speed = 0.5: allowed is >= 0 and <= 0.24"),
-        (DESIGN, ["--spread=0,0,0"], "allowed is one above 0"),
-        (DESIGN, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': allowed is LOW:HIGH:N"),
-        (ENVELOPE, ["--angle=0:1"], "--angle: '0:1': allowed is LOW:HIGH:CELLS"),
+        (DESIGN, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: must be >= 1e-06"),
+        (DESIGN, ["--spread=1,2"], "--spread: '1,2': must be %,mm,deg"),
+        (DESIGN, ["--spread=50,1,1"], "Spread.speed = 0.5: must be >= 0 and <= 0.24"),
+        (DESIGN, ["--spread=0,0,0"], "must be one above 0"),
+        (DESIGN, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': must be LOW:HIGH:N"),
+        (ENVELOPE, ["--angle=0:1"], "--angle: '0:1': must be LOW:HIGH:CELLS"),
         (ENVELOPE, ["--angle=-5 mm:5 mm:3"], "in deg"),
         (ENVELOPE, ["--angle=-100:1:5"], "angle = -1.745"),
-        (ENVELOPE, ["--angle=0:1:0"], "angle: 0 cells: allowed is >= 1 and <= 1000"),
-        (ENVELOPE, ["--speed=0,0.1"], "speed = 0.0 m/s: allowed is >= 0.0001"),
+        (ENVELOPE, ["--angle=0:1:0"], "angle: 0 cells: must be >= 1 and <= 1000"),
+        (ENVELOPE, ["--speed=0,0.1"], "speed = 0.0 m/s: must be >= 0.0001"),
         (ENVELOPE, ["--speed=0.1:0.2:3"], "a list of values for one of them"),
-        (ENVELOPE, ["--offset=30:-30:3"], "offset = (0.03, -0.03) m: allowed are ascending"),
-        (ENVELOPE, ["--runs=5"], "runs = 5: allowed is >= 429"),
-        (ENVELOPE, ["--levels=-1"], "--levels: '-1': allowed is a whole number >= 0"),
-        (ENVELOPE, ["--levels=11"], "levels = 11: allowed is >= 0 and <= 10"),
+        (ENVELOPE, ["--offset=30:-30:3"], "offset = (0.03, -0.03) m: must be ascending"),
+        (ENVELOPE, ["--runs=5"], "runs = 5: must be >= 429"),
+        (ENVELOPE, ["--levels=-1"], "--levels: '-1': must be a whole number >= 0"),
+        (ENVELOPE, ["--levels=11"], "levels = 11: must be >= 0 and <= 10"),
         (ENVELOPE, ["--rtol=1"], "rtol = 1.0"),
         (ENVELOPE, ["--out=x.csv"], "--out x.csv"),
         (ENVELOPE, ["--mark", "nowhere"], "nowhere"),
-        (SENSITIVITY, ["--spread=0"], "--spread: '0': allowed is a number > 0 and <= 50 %"),
-        (SENSITIVITY, ["--workers=-1"], "--workers: '-1': allowed"),
+        (SENSITIVITY, ["--spread=0"], "--spread: '0': must be a number > 0 and <= 50 %"),
+        (SENSITIVITY, ["--workers=-1"], "--workers: '-1': must be"),
         (SENSITIVITY, ["--seed", "-1"], "whole number"),
         (SENSITIVITY, ["--samples", "9" * 5000], "whole number"),
-        (SENSITIVITY, ["--samples=3"], "samples = 3: allowed is >= 4"),
+        (SENSITIVITY, ["--samples=3"], "samples = 3: must be >= 4"),
         (SENSITIVITY, ["--method=sobol", "--samples=20"], "with sobol a power of 2"),
     ],
 )

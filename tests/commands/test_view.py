@@ -107,13 +107,13 @@ def test_known_scene_comes_before_a_folder_of_its_name(recorded, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert load("tilt_0", []).name == "tilt_0"
     assert load("./tilt_0", []).name == "tilt_p10"
-    with pytest.raises(capture_sim.errors.SceneError, match="unknown"):
+    with pytest.raises(capture_sim.errors.SceneError, match="not found"):
         load("empty", [])
 
 
 @pytest.mark.parametrize(
     "window, said",
-    [(("3", "2"), "allowed is FROM < TO"), (("90", "91"), "no motion from 90 to 91 s")],
+    [(("3", "2"), "must be FROM < TO"), (("90", "91"), "no motion from 90 to 91 s")],
 )
 def test_window_that_cannot_be_is_refused_in_one_line(recorded, tmp_path, capsys, window, said):
     assert main(["view", str(recorded[0]), "--window", *window, "--out", str(tmp_path)]) != 0

@@ -128,7 +128,7 @@ def test_steps_are_counted_exactly():
     "state, request_of, code, words",
     [
         (State.STOPPED, ("set_state", State.STOPPED), Code.ALREADY_IN_TARGET_STATE, "stopped"),
-        (State.STOPPED, ("set_state", State.NO_WORLD), Code.INCORRECT_TRANSITION, "allowed are"),
+        (State.STOPPED, ("set_state", State.NO_WORLD), Code.INCORRECT_TRANSITION, "must be one of"),
         (State.STOPPED, ("set_state", 77), Code.INCORRECT_TRANSITION, "state 77"),
         (State.STOPPED, ("set_state", State.PAUSED), Code.OK, ""),
         (State.STOPPED, ("step", 1), Code.OPERATION_FAILED, "this one is stopped"),
@@ -264,7 +264,7 @@ def _message_at_the_end(control):
 def test_a_player_has_neither_stop_nor_reset():
     control = player(State.PLAYING)
     answer = control.set_state(State.STOPPED).result(0.0)
-    assert answer == (Code.INCORRECT_TRANSITION, "state 0: allowed are 1 playing, 2 paused")
+    assert answer == (Code.INCORRECT_TRANSITION, "state 0: must be one of 1 playing, 2 paused")
     assert control.reset(0).result(0.0).code is Code.FEATURE_UNSUPPORTED
     assert control.set_state(State.PLAYING).result(0.0).code is Code.ALREADY_IN_TARGET_STATE
     assert control.step(1).result(0.0).message == "stepping needs a paused run; this one is playing"

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from capture_sim import Bench, SimulationError, load_scene
-from capture_sim.errors import SceneError
 
 STOPS = "stops={compression: 0.1995, extension: 0.19, stiffness: 1.0e+6, damping: 10}"
 
@@ -53,12 +52,6 @@ def test_hopeless_run_ends_after_so_many_steps_and_names_what_makes_it_so(overri
     tried = cost.steps + cost.rejected
     assert tried <= 20_000 + 60  # to halve a step until it falls below 1e-15 s
     assert cost.evaluations <= 16 * tried
-
-
-def test_implicit_steps_are_refused_and_their_absence_is_not():
-    load_scene("tilt_0", ["run.stiff=false"])
-    with pytest.raises(SceneError, match=r"run\.stiff: there are no implicit steps"):
-        load_scene("tilt_0", ["run.stiff=true"])
 
 
 def test_ctrl_c_ends_a_slow_run():

@@ -160,7 +160,7 @@ def test_chaser_that_runs_ahead_of_its_string_is_refused(given):
         "impact_speed": [],
         "hanging_mass": ["string.impact_speed=null", "string.hanging_mass=0.05"],
     }[given]
-    with pytest.raises(SceneError, match=r"initial.chaser.vx, vy: speed 0.05 m/s: allowed is 0"):
+    with pytest.raises(SceneError, match=r"initial.chaser.vx, vy: speed 0.05 m/s: must be 0"):
         load_scene("tilt_0", ["initial.chaser.vx=0.05", *other])
 
 

@@ -76,7 +76,7 @@ def test_exact_law_at_the_ends_of_its_range(e):
     scene = free_impact(1e-4, 0.1, e, {"run.rtol": 1e-10, "run.t_end": 0.5})
     found, _ = returned(scene)
     assert found == pytest.approx(e, abs=1e-12 if e < 0.5 else 1e-8)
-    with pytest.raises(SceneError, match=r"contact.restitution = 0.0: allowed is > 0"):
+    with pytest.raises(SceneError, match=r"contact.restitution = 0.0: must be > 0"):
         run(altered(scene, {"contact.restitution": 0.0}))
 
 

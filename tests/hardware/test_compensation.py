@@ -103,7 +103,7 @@ def parting(loop):
 def test_names_are_joined_and_wrong_ones_refused():
     assert compensation("none") == Compensation()
     assert compensation("prediction2+passivity") == Compensation(passivity=True, prediction=2)
-    with pytest.raises(CaptureSimError, match="'damping': allowed is none, passivity, hybrid"):
+    with pytest.raises(CaptureSimError, match="'damping': must be one of none, passivity, hybrid"):
         compensation("damping")
     with pytest.raises(CaptureSimError, match="exclude each other"):
         compensation("model+hybrid")
@@ -339,7 +339,7 @@ def test_the_model_takes_a_delay_of_a_whole_touch(lag, damping):
 
 
 def test_a_damper_beyond_what_the_steps_carry_is_refused():
-    with pytest.raises(CaptureSimError, match=r"drag = 40000 N s/m: allowed is <= 1861"):
+    with pytest.raises(CaptureSimError, match=r"drag = 40000 N s/m: must be <= 1861"):
         Loop(LoopStage(PAPER), compensation("hybrid"), WallLaw(0.0, drag=4e4))
 
 

@@ -94,5 +94,5 @@ def test_a_rig_that_gives_energy_is_stopped_by_it(way, kind):
     start = 80 if kind == "wrong sign" else 165
     why = close(loop, faulty(late(rig, 2), hold, kind, start, 0.0), 0.9)
     if way != "hybrid":  # its virtual spring keeps the tip out, and the rig from giving as much
-        assert "allowed is <= 0.02 J" in why
+        assert "must be <= 0.02 J" in why
     assert loop.work <= (BOUND if way == "none" else 1e-8)

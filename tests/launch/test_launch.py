@@ -65,7 +65,7 @@ def test_mass_height_and_speed_follow_from_each_other():
         load_scene("tilt_0", [f"string.hanging_mass={mass!r}", "string.impact_speed=null"])
     )
     assert forward.impact_speed == pytest.approx(0.1, rel=1e-12)
-    with pytest.raises(SceneError, match=r"string.hanging_mass = 0.01 kg: allowed is > 0.023"):
+    with pytest.raises(SceneError, match=r"string.hanging_mass = 0.01 kg: must be > 0.023"):
         load_scene("tilt_0", ["string.hanging_mass=0.01", "string.drop_height=null"])
 
 
@@ -120,7 +120,7 @@ def test_launch_is_aborted_outside_its_window_and_only_there():
         status = launcher.observe(wanted + off, False, False, t=1.0, travel=half)
         assert status.state is LauncherPhase[state]
     assert "0.06" in status.reason
-    assert "allowed is" in status.reason
+    assert "must be" in status.reason
     # latched: nothing that comes later mends it
     assert launcher.observe(wanted, False, True, t=1.1, travel=half) == status
     assert launcher.abort("later").reason == status.reason

@@ -56,13 +56,13 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
     loop.wait_for("the loop is closed")
     rig.process.kill()
     assert loop.status() == 1
-    assert "s old: allowed is <= 0.02" in loop.text
+    assert "s old: must be <= 0.02" in loop.text
     assert "Traceback" not in loop.text
     stiffness = load_scene("paper_designed").contact_stiffness
     start("contact_rig", scene="paper_designed", stiffness=stiffness, exponent=1.5)
     loop = start("loop_simulator", scene="paper_designed", rtf=0.2, timeout=10.0)
     assert loop.status() == 1
-    assert "N came: allowed is <= 500" in loop.text
+    assert "N came: must be <= 500" in loop.text
 
 
 def test_the_model_takes_the_paper_contact_through_dds(start, tmp_path):
@@ -92,5 +92,5 @@ def test_the_observer_stops_the_nodes(start):
     loop = start("loop_simulator", rtf=0.5, timeout=10.0, energy_limit=0.001)
     assert loop.status() == 1
     assert "the wrench would have made" in loop.text
-    assert "allowed is <= 0.001 J" in loop.text
+    assert "must be <= 0.001 J" in loop.text
     assert "Traceback" not in loop.text

@@ -420,7 +420,7 @@ def test_launcher_aborts_a_launch_that_goes_wrong(start):
         wait_until(lambda: holds)
         client.set("launcher", auto_release=True)
         assert launcher.status() == 1
-        assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: allowed is", launcher.text)
+        assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: must be", launcher.text)
         assert simulator.status() == 1
         assert "aborted by the launcher" in simulator.text
         # held, let go at the release, held again
@@ -552,7 +552,7 @@ def test_help_shows_the_parameters_and_starts_nothing():
 def test_suite_ends_when_a_node_refuses(scenes, tmp_path, capfd):
     (tmp_path / "out").write_text("not a folder")
     assert run_suite(scenes[:1], tmp_path / "out") == 2
-    assert "allowed is a folder" in capfd.readouterr().out
+    assert "must be a folder" in capfd.readouterr().out
 
 
 def test_every_topic_with_every_sample_loses_nothing(start_all, tmp_path):

@@ -178,7 +178,7 @@ def test_experiment_is_changed_while_stopped(stopped):
     [
         ({"scenes": ["tilt_1"]}, "did you mean"),
         ({"scenes": ["tilt_0", "tilt_0"]}, "different names"),
-        ({"overrides": ["buffer.c_A=-1"]}, "N s/m: allowed is >= 0"),
+        ({"overrides": ["buffer.c_A=-1"]}, "N s/m: must be >= 0"),
     ],
 )
 def test_experiment_that_is_none_is_refused(wanted, words, stopped):

@@ -45,8 +45,8 @@ AT_THE_START = {
     "rtf out of range": ("simulator", {"rtf": "-1.0"}, ["rtf = -1.0", "0 to 1000"]),
     "rtf without point": ("simulator", {"rtf": "1"}, ["rtf = 1", "decimal point"]),
     "no such role": ("simulator", {"consumers": "[nobody]"}, ["consumers", "capture_detector"]),
-    "empty role": ("simulator", {"consumers": "['']"}, ["consumers = ['']", "allowed"]),
-    "no consumer": ("simulator", {"consumers": "[]"}, ["consumers = []", "allowed"]),
+    "empty role": ("simulator", {"consumers": "['']"}, ["consumers = ['']", "must be"]),
+    "no consumer": ("simulator", {"consumers": "[]"}, ["consumers = []", "must be"]),
     "no override": ("simulator", {"overrides": "[]"}, ["overrides = []", "PART.FIELD=VALUE"]),
     "no topics": ("recorder", {"topics": "[]"}, ["topics = []", "one at least"]),
     "topics are numbers": ("recorder", {"topics": "[3]"}, ["topics = [3]", "texts"]),
@@ -65,7 +65,7 @@ AT_THE_START = {
     "radius below 0": (
         "capture_detector",
         {"capture_radius": "-0.001"},
-        ["parameter capture_radius = -0.001 m: allowed is > 0 and <= 1"],
+        ["parameter capture_radius = -0.001 m: must be > 0 and <= 1"],
     ),
     "dwell without point": (
         "capture_detector",
@@ -75,7 +75,7 @@ AT_THE_START = {
     "speed is NaN": (
         "capture_detector",
         {"max_still_speed": ".nan"},
-        ["parameter max_still_speed = nan m/s: allowed is finite and > 0"],
+        ["parameter max_still_speed = nan m/s: must be finite and > 0"],
     ),
     "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
     "no override of a scene": ("launcher", {"scene": "tilt_0", "overrides": "[x]"}, ["x", "="]),
@@ -106,7 +106,7 @@ AT_THE_START = {
     "no such way": (
         "loop_simulator",
         {"compensation": "magic"},
-        ["compensation = 'magic': allowed is none, passivity, hybrid"],
+        ["compensation = 'magic': must be one of none, passivity, hybrid"],
     ),
     "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output"]),
     "no such state": ("simulator", {"initial_state": "gone"}, ["'gone'", "stopped, playing"]),
@@ -114,7 +114,7 @@ AT_THE_START = {
     "in a file, for any namespace": (
         "simulator",
         {"--params-file": "{file}", "__ns": "/bench_2"},
-        ["consumer_timeout = 5000.0: allowed is"],
+        ["consumer_timeout = 5000.0: must be"],
     ),
     "no syntax": ("launcher", {"auto_release": "["}, ["auto_release"]),
     "no bool": ("launcher", {"auto_release": "3"}, ["auto_release = 3", "true or false"]),
@@ -195,7 +195,7 @@ def test_reasons_say_what_is_wrong(bench):
         ("simulator", "scenes", ["tilt_p10"], "stopped; it is playing"),
         ("simulator", "rtf", 1001.0, "1000"),
         ("launcher", "speed_tolerance", 0.0, "0.01"),
-        ("capture_detector", "min_dwell", -1.0, "min_dwell = -1.0 s: allowed is >= 0"),
+        ("capture_detector", "min_dwell", -1.0, "min_dwell = -1.0 s: must be >= 0"),
         ("recorder", "out", "elsewhere", "read-only"),
         ("recorder", "split_time", 1.0, "read-only"),
         ("recorder", "paused", True, "read-only"),

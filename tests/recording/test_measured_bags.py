@@ -136,7 +136,7 @@ def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
     seen = run_from_bag(bag, scene, 0.5)
     assert seen.samples["t"] == pytest.approx(run.samples["t"][::10] - 0.5, abs=1e-6)
     assert decided_at(seen) == pytest.approx(decided_at(run) - 0.5, abs=1e-6)
-    with pytest.raises(RecordingError, match=r"release = 60 s: allowed is 0 to [0-9.]+ s"):
+    with pytest.raises(RecordingError, match=r"release = 60 s: must be 0 to [0-9.]+ s"):
         run_from_bag(bag, scene, 60.0)
 
 

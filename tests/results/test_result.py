@@ -77,7 +77,7 @@ def test_public_names_are_all_there():
 
 def test_a_run_that_would_fill_the_memory_is_refused_before_it_starts():
     with pytest.raises(
-        SceneError, match=r"run.t_end = 20000 s at .* GB of memory: allowed are 4 GB"
+        SceneError, match=r"run.t_end = 20000 s at .* GB of memory: must be at most 4 GB"
     ):
         simulate("tilt_0", {"run.t_end": 20000})
 

@@ -173,7 +173,7 @@ def test_window_without_samples_is_refused(window, path, other, bench_bag, tmp_p
     for theirs, least in ((other, "0.004 s (4 samples"), (bench_bag, "0.04 s (4 samples")):
         assert main([*command, str(theirs)]) == 2
         said = capsys.readouterr().err
-        assert f"--window {float(window):g} s: allowed is {least}" in said
+        assert f"--window {float(window):g} s: must be {least}" in said
         assert said.count("\n") == 1
 
 

@@ -282,7 +282,7 @@ def test_ctrl_c_ends_the_command_in_a_line(tmp_path):
 def test_a_cluster_that_is_not_there_is_said_in_a_line(capsys):
     pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
     with (
-        pytest.raises(ExecutorError, match="allowed is an address"),
+        pytest.raises(ExecutorError, match="must be an address"),
         open_executor(scheduler="nowhere"),
     ):
         pass

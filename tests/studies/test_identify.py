@@ -83,11 +83,14 @@ def test_noise_is_found_in_the_series():
 @pytest.mark.parametrize(
     "names, said",
     [
-        (("friction.nu",), "parameter friction.nu: allowed are c_rr, e, mu, c_A"),
+        (("friction.nu",), "parameter friction.nu: must be one of c_rr, e, mu, c_A"),
         (("friction.law",), "parameter friction.law"),
         (("mu", "mu"), "each once"),
         (("stops.stiffness",), "parameter stops.stiffness"),
-        (("run.t_end",), "parameter run.t_end: allowed are c_rr, e, mu, c_A, or a number of the"),
+        (
+            ("run.t_end",),
+            "parameter run.t_end: must be one of c_rr, e, mu, c_A, or a number of the",
+        ),
         (
             ("mu", "detector.capture_radius"),
             "parameter detector.capture_radius: .* not of run, detector, sensors",
@@ -120,7 +123,7 @@ def test_touches_behind_the_end_do_not_count():
 @pytest.mark.parametrize(
     "touches, said",
     [
-        (np.zeros(1, TOUCH), "noise of touches = 0 s, 2 N: allowed is > 0"),
+        (np.zeros(1, TOUCH), "noise of touches = 0 s, 2 N: must be > 0"),
         (None, "nothing to fit to"),
     ],
 )

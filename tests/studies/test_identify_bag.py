@@ -169,4 +169,4 @@ def test_release_outside_the_recording_is_refused(tmp_path, capsys):
     assert main(["identify", path, "c_rr", "--release", "7"]) == 2
     said = capsys.readouterr().err.strip()
     assert said.count("\n") == 0
-    assert "release = 7 s: allowed is 0 to 1 s" in said
+    assert "release = 7 s: must be 0 to 1 s" in said

@@ -87,4 +87,4 @@ def test_identify_command_finds_what_the_run_was_made_with(path, capsys):
     assert main([*command, "--set", "buffer.k_A=400", "--starts", "1"]) == 1
     assert "does not explain" in capsys.readouterr().out
     assert main(["identify", str(path), "colour"]) == 2
-    assert "parameter colour: allowed are c_rr, e, mu, c_A" in capsys.readouterr().err
+    assert "parameter colour: must be one of c_rr, e, mu, c_A" in capsys.readouterr().err

@@ -157,7 +157,7 @@ def test_detector_with_other_limits(path, capsys):
 def test_detect_takes_limits_alone(change, path, capsys):
     assert main(["detect", str(path), "--set", change]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"capture-sim: --set {change}: what is recorded is judged, so allowed")
+    assert said.startswith(f"capture-sim: --set {change}: must be one of detector.")
     assert "detector.capture_radius, detector.min_dwell" in said
     assert said.count("\n") == 1
 

@@ -146,4 +146,4 @@ def test_one_figure_by_the_command(tmp_path, capsys):
     assert main(["reproduce", "--only", "figure_12", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "reproduction" / "figure_12.png").stat().st_size > 10_000
     assert main(["reproduce", "--only", "figure_99", "--out", str(tmp_path)]) == 2
-    assert "allowed are figure_5" in capsys.readouterr().err
+    assert "must be one of figure_5" in capsys.readouterr().err

@@ -159,7 +159,7 @@ def test_a_changed_cone_is_still_met_just_so():
 
 
 def test_unknown_parameters_are_refused():
-    with pytest.raises(SceneError, match=r"supports\.c_rr: allowed is a number"):
+    with pytest.raises(SceneError, match=r"supports\.c_rr: must be a number"):
         value_of(load_scene("tilt_0"), Parameter("supports.c_rr", "1", 0.1))
 
 
