@@ -19,7 +19,6 @@ def generate_launch_description():
                 default_value="1.0",
                 description="real-time factor: recorded seconds per second; 0 as fast as it goes",
             ),
-            DeclareLaunchArgument("rate", default_value="", description="earlier name of rtf"),
             DeclareLaunchArgument(
                 "start", default_value="0.0", description="begin so many seconds later"
             ),
@@ -42,13 +41,9 @@ def nodes(context):
     def argument(name):
         return LaunchConfiguration(name).perform(context)
 
-    factor = "rtf"
-    if argument("rate"):
-        print("argument rate is now called rtf")
-        factor = "rate"
     parameters = {
         "bag": argument("bag"),
-        "rtf": number(factor, argument(factor), FASTEST),
+        "rtf": number("rtf", argument("rtf"), FASTEST),
         "start": number("start", argument("start")),
         "loop": argument("loop") == "true",
         "paused": argument("paused") == "true",

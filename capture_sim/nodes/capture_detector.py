@@ -11,7 +11,7 @@ from capture_sim.detection.align import Source
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
-from capture_sim.messages.convert import CRITERIA, EPOCH_NS, stamp_seconds
+from capture_sim.messages.convert import EPOCH_NS, stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import (
@@ -100,7 +100,6 @@ class CaptureDetectorNode(Participant):
         One that is not set follows the scene; one that is set holds from the next run on, as a
         run is judged by one set of criteria from its start to its end.
         """
-        formerly = {field: name for name, field in CRITERIA.items()}
         for name, field in CRITERION.items():
             unit, allowed = field.metadata["unit"], field.metadata["allowed"]
             self.declare(
@@ -110,7 +109,6 @@ class CaptureDetectorNode(Participant):
                 allowed=f"a number with a decimal point, {allowed} {unit}",
                 read_only=False,
                 check=partial(_check_criterion, name),
-                formerly=formerly[name],
             )
 
     def _criteria(self) -> dict[str, float]:

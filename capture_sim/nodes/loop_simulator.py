@@ -52,7 +52,6 @@ class LoopSimulatorNode(BenchNode):
             "real-time factor: simulated seconds per second",
             low=0.001,
             high=1.0,
-            formerly="pace",
         )
         timeout = self.declare(
             "timeout", 0.02, "s, age up to which a wrench is held", low=0.001, high=10.0

@@ -35,12 +35,11 @@ class ParameterError(CaptureSimError):
 
 
 class ParameterNode(Node):
-    """A node whose parameters have a unit, a range, and earlier names."""
+    """A node whose parameters have a unit and a range."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._checks: dict[str, Callable[[Any], object]] = {}
-        self._renamed: dict[str, str] = {}
         # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
         with self.handle:
             given = self.handle.get_parameters(Parameter)
@@ -49,7 +48,6 @@ class ParameterNode(Node):
             for name, parameter in given.items()
             if name.split(".")[0] not in _COMMON
         }
-        self.add_pre_set_parameters_callback(self._with_current_names)
         self.add_on_set_parameters_callback(self._check_parameters)
 
     def declare(
@@ -64,7 +62,6 @@ class ParameterNode(Node):
         read_only: bool = True,
         allowed: str = "",
         check: Callable[[Any], object] | None = None,
-        formerly: str = "",
     ) -> Any:
         """Declare a parameter and return its value.
 
@@ -84,8 +81,6 @@ class ParameterNode(Node):
         check
             Called with the value, now and before every change; raises CaptureSimError if it
             is not usable.
-        formerly
-            The parameter's earlier name, by which it is still taken.
 
         Raises
         ------
@@ -106,10 +101,6 @@ class ParameterNode(Node):
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
         descriptor.additional_constraints = allowed
-        if formerly:
-            self._renamed[formerly] = name
-            if formerly in self._given:
-                self._given.setdefault(self._current_name(formerly), self._given.pop(formerly))
         right = name not in self._given or _fits(self._given[name], kind, choices)
         value = self._given.pop(name, None if default is kind else default)
         try:
@@ -136,14 +127,6 @@ class ParameterNode(Node):
             near = difflib.get_close_matches(name, declared, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             self.get_logger().warning(f"parameter {name} is unknown here and has no effect{hint}")
-
-    def _with_current_names(self, parameters: list[Parameter]) -> list[Parameter]:
-        return [Parameter(self._current_name(p.name), p.type_, p.value) for p in parameters]
-
-    def _current_name(self, name: str) -> str:
-        if name in self._renamed:
-            self.get_logger().warning(f"parameter {name} is now called {self._renamed[name]}")
-        return self._renamed.get(name, name)
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

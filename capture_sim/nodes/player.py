@@ -66,7 +66,6 @@ class PlayerNode(BenchNode):
             "real-time factor: recorded seconds per second; 0 as fast as it goes",
             low=FACTORS.low,
             high=FACTORS.high,
-            formerly="rate",
         )
         self._loop = self.declare("loop", False, "play again and again")
         self._offset = self.declare(

@@ -115,7 +115,6 @@ class SimulatorNode(BenchNode):
             low=FACTORS.low,
             high=FACTORS.high,
             read_only=False,
-            formerly="pace",
         )
         state = self.declare(
             "initial_state",

@@ -6,7 +6,6 @@ of the bench less than one.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -15,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
@@ -72,8 +71,6 @@ def run_suite(
 
     Raises
     ------
-    CaptureSimError
-        Another suite has this domain and namespace.
     KeyboardInterrupt
         After Ctrl-C (or SIGTERM), when all nodes have ended.
     """
@@ -81,7 +78,7 @@ def run_suite(
     limit = START_LIMIT
     for scene in scenes:
         limit += scene.run.t_end * (SLOWEST if rtf == 0.0 else 1.5 / rtf)
-    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder, _claimed(namespace):
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
         files = []
         for number, scene in enumerate(scenes):
             path = Path(folder, f"{number}.yaml")
@@ -162,22 +159,6 @@ def _run_nodes(
 def _domain() -> int:
     given = os.environ.get("ROS_DOMAIN_ID", "")
     return int(given) if given.isdigit() else 0
-
-
-@contextmanager
-def _claimed(namespace: str) -> Iterator[None]:
-    """Keep this domain and namespace for as long as the context lasts."""
-    where = f"{_domain()}_{namespace.strip('/').replace('/', '_')}"
-    path = Path(tempfile.gettempdir(), f"capture_sim_suite_{where}.lock")
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(path.open("a"))
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise CaptureSimError(
-                f"another suite runs on ROS_DOMAIN_ID {_domain()}: set another, or a namespace"
-            ) from None
-        yield
 
 
 _printing = threading.Lock()

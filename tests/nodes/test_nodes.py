@@ -18,11 +18,10 @@ from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.control.simulation import Code, State
 from capture_sim.detection.exact import CaptureState
-from capture_sim.errors import CaptureSimError
 from capture_sim.launch.watch import LauncherPhase
 from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE, SIMULATOR, topics_of
 from capture_sim.nodes.node import message_class
-from capture_sim.nodes.supervisor import _claimed, run_suite
+from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
@@ -178,11 +177,6 @@ def agree(one, other):
         assert (a.t, a.state, a.final, a.reason) == (b.t, b.state, b.final, b.reason)
         assert a == pytest.approx(b, abs=1e-12)
     return True
-
-
-def test_second_suite_in_a_domain_is_refused_in_a_line(scenes, tmp_path):
-    with _claimed(""), pytest.raises(CaptureSimError, match="another suite runs on ROS_DOMAIN_ID"):
-        run_suite(scenes[:1], tmp_path)
 
 
 def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
