@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import re
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 from mkdocs.structure.files import File, Files
 
 import capture_sim
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Declared, declared
 
 PUBLIC = "<!-- public names -->"
 HEAD = """# Scenes
 
 Every field of a scene file, made from the declarations in `capture_sim/scene/parts.py`. A part that
-is absent costs nothing: `null` takes it off the bench.
+is absent costs nothing: `null` takes it off the bench. A plain number is in the unit given here; a
+text may have another one, as `'0.5 N/mm'` or `'45 deg'`.
 
 """
 
@@ -28,33 +30,28 @@ def default_of(field: Field[Any]) -> str:
     return "not set" if value is None else f"`{value}`"
 
 
-def part_of(hint: object) -> type | None:
-    """Return the dataclass in a type hint, as in `Buffer | None`; None if there is none."""
-    return next(
-        (t for t in (hint, *get_args(hint)) if isinstance(t, type) and is_dataclass(t)), None
-    )
+def range_of(what: Declared) -> str:
+    """Return what a field must be, as text."""
+    kinds = {bool: "true or false", str: "text", tuple: "three points [x, y]"}
+    return str(what.allowed or ", ".join(what.options) or kinds[what.kind])
 
 
 def tables(part: type, path: str) -> list[str]:
     """Return one table a part, its own numbers first, the parts in it after."""
-    hints = get_type_hints(part)
     rows, inner = [], []
     for field in fields(part):
         name = f"{path}.{field.name}" if path else field.name
-        nested = part_of(hints[field.name])
-        if nested is not None:
-            inner += tables(nested, name)
-        elif "allowed" in field.metadata or "options" in field.metadata:
-            allowed = field.metadata.get("allowed") or ", ".join(field.metadata["options"])
-            unit = field.metadata.get("unit", "")
-            doc = field.metadata.get("doc", "")
-            cells = (f"`{name}`", unit, str(allowed), default_of(field), doc)
+        what = declared(part)[field.name]
+        if is_dataclass(what.kind):
+            inner += tables(what.kind, name)
+        else:
+            cells = (f"`{name}`", what.unit, range_of(what), default_of(field), what.doc)
             rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
     head = [
         "",
         f"## {path or 'scene'}",
         "",
-        "| field | unit | allowed | default | meaning |",
+        "| field | unit | range | default | meaning |",
         "|---|---|---|---|---|",
     ]
     return (head + rows if rows else []) + inner

@@ -20,6 +20,7 @@ from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
+from capture_sim.scene.units import in_si, split
 from capture_sim.viewing.source import Opened, distinct_names
 
 if TYPE_CHECKING:
@@ -33,13 +34,14 @@ WORKERS = Range(1, 1024)
 #: Of seeds: what every generator takes.
 SEEDS = Range(0, 2**32 - 1)
 
+#: Units that a plain number of an argument may be in: the SI unit, and its factor to that.
 _UNITS = {
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
-    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "N": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
-    "1": {"1": 1.0, "%": 1e-2},
+    "mm": ("m", 1e-3),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", math.pi / 180.0),
+    "%": ("1", 1e-2),
+    "N": ("N", 1.0),
+    "m/s": ("m/s", 1.0),
 }
 
 
@@ -103,15 +105,11 @@ def quantity(text: str, unit: str) -> float:
     Raises
     ------
     ValueError
-        It is no finite number, or its unit is of another kind.
+        It is no finite number, or its unit is of another dimension.
     """
-    kind = next(kind for kind in _UNITS.values() if unit in kind)
-    text = text.strip()
-    for name in sorted(kind, key=len, reverse=True):
-        if text.endswith(name) and name != "1":
-            text, unit = text[: -len(name)], name
-            break
-    value = float(text) * kind[unit]
+    si_unit, factor = _UNITS[unit]
+    value_text, given = split(text)
+    value = in_si(text, si_unit) if given else float(value_text) * factor
     if not math.isfinite(value):
         raise ValueError(f"{text} is not finite")
     return value
@@ -167,7 +165,8 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="overrides",
         metavar="PART.FIELD=VALUE",
-        help="change a value of the scene, in SI units; may be repeated",
+        help="change a value of the scene, as buffer.k_A=500 (SI) or buffer.k_A='0.5 N/mm'; may be "
+        "repeated",
     )
 
 

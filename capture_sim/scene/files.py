@@ -24,7 +24,7 @@ import yaml
 from capture_sim.errors import SceneError
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import accept, declared, refuse, shown
+from capture_sim.scene.quantities import Declared, accept, declared, refuse, shown
 
 #: Longest text of a scene, characters: the package's own are 3000 at most.
 MAX_TEXT = 100_000
@@ -32,6 +32,8 @@ MAX_TEXT = 100_000
 MAX_DEPTH = 20
 #: Files that extend each other in a row.
 MAX_FILES = 20
+#: Mistakes of a scene that one message names.
+MAX_MISTAKES = 5
 
 _TAG = "tag:yaml.org,2002:"
 
@@ -172,8 +174,8 @@ def find_scene(name_or_path: str | Path, beside: Path | None = None) -> Path:
             return path
     names = scene_names()
     near = difflib.get_close_matches(text[:100], names, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    raise SceneError(f"scene {shown(text)}: not found{hint}; available scenes: {', '.join(names)}")
+    hint = f"did you mean {near[0]}?" if near else f"available scenes: {', '.join(names)}"
+    raise SceneError(f"scene {shown(text)}: not found; {hint}")
 
 
 def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -270,28 +272,47 @@ def build(data: Any, part: Any = Scene, where: str = "") -> Any:
     Raises
     ------
     SceneError
-        One line that names the field, the value, the unit and the allowed range.
+        One line that names every wrong field with its value, unit and allowed range.
     """
+    mistakes: list[str] = []
+    made = _build(data, part, where, mistakes)
+    if mistakes:
+        more = len(mistakes) - MAX_MISTAKES
+        rest = [f"and {more} more mistakes"] if more > 0 else []
+        raise SceneError("; ".join(mistakes[:MAX_MISTAKES] + rest))
+    return made
+
+
+def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
+    """Return a part made of plain data; None where it adds to the mistakes."""
     if not isinstance(data, Mapping):
-        raise refuse(where, data, "", "a mapping of its fields")
+        mistakes.append(str(refuse(where, data, "", "a mapping of its fields")))
+        return None
     prefix = f"{where}." if where else ""
     fields = declared(part)
-    for key in data:
-        if key not in fields:
-            by_lower = {name.lower(): name for name in fields}
-            near = difflib.get_close_matches(str(key)[:100].lower(), by_lower, n=1, cutoff=0.5)
-            hint = f"; did you mean {prefix}{by_lower[near[0]]}?" if near else ""
-            raise SceneError(
-                f"{prefix}{shown(key)[1:-1]}: unknown field{hint}; available: {', '.join(fields)}"
-            )
+    before = len(mistakes)
+    mistakes += [_unknown(key, fields, prefix) for key in data if key not in fields]
     values = {}
     for name, what in fields.items():
         if name not in data:
             if what.required:
                 unit = f" (in {what.unit})" if what.unit else ""
-                raise SceneError(f"{prefix}{name}: missing{unit}")
+                mistakes.append(f"{prefix}{name}: missing{unit}")
         elif dataclasses.is_dataclass(what.kind) and not (data[name] is None and what.optional):
-            values[name] = build(data[name], what.kind, prefix + name)
+            values[name] = _build(data[name], what.kind, prefix + name, mistakes)
         else:
-            values[name] = accept(data[name], what, prefix + name)
-    return part(**values)
+            try:
+                values[name] = accept(data[name], what, prefix + name)
+            except SceneError as error:
+                mistakes.append(str(error))
+    return part(**values) if len(mistakes) == before else None
+
+
+def _unknown(key: object, fields: Mapping[str, Declared], prefix: str) -> str:
+    by_lower = {name.lower(): name for name in fields}
+    near = difflib.get_close_matches(str(key)[:100].lower(), by_lower, n=1, cutoff=0.5)
+    if near:
+        hint = f"did you mean {prefix}{by_lower[near[0]]}?"
+    else:
+        hint = f"available: {', '.join(fields)}"
+    return f"{prefix}{shown(key)[1:-1]}: unknown field; {hint}"

@@ -53,16 +53,18 @@ FILTERS = ("first", "second")
 class Vehicle(Checked):
     """A vehicle's main body, without the buffer (Table 2)."""
 
-    mass: float = quantity("kg", POSITIVE, doc="mass m_S or m_T")
-    inertia: float = quantity("kg m^2", POSITIVE, doc="about the centre of mass, I_S or I_T")
+    mass: float = quantity("kg", POSITIVE, doc="mass of the body, m_S or m_T")
+    inertia: float = quantity(
+        "kg m^2", POSITIVE, doc="moment of inertia about the centre of mass, I_S or I_T"
+    )
 
 
 @dataclass(frozen=True)
 class Cylinder(Checked):
     """The cylinder hinged to the chaser; a slender rod behind the hinge (eq. 6)."""
 
-    mass: float = quantity("kg", NOT_NEGATIVE, doc="m_C")
-    length: float = quantity("m", NOT_NEGATIVE, doc="L_C")
+    mass: float = quantity("kg", NOT_NEGATIVE, doc="mass of the cylinder, m_C")
+    length: float = quantity("m", NOT_NEGATIVE, doc="length of the cylinder behind the hinge, L_C")
 
     @property
     def inertia(self) -> float:
@@ -74,10 +76,10 @@ class Cylinder(Checked):
 class Probe(Checked):
     """The probe: a solid rod that ends in a solid sphere, the tip mass."""
 
-    radius: float = quantity("m", POSITIVE, doc="r_p, of the rod")
-    length: float = quantity("m", POSITIVE, doc="L_p, of the rod")
-    tip_radius: float = quantity("m", POSITIVE, doc="R_t, of the sphere")
-    density: float = quantity("kg/m^3", POSITIVE, doc="of rod and sphere")
+    radius: float = quantity("m", POSITIVE, doc="radius of the rod, r_p")
+    length: float = quantity("m", POSITIVE, doc="length of the rod, L_p")
+    tip_radius: float = quantity("m", POSITIVE, doc="radius of the tip sphere, R_t")
+    density: float = quantity("kg/m^3", POSITIVE, doc="density of rod and tip sphere")
 
     @property
     def rod_mass(self) -> float:
@@ -112,13 +114,21 @@ class Probe(Checked):
 class Buffer(Checked):
     """The 2-DOF buffer: axial spring-damper and torsional spring (eq. 9)."""
 
-    hinge_offset: float = quantity("m", NOT_NEGATIVE, doc="a, chaser's centre of mass to the hinge")
-    k_A: float = quantity("N/m", NOT_NEGATIVE, doc="axial stiffness")
-    c_A: float = quantity("N s/m", NOT_NEGATIVE, doc="axial damping")
-    k_T: float = quantity("N m/rad", NOT_NEGATIVE, doc="torsional stiffness")
-    c_T: float = quantity("N m s/rad", NOT_NEGATIVE, default=0.0, doc="torsional damping")
+    hinge_offset: float = quantity(
+        "m", NOT_NEGATIVE, doc="distance from the chaser's centre of mass to the hinge, a"
+    )
+    k_A: float = quantity("N/m", NOT_NEGATIVE, doc="stiffness of the axial spring")
+    c_A: float = quantity("N s/m", NOT_NEGATIVE, doc="damping coefficient of the axial damper")
+    k_T: float = quantity("N m/rad", NOT_NEGATIVE, doc="stiffness of the torsional spring")
+    c_T: float = quantity(
+        "N m s/rad", NOT_NEGATIVE, default=0.0, doc="damping coefficient of the torsional damper"
+    )
     rest_length: float | None = quantity(
-        "m", POSITIVE, default=None, doc="hinge to tip centre at rest; null: L_p + R_t"
+        "m",
+        POSITIVE,
+        default=None,
+        doc="distance from the hinge to the tip's centre with the spring relaxed, h_0; "
+        "null: L_p + R_t",
     )
 
 
@@ -126,13 +136,17 @@ class Buffer(Checked):
 class Cone(Checked):
     """The target's cone: inner edge BE, and a wall on each side of the axis."""
 
-    L_T: float = quantity("m", NOT_NEGATIVE, doc="target's centre of mass to BE")
+    L_T: float = quantity(
+        "m",
+        NOT_NEGATIVE,
+        doc="distance from the target's centre of mass to BE, the inner edge of the cone",
+    )
     R_c: float = quantity("m", POSITIVE, doc="half-width of BE")
-    L_c: float = quantity("m", POSITIVE, doc="length of the generatrix")
+    L_c: float = quantity("m", POSITIVE, doc="length of the wall along its generatrix")
     half_angle: float = quantity(
         "rad",
         Range(0.0, math.pi / 2, low_open=True, high_open=True),
-        doc="beta, angle between wall and axis",
+        doc="angle between wall and axis, beta; 45 deg is written '45 deg'",
     )
 
     @property
@@ -161,11 +175,13 @@ class Contact(Checked):
     tip: Material
     wall: Material
     restitution: float = quantity(
-        "1", Range(0.0, 1.0), doc="e put into the law; see docs for what comes out"
+        "1", Range(0.0, 1.0), doc="coefficient of restitution e that the law is given"
     )
-    law: str = choice(CONTACT_LAWS, default="lankarani_nikravesh", doc="hysteresis damping law")
+    law: str = choice(
+        CONTACT_LAWS, default="lankarani_nikravesh", doc="law of the hysteresis damping factor"
+    )
     min_approach_speed: float = quantity(
-        "m/s", POSITIVE, default=1e-4, doc="least approach speed that the damping factor sees"
+        "m/s", POSITIVE, default=1e-4, doc="lower limit of the approach speed in the damping factor"
     )
 
 
@@ -173,10 +189,12 @@ class Contact(Checked):
 class Friction(Checked):
     """Coulomb friction of the tip on the wall."""
 
-    mu: float = quantity("1", NOT_NEGATIVE, doc="coefficient of friction")
-    law: str = choice(FRICTION_LAWS, default="tanh", doc="regularisation at zero slip")
+    mu: float = quantity("1", NOT_NEGATIVE, doc="coefficient of sliding friction")
+    law: str = choice(
+        FRICTION_LAWS, default="tanh", doc="friction law, i.e. how it is regularised at zero slip"
+    )
     slip_regularization_speed: float = quantity(
-        "m/s", POSITIVE, default=1e-3, doc="v_eps, slip at which tanh reaches 76 % of mu F_n"
+        "m/s", POSITIVE, default=1e-3, doc="slip speed at which tanh reaches 76 % of mu F_n, v_eps"
     )
     mu_s: float | None = quantity(
         "1",
@@ -206,7 +224,8 @@ class Supports(Checked):
         "m/s",
         POSITIVE,
         default=1e-6,
-        doc="ball speed below which rolling resistance falls off; at 5 of it a vehicle may rest",
+        doc="ball speed below which rolling resistance decreases to zero; a vehicle may come "
+        "to rest below five times this speed",
     )
 
 
@@ -214,7 +233,9 @@ class Supports(Checked):
 class Rail(Checked):
     """Straight rail that guides the chaser along its initial heading."""
 
-    length: float = quantity("m", POSITIVE, doc="travel of the chaser until it leaves the rail")
+    length: float = quantity(
+        "m", POSITIVE, doc="distance the chaser travels before it leaves the rail"
+    )
 
 
 @dataclass(frozen=True)
@@ -226,14 +247,18 @@ class String(Checked):
     """
 
     impact_speed: float | None = quantity(
-        "m/s", POSITIVE, default=None, doc="of the chaser at the first contact"
+        "m/s", POSITIVE, default=None, doc="speed of the chaser at the first contact"
     )
-    hanging_mass: float | None = quantity("kg", POSITIVE, default=None, doc="m_h")
+    hanging_mass: float | None = quantity(
+        "kg", POSITIVE, default=None, doc="mass on the string, m_h"
+    )
     drop_height: float | None = quantity(
-        "m", POSITIVE, default=None, doc="of the mass above its landing"
+        "m", POSITIVE, default=None, doc="height of the mass above its landing"
     )
-    pulley_inertia: float = quantity("kg m^2", NOT_NEGATIVE, default=0.0, doc="I_p")
-    pulley_radius: float = quantity("m", POSITIVE, default=0.02, doc="r_pulley")
+    pulley_inertia: float = quantity(
+        "kg m^2", NOT_NEGATIVE, default=0.0, doc="moment of inertia of the pulley, I_p"
+    )
+    pulley_radius: float = quantity("m", POSITIVE, default=0.02, doc="radius of the pulley")
 
 
 @dataclass(frozen=True)
@@ -244,31 +269,41 @@ class Latch(Checked):
     place of the walls.
     """
 
-    radius: float = quantity("m", POSITIVE, doc="distance to the centre of BE at which they close")
-    stiffness: float = quantity("N/m", POSITIVE, doc="of the hold")
-    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="of the hold")
+    radius: float = quantity(
+        "m", POSITIVE, doc="distance of the tip's centre from that of BE at which the latches close"
+    )
+    stiffness: float = quantity("N/m", POSITIVE, doc="stiffness of the latched tip's spring")
+    damping: float = quantity(
+        "N s/m", NOT_NEGATIVE, doc="damping coefficient of the latched tip's damper"
+    )
 
 
 @dataclass(frozen=True)
 class Stops(Checked):
     """Ends of the probe's stroke: springs with dampers that push but never pull."""
 
-    compression: float = quantity("m", POSITIVE, doc="stroke inwards at which the stop is met")
-    extension: float = quantity("m", POSITIVE, doc="stroke outwards at which the stop is met")
-    stiffness: float = quantity("N/m", POSITIVE, doc="of either stop")
-    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="of either stop")
+    compression: float = quantity(
+        "m", POSITIVE, doc="inward stroke at which the probe meets the stop"
+    )
+    extension: float = quantity(
+        "m", POSITIVE, doc="outward stroke at which the probe meets the stop"
+    )
+    stiffness: float = quantity("N/m", POSITIVE, doc="stiffness of each stop")
+    damping: float = quantity("N s/m", NOT_NEGATIVE, doc="damping coefficient of each stop")
 
 
 @dataclass(frozen=True)
 class PlanarState(Checked):
     """Pose and velocity of a vehicle's centre of mass in the world."""
 
-    x: float = quantity("m", default=0.0)
-    y: float = quantity("m", default=0.0)
-    theta: float = quantity("rad", Range(-math.pi, math.pi), default=0.0)
-    vx: float = quantity("m/s", default=0.0)
-    vy: float = quantity("m/s", default=0.0)
-    omega: float = quantity("rad/s", default=0.0)
+    x: float = quantity("m", default=0.0, doc="position of the centre of mass along x")
+    y: float = quantity("m", default=0.0, doc="position of the centre of mass along y")
+    theta: float = quantity(
+        "rad", Range(-math.pi, math.pi), default=0.0, doc="heading, from x towards y"
+    )
+    vx: float = quantity("m/s", default=0.0, doc="velocity of the centre of mass along x")
+    vy: float = quantity("m/s", default=0.0, doc="velocity of the centre of mass along y")
+    omega: float = quantity("rad/s", default=0.0, doc="angular velocity")
 
 
 @dataclass(frozen=True)
@@ -283,30 +318,41 @@ class Initial(Checked):
 class Run(Checked):
     """How long, how fine, how exact."""
 
-    t_end: float = quantity("s", POSITIVE, doc="longest run, from the release")
+    t_end: float = quantity("s", POSITIVE, doc="longest duration of the run, from the release")
     after_latch: float | None = quantity(
-        "s", NOT_NEGATIVE, default=None, doc="run on for this long after the latch, then end"
+        "s",
+        NOT_NEGATIVE,
+        default=None,
+        doc="duration of the run after the latch closes; null: until t_end",
     )
     state_rate: float = quantity(
-        "Hz", Range(1.0, 1e6), default=1000.0, doc="of the full state (BenchState)"
+        "Hz", Range(1.0, 1e6), default=1000.0, doc="sample rate of the full state (BenchState)"
     )
-    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of all other streams")
+    rate: float = quantity(
+        "Hz", Range(0.1, 1e6), default=100.0, doc="sample rate of all other streams"
+    )
     rtol: float = quantity(
-        "1", Range(1e-13, 1e-2), default=1e-8, doc="error a step may make, of the scene's scale"
+        "1",
+        Range(1e-13, 1e-2),
+        default=1e-8,
+        doc="relative error tolerance of a step, of the scene's own scales",
     )
     method: str = choice(METHODS, default="dop853", doc="integrator")
     trace: bool = field(
         default=False,
-        metadata={"doc": "the contact at the integrator's own steps as well (ContactTrace)"},
+        metadata={"doc": "record the contact at the integrator's own steps as well (ContactTrace)"},
     )
     step: float = quantity(
-        "s", Range(1e-9, 1e-2), default=2e-5, doc="length of the fixed steps of rk4; else unused"
+        "s",
+        Range(1e-9, 1e-2),
+        default=2e-5,
+        doc="length of the fixed steps of rk4; unused by the other methods",
     )
     max_steps: int = quantity(
         "1",
         Range(100, 10**12),
         default=5_000_000,
-        doc="steps, with those rejected, before a run is given up: within a minute",
+        doc="largest number of steps, including rejected ones, before the run is stopped",
     )
 
 
@@ -314,30 +360,35 @@ class Run(Checked):
 class Detector(Checked):
     """What counts as captured, rebounding, missed and stuck."""
 
-    capture_radius: float = quantity("m", REACH, default=0.005, doc="of the zone round BE")
+    capture_radius: float = quantity(
+        "m", REACH, default=0.005, doc="radius of the capture zone around BE"
+    )
     min_dwell: float = quantity(
-        "s", NOT_NEGATIVE, default=0.2, doc="time in the zone for a capture"
+        "s", NOT_NEGATIVE, default=0.2, doc="time in the capture zone that is a capture"
     )
     max_contact_gap: float = quantity(
         "m", REACH, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
     )
     min_retreat: float = quantity(
-        "m", REACH, default=0.02, doc="retreat from the nearest approach that is a rebound"
+        "m", REACH, default=0.02, doc="retreat from the closest approach that is a rebound"
     )
     max_still_speed: float = quantity(
-        "m/s", POSITIVE, default=5e-4, doc="tip speed in the cone's frame below which it stands"
+        "m/s",
+        POSITIVE,
+        default=5e-4,
+        doc="tip speed in the cone's frame below which the tip is at rest",
     )
     min_still_time: float = quantity(
-        "s", POSITIVE, default=1.0, doc="time standing short of BE that is 'stuck'"
+        "s", POSITIVE, default=1.0, doc="time at rest outside the capture zone that is 'stuck'"
     )
     max_delay: float = quantity(
         "s",
         Range(0.0, 10.0),
         default=0.25,
-        doc="longest wait for later measurements, to judge by their mean; unused without noise",
+        doc="longest wait for later measurements, whose mean is evaluated; unused without noise",
     )
     max_data_gap: float = quantity(
-        "s", POSITIVE, default=0.1, doc="hole in the measurements that breaks off a dwell"
+        "s", POSITIVE, default=0.1, doc="gap in the measurements that interrupts a dwell"
     )
 
 
@@ -345,7 +396,7 @@ class Detector(Checked):
 class MotionCapture(Checked):
     """Cameras that see the poses of both vehicles."""
 
-    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="of the poses")
+    rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="sample rate of the poses")
     position_noise: float = quantity(
         "m", NOT_NEGATIVE, default=1e-3, doc="standard deviation of each coordinate"
     )
@@ -358,16 +409,25 @@ class MotionCapture(Checked):
 class LoadCell(Checked):
     """Load cell between the cone and the target."""
 
-    rate: float = quantity("Hz", Range(0.1, 1e6), default=1000.0, doc="of the readings")
-    bandwidth: float = quantity(
-        "Hz", POSITIVE, default=200.0, doc="at which half the power is left"
+    rate: float = quantity(
+        "Hz", Range(0.1, 1e6), default=1000.0, doc="sample rate of the load cell"
     )
-    order: str = choice(FILTERS, default="second", doc="low-pass, second is Butterworth's")
+    bandwidth: float = quantity(
+        "Hz", POSITIVE, default=200.0, doc="frequency at which the filter halves the power"
+    )
+    order: str = choice(
+        FILTERS,
+        default="second",
+        doc="order of the low-pass filter; second is a Butterworth filter",
+    )
     force_noise: float = quantity(
-        "N", NOT_NEGATIVE, default=0.0, doc="standard deviation of each force, behind the filter"
+        "N",
+        NOT_NEGATIVE,
+        default=0.0,
+        doc="standard deviation of each force component, after the filter",
     )
     torque_noise: float = quantity(
-        "N m", NOT_NEGATIVE, default=0.0, doc="standard deviation of the torque, behind the filter"
+        "N m", NOT_NEGATIVE, default=0.0, doc="standard deviation of the torque, after the filter"
     )
 
 
@@ -377,15 +437,15 @@ class Sensors(Checked):
 
     motion_capture: MotionCapture | None = None
     load_cell: LoadCell | None = None
-    seed: int = quantity("1", Range(0, 2**63 - 1), default=0, doc="of the noise")
+    seed: int = quantity("1", Range(0, 2**63 - 1), default=0, doc="seed of the noise")
 
 
 @dataclass(frozen=True)
 class Scene(Checked):
     """Everything on the bench, and how to run it."""
 
-    name: str
-    title: str
+    name: str = field(metadata={"doc": "name of the scene and of its files"})
+    title: str = field(metadata={"doc": "one line that describes the scene"})
     chaser: Vehicle
     target: Vehicle
     cylinder: Cylinder
@@ -403,7 +463,7 @@ class Scene(Checked):
     latch: Latch | None = None
     stops: Stops | None = None
     sensors: Sensors | None = None
-    gravity: float = quantity("m/s^2", POSITIVE, default=9.80665)
+    gravity: float = quantity("m/s^2", POSITIVE, default=9.80665, doc="acceleration of gravity")
 
     def __post_init__(self) -> None:
         super().__post_init__()

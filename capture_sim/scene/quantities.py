@@ -11,10 +11,12 @@ import math
 import numbers
 import reprlib
 import typing
+from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, field
 from typing import Any, NamedTuple
 
 from capture_sim.errors import SceneError
+from capture_sim.scene.units import in_si
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def shown(value: object) -> str:
 
 def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
     """Make the one-line error for a value that is not allowed."""
-    if isinstance(value, float) and not math.isfinite(value) and allowed != ANY:
+    if isinstance(value, float) and not math.isfinite(value) and str(allowed) != str(ANY):
         allowed = f"finite and {allowed}"
     with_unit = f"{shown(value)} {unit}" if unit not in ("", "1") else shown(value)
     return SceneError(f"{where} = {with_unit}: must be {allowed}")
@@ -143,6 +145,8 @@ def accept(value: Any, what: Declared, where: str) -> Any:
 
 
 def _number(value: Any, what: Declared, where: str) -> float | int:
+    if isinstance(value, str) and what.kind is float:
+        value = _text_in_si(value, what, where)
     try:
         if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise TypeError
@@ -156,13 +160,24 @@ def _number(value: Any, what: Declared, where: str) -> float | int:
         wanted = kind if what.allowed in (None, ANY) else f"{kind}, {what.allowed}"
         raise refuse(where, value, what.unit, wanted) from None
     if what.allowed is not None and number not in what.allowed:
-        raise refuse(where, value, what.unit, what.allowed)
+        in_degrees = what.unit == "rad" and math.radians(number) in what.allowed
+        hint = f"; did you mean {number:g} deg?" if in_degrees else ""
+        raise refuse(where, value, what.unit, f"{what.allowed}{hint}")
     return number
+
+
+def _text_in_si(text: str, what: Declared, where: str) -> float:
+    try:
+        return in_si(text, what.unit)
+    except ValueError:
+        unit = "" if what.unit in ("", "1") else f" in {what.unit}"
+        allowed = "" if what.allowed in (None, ANY) else f", {what.allowed}"
+        raise refuse(where, text, "", f"a number{unit}{allowed}") from None
 
 
 def _three_points(value: Any, what: Declared, where: str) -> tuple[tuple[float, float], ...]:
     try:
-        points = tuple((float(x), float(y)) for x, y in value)
+        points = tuple((_coordinate(x, what), _coordinate(y, what)) for x, y in value)
     except (TypeError, ValueError, OverflowError):
         points = ()
     if len(points) != 3 or not all(math.isfinite(c) for point in points for c in point):
@@ -170,11 +185,49 @@ def _three_points(value: Any, what: Declared, where: str) -> tuple[tuple[float, 
     return points
 
 
+def _coordinate(value: Any, what: Declared) -> float:
+    return in_si(value, what.unit) if isinstance(value, str) else float(value)
+
+
 @dataclass(frozen=True)
 class Checked:
-    """A part that holds only what its fields declare."""
+    """A part that holds only what its fields declare; its docstring lists them."""
+
+    def __init_subclass__(cls) -> None:
+        if "Attributes\n" in (cls.__doc__ or ""):
+            return
+        lines = [(cls.__doc__ or "").rstrip(), "", "    Attributes", "    ----------"]
+        for name, kind, meaning, parts_fields in _described(cls):
+            lines += [f"    {name} : {kind}", f"        {meaning}."]
+            lines += [f"        - {text}" for text in parts_fields]
+        cls.__doc__ = "\n".join([*lines, "    "])
 
     def __post_init__(self) -> None:
         for what in declared(type(self)).values():
             value = accept(getattr(self, what.name), what, f"{type(self).__name__}.{what.name}")
             object.__setattr__(self, what.name, value)
+
+
+def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
+    """Yield name, type with unit, meaning and, where it is a part, that part's fields in lines."""
+    # a class that is being made holds its declarations, a dataclass has moved them
+    declarations = part.__dict__.get("__dataclass_fields__", part.__dict__)
+    for name, hint in part.__annotations__.items():
+        declaration = declarations.get(name)
+        if getattr(declaration, "metadata", None):
+            unit = declaration.metadata.get("unit", "1")
+            kind = f"{hint} ({unit})" if unit != "1" else hint
+            yield name, kind, declaration.metadata["doc"], []
+        else:
+            inner = next(p for p in Checked.__subclasses__() if hint.startswith(p.__name__))
+            summary = (inner.__doc__ or "").partition("\n")[0].rstrip(".")
+            yield name, hint, summary, list(_lines(inner))
+
+
+def _lines(part: type) -> Iterator[str]:
+    """Yield a line for each field of a part and of the parts in it."""
+    for name, kind, meaning, inner in _described(part):
+        if inner:
+            yield from (f"{name}.{line}" for line in inner)
+        else:
+            yield f"{name} : {kind}: {meaning}"

@@ -84,26 +84,11 @@ def other_parts(scene: Scene, other: Scene) -> list[str]:
 
 @dataclass(frozen=True)
 class Spread(Checked):
-    """How far approaches differ from the one that is meant.
+    """How far approaches differ from the nominal one."""
 
-    Attributes
-    ----------
-    speed : float
-        Part of the speed.
-    offset : float
-        m.
-    angle : float
-        rad.
-
-    Raises
-    ------
-    SceneError
-        A value is out of its range.
-    """
-
-    speed: float = quantity("", Range(0.0, 0.24), default=0.1)
-    offset: float = quantity("m", Range(0.0, 1.0), default=2e-3)
-    angle: float = quantity("rad", Range(0.0, 0.3), default=0.02)
+    speed: float = quantity("1", Range(0.0, 0.24), default=0.1, doc="share of the nominal speed")
+    offset: float = quantity("m", Range(0.0, 1.0), default=2e-3, doc="lateral offset")
+    angle: float = quantity("rad", Range(0.0, 0.3), default=0.02, doc="angle of the target")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -12,7 +12,7 @@ from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 BAD = [
     ("chaser.mass=-1", ["chaser.mass = -1 kg", "> 0"]),
     ("target.inertia=0", ["target.inertia = 0 kg m^2", "> 0"]),
-    ("probe.density=heavy", ["probe.density = 'heavy' kg/m^3", "a number, > 0"]),
+    ("probe.density=heavy", ["probe.density = 'heavy'", "a number in kg/m^3, > 0"]),
     ("contact.restitution=1.2", ["contact.restitution = 1.2", ">= 0 and <= 1"]),
     ("contact={law: flores, restitution: 0}", ["contact.restitution = 0.0", "> 0", "law flores"]),
     ("friction.mu_s=0.01", ["friction.mu_s = 0.01: must be >= 0", "friction.mu, or null"]),
@@ -98,7 +98,7 @@ def test_bad_file_is_refused_in_one_clear_line(tmp_path, text, says):
         load_scene(path)
     message = str(caught.value)
     assert "\n" not in message
-    assert str(path.name) in message or "missing" in message or "unknown" in message
+    assert str(path.name) in message or "missing" in message or "not found" in message
     for part in says:
         assert part in message
 
