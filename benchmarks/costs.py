@@ -77,8 +77,8 @@ def evaluation(scene: Scene, touching: bool, repeats: int) -> float:
     system = make_system(parameters)
     y = np.concatenate([*scene.initial_coordinates(), np.zeros(N_TOTAL - 16)])
     if touching:
-        mode = system["mode"]
-        mode["touching"][0, 1], mode["chi"][0], mode["direction"][0] = 1, 1e9, 1.0
+        touch = system["mode"]["touch"][0, 1]
+        touch["on"], touch["chi"], touch["direction"] = 1, 1e9, 1.0
         for _ in range(20):
             y[0] += (gap_of_wall(parameters, y, -1.0)[0] + 3e-6) / np.sin(scene.cone.half_angle)
     f, seconds = np.zeros(N_TOTAL), []

@@ -103,14 +103,14 @@ class Bench:
         own_plan = check_scene(scene)
         self.plan = own_plan if plan is None else plan
         self._workspace = np.zeros(1, WORKSPACE)
-        w = self._workspace[0]
-        self._run, self._step, self._system = w["run"], w["step"], w["system"]
+        self._record = w = self._workspace[0]
+        self._system = w["system"]
         launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
         self._system["par"] = pack(scene, *launch)[0]
-        set_pair(self._step, PAIRS[scene.run.method]())
+        set_pair(w["stepper"], PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
-        self._step["y"][:16] = *q, *v
-        self._step["weights"] = 1.0 / error_scale(self._system["par"])
+        w["stepper"]["y"][:16] = *q, *v
+        w["stepper"]["weights"] = 1.0 / error_scale(self._system["par"])
         self._trace_room = np.zeros(_TRACE_ROOM if trace or scene.run.trace else 0, SAMPLE)
         self._traced: list[np.ndarray] = []
         self._begin()
@@ -123,24 +123,25 @@ class Bench:
         self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
     def _begin(self) -> None:
-        run, mode, par, y = self._run, self._system["mode"], self._system["par"], self._step["y"]
-        run["t_stop"] = self.scene.run.t_end
-        run["h_next"] = _FIRST_STEP
-        run["error"] = _FIRST_ERROR
-        run["fresh"] = 1
-        run["on_rail"] = self.scene.rail is not None
-        run["taut"] = self.scene.string is not None
-        run["speed"] = math.hypot(y[8], y[9]) if run["on_rail"] else 0.0
+        step, rail, y = self._record["step"], self._record["rail"], self._record["stepper"]["y"]
+        mode, par = self._system["mode"], self._system["par"]
+        self._record["progress"]["t_stop"] = self.scene.run.t_end
+        step["h_next"] = _FIRST_STEP
+        step["error"] = _FIRST_ERROR
+        step["equations_changed"] = 1
+        rail["on"] = self.scene.rail is not None
+        rail["taut"] = self.scene.string is not None
+        rail["speed"] = math.hypot(y[8], y[9]) if rail["on"] else 0.0
         if par["has_supports"]:
             still = not np.any(y[13:16])
             mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
-            still = not np.any(y[8:11]) and not run["on_rail"]
+            still = not np.any(y[8:11]) and not rail["on"]
             mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
 
     @property
     def done(self) -> bool:
         """Whether the run is over."""
-        return bool(self._run["done"])
+        return bool(self._record["progress"]["done"])
 
     @property
     def touches(self) -> np.ndarray:
@@ -177,8 +178,9 @@ class Bench:
     @property
     def statistics(self) -> Statistics:
         """Steps taken and rejected, and evaluations of the equations of motion."""
-        run = self._run
-        return Statistics(int(run["steps"]), int(run["rejected"]), int(run["evaluations"]))
+        totals = self._record["totals"]
+        evaluations = int(self._system["evaluations"])
+        return Statistics(int(totals["steps"]), int(totals["rejected"]), evaluations)
 
     @property
     def extremes(self) -> Extremes:
@@ -186,8 +188,9 @@ class Bench:
 
         Before the end of the run: up to the start of the integrator's step that is under way.
         """
-        found = np.stack([np.abs(self._run["extreme"]), self._run["extreme_time"]], axis=-1)
-        before, after = found.reshape(2, -1).view(EXTREMES)[:, 0]
+        totals = self._record["totals"]
+        values = np.stack([np.abs(totals["extreme"]), totals["extreme_time"]], axis=-1)
+        before, after = values.reshape(2, -1).view(EXTREMES)[:, 0]
         return Extremes(before, after if self._system["mode"]["latched"] else None)
 
     def times(self, first: int, count: int) -> np.ndarray:
@@ -225,36 +228,36 @@ class Bench:
             times = np.append(times, np.inf)
         samples = np.zeros(times.shape[0], SAMPLE)
         workspace, trace = records(self._workspace), records(self._trace_room)
-        run = self._run
+        progress = self._record["progress"]
         served = 0
         while True:
-            run["n_events"] = run["n_trace"] = 0
+            progress["n_log"] = progress["n_trace"] = 0
             served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
-            happened, traced = int(run["n_events"]), int(run["n_trace"])
+            happened, traced = int(progress["n_log"]), int(progress["n_trace"])
             if happened:
-                self._unread.append(self._workspace["events"][0, :happened].copy())
+                self._unread.append(self._record["log"][:happened].copy())
             if traced:
                 self._traced.append(self._trace_room[:traced].copy())
-            if run["status"] == Status.SERVED:
+            if progress["status"] == Status.SERVED:
                 return samples[:served]
-            if run["status"] != Status.INTERRUPTED:
-                raise self._failure(Status(int(run["status"])), samples[:served])
+            if progress["status"] != Status.INTERRUPTED:
+                raise self._failure(Status(int(progress["status"])), samples[:served])
 
     def _failure(self, status: Status, partial: np.ndarray) -> SimulationError:
-        phase = Phase(int(self._workspace["sample"]["phase"][0])).name.lower()
+        phase = Phase(int(self._record["sample"]["phase"])).name.lower()
         cause = _CAUSES[status]
         if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
-            mode, run = self._system["mode"], self._run
+            step, touch = self._record["step"], self._system["mode"]["touch"]
             part, duration = stiffest_part(
                 self._system["par"],
-                penetration=-float(run["gap"][:2].min()),
-                chi=float(mode["chi"].max()),
-                force=float(run["force"].max()),
+                penetration=-float(step["start"]["gap"][:2].min()),
+                chi=float(touch["chi"].max()),
+                force=float(touch["force"].max()),
             )
             cause += f"; stiffest is the {part}, with a time of {duration:.2g} s"
+        t = self._record["step"]["t0"]
         return SimulationError(
-            f"{self.scene.name}: stopped at t = {self._run['t0']:.9g} s in phase {phase}: {cause}",
-            partial,
+            f"{self.scene.name}: stopped at t = {t:.9g} s in phase {phase}: {cause}", partial
         )
 
     def _read_events(self) -> None:

@@ -52,8 +52,8 @@ def test_contact_force_acts_as_a_force_on_both_bodies():
     for sample in touching[::97]:
         q, v = sample["q"], sample["v"]
         system = system_of(scene)
-        mode, par = system[0]["mode"], system[0]["par"]
-        mode["touching"] = [sample["walls"] & 1, sample["walls"] >> 1]
+        touch, par = system[0]["mode"]["touch"], system[0]["par"]
+        touch["on"] = [sample["walls"] & 1, sample["walls"] >> 1]
         speeds = {
             t["wall"]: t["approach_speed"]
             for t in result.touches
@@ -61,7 +61,7 @@ def test_contact_force_acts_as_a_force_on_both_bodies():
         }
         for i, wall in enumerate((1, -1)):
             if wall in speeds:
-                mode["chi"][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
+                touch["chi"][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
         y, f = np.concatenate([q, v, np.zeros(N_TOTAL - 16)]), np.zeros(N_TOTAL)
         loop.evaluate(system, y, f)
         Q = mass_matrix(scene, q) @ f[8:16] + bias(scene, q, v) - buffer_forces(scene, q, v)

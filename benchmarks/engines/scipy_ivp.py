@@ -23,7 +23,14 @@ from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.engine import loop
 from capture_sim.kernels import entry_kernel
-from capture_sim.model.equations import N_STATE, N_TOTAL, make_system, tip_in_cone, wall_gap
+from capture_sim.model.equations import (
+    N_STATE,
+    N_TOTAL,
+    NO_TOUCH,
+    gap_and_rate,
+    make_system,
+    tip_in_cone,
+)
 from capture_sim.scene.parts import Scene
 
 METHODS = ("DOP853", "RK45", "LSODA", "BDF", "Radau")
@@ -38,7 +45,7 @@ def gap_of_wall(parameters, y, side):
     """Return the gap (m) and its rate (m/s) of the wall on ``side`` (+1: +y, -1: -y)."""
     par = parameters[0]
     px, py, wx, wy = tip_in_cone(y, par)
-    gap, rate, _, _ = wall_gap(px, py, wx, wy, side, par)
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, side, par)
     return gap, rate
 
 
@@ -52,7 +59,7 @@ class CompiledProblem:
     def __init__(self, scene: Scene) -> None:
         self.parameters = packed(scene)
         self.system = make_system(self.parameters)
-        self.mode, self.par = self.system["mode"][0], self.parameters[0]
+        self.touch, self.par = self.system["mode"]["touch"][0], self.parameters[0]
         self._f = np.zeros(N_TOTAL)
         self.evaluations = 0
 
@@ -70,17 +77,16 @@ class CompiledProblem:
         """Begin a touch."""
         par = self.par
         chi = par["hysteresis"] * par["K"] / max(approach, par["v_0_floor"])
-        self.mode["touching"][wall], self.mode["chi"][wall] = 1, chi
-        self.mode["sticking"][wall] = 0
+        self.touch["on"][wall], self.touch["chi"][wall] = 1, chi
 
     def release(self, wall: int) -> None:
         """End a touch."""
-        self.mode["touching"][wall] = 0
+        self.touch[wall] = NO_TOUCH[0]
 
     def normal_force(self, y: np.ndarray, wall: int) -> float:
         """Return F_n, N; eq. (1)."""
         gap, rate = self.gap(y, wall)
-        force = max(-gap, 0.0) ** 1.5 * (self.par["K"] - self.mode["chi"][wall] * rate)
+        force = max(-gap, 0.0) ** 1.5 * (self.par["K"] - self.touch["chi"][wall] * rate)
         return max(float(force), 0.0)
 
 

@@ -11,11 +11,12 @@ from capture_sim.model.equations import (
     HYSTERESIS,
     IMPULSE,
     N_STATE,
+    NO_TOUCH,
     ROLLING,
     accelerate_sticking,
+    gap_and_rate,
     slip_of,
     tip_in_cone,
-    wall_gap,
 )
 from capture_sim.model.observe import elastic_contact_energy, kinetic_energy
 from capture_sim.samples import EventKind
@@ -37,63 +38,63 @@ _LEFT_SLOW = 2.0
 @kernel
 def log_event(w, kind):
     """Append an event at the present time and state; return its record, for wall and value."""
-    run, y = w.run, w.step.y
-    e = w.events[run.n_events]
+    progress, y = w.progress, w.stepper.y
+    e = w.log[progress.n_log]
     e.kind = kind
-    e.t = run.t0
+    e.t = w.step.t0
     e.wall = 0
     e.value = 0.0
     for i in range(8):
         e.q[i] = y[i]
         e.v[i] = y[8 + i]
-    run.n_events += 1
+    progress.n_log += 1
     return e
 
 
 @kernel
 def end_touch(w, i):
     """Close the touch of wall ``i`` and log it."""
-    run, mode, y = w.run, w.system.mode, w.step.y
+    step, mode, y = w.step, w.system.mode, w.stepper.y
+    touch = mode.touch[i]
     e = log_event(w, EventKind.LIFT_OFF)
     e.wall = 1 - 2 * i
-    e.value = run.touch_peak[i]
-    touch = e.touch
-    touch.start = run.touch_start[i]
-    touch.end = run.t0
-    touch.wall = 1 - 2 * i
-    touch.approach_speed = run.touch_speed[i]
-    touch.peak_force = run.touch_peak[i]
-    touch.peak_time = run.touch_peak_time[i]
-    touch.impulse = y[IMPULSE + i] - run.touch_impulse[i]
-    touch.dissipated = y[HYSTERESIS + i] - run.touch_hysteresis[i]
-    touch.rate_ratio = run.touch_rate[i] / max(run.touch_speed[i], w.system.par.v_0_floor)
-    mode.touching[i] = 0
-    if not mode.touching[1 - i]:
+    e.value = touch.peak_force
+    logged = e.touch
+    logged.start = touch.start
+    logged.end = step.t0
+    logged.wall = 1 - 2 * i
+    logged.approach_speed = touch.approach_speed
+    logged.peak_force = touch.peak_force
+    logged.peak_time = touch.peak_time
+    logged.impulse = y[IMPULSE + i] - touch.impulse_0
+    logged.dissipated = y[HYSTERESIS + i] - touch.dissipated_0
+    logged.rate_ratio = touch.largest_rate / max(touch.approach_speed, w.system.par.v_0_floor)
+    mode.touch[i] = NO_TOUCH[0]
+    if not mode.touch[1 - i].on:
         # in free flight again, where the step was of this size
-        run.h_next = max(run.h_next, _FREE_SHARE * run.h_free)
+        step.h_next = max(step.h_next, _FREE_SHARE * step.h_before_touch)
 
 
 @kernel
 def begin_touch(w, i):
-    """Latch the approach speed of wall ``i`` and switch its force on."""
-    run, mode, par, y = w.run, w.system.mode, w.system.par, w.step.y
+    """Store the approach speed of wall ``i`` and switch its force on."""
+    step, mode, par, y = w.step, w.system.mode, w.system.par, w.stepper.y
     px, py, wx, wy = tip_in_cone(y, par)
-    _, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    _, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
     speed = max(-rate, 0.0)
-    mode.touching[i] = 1
-    mode.chi[i] = par.hysteresis * par.K / max(speed, par.v_0_floor)
-    mode.sticking[i] = 0
-    mode.direction[i] = 1.0 if slip_of(y, par, i) >= 0.0 else -1.0
-    run.touches += 1
-    run.touch_start[i] = run.t0
-    run.touch_speed[i] = speed
-    run.touch_rate[i] = speed
-    run.touch_peak[i] = 0.0
-    run.touch_peak_time[i] = run.t0
-    run.touch_impulse[i] = y[IMPULSE + i]
-    run.touch_hysteresis[i] = y[HYSTERESIS + i]
-    run.force[i] = 0.0
-    run.force_rate[i] = 1.0
+    mode.touch[i] = NO_TOUCH[0]
+    touch = mode.touch[i]
+    touch.on = 1
+    touch.chi = par.hysteresis * par.K / max(speed, par.v_0_floor)
+    touch.direction = 1.0 if slip_of(y, par, i) >= 0.0 else -1.0
+    touch.start = step.t0
+    touch.approach_speed = speed
+    touch.largest_rate = speed
+    touch.peak_time = step.t0
+    touch.impulse_0 = y[IMPULSE + i]
+    touch.dissipated_0 = y[HYSTERESIS + i]
+    touch.force_rate = 1.0
+    w.totals.touches += 1
     e = log_event(w, EventKind.TOUCH)
     e.wall = 1 - 2 * i
     e.value = speed
@@ -101,24 +102,26 @@ def begin_touch(w, i):
     v = max(speed, par.v_0_floor)
     penetration = (1.25 * par.m_P * v * v / par.K) ** 0.4
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
-    run.h_free = run.h_next
-    run.h_next = min(run.h_next, min(_LARGEST_SHARE, _FIRST_SHARE * tighter) * penetration / v)
+    step.h_before_touch = step.h_next
+    share = min(_LARGEST_SHARE, _FIRST_SHARE * tighter)
+    step.h_next = min(step.h_next, share * penetration / v)
 
 
 @kernel
 def change_slip(w, i):
     """Let the tip on wall ``i`` stick if friction can hold it, else slide the way it must."""
     mode, out = w.system.mode, w.system.out
-    was = mode.sticking[i]
-    mode.sticking[i] = 1
-    accelerate_sticking(w.step.y, w.system.spare[0], w.system)
-    needed = out.rub[i]
-    if not was and abs(needed) < w.system.par.mu_s * out.normal[i]:
+    touch = mode.touch[i]
+    was_sticking = touch.sticking
+    touch.sticking = 1
+    accelerate_sticking(w.stepper.y, w.system.spare[0], w.system)
+    needed = out.friction_force[i]
+    if not was_sticking and abs(needed) < w.system.par.mu_s * out.normal[i]:
         e = log_event(w, EventKind.STICK)
     else:
-        mode.sticking[i] = 0
+        touch.sticking = 0
         # friction opposes the motion that it could not prevent
-        mode.direction[i] = 1.0 if needed < 0.0 else -1.0
+        touch.direction = 1.0 if needed < 0.0 else -1.0
         e = log_event(w, EventKind.SLIP)
     e.wall = 1 - 2 * i
     e.value = needed
@@ -128,7 +131,7 @@ def change_slip(w, i):
 def may_rest(w, which):
     """Return whether the supports could hold a vehicle if it stood still here."""
     for i in range(N_STATE):
-        w.y_x[i] = w.step.y[i]
+        w.y_x[i] = w.stepper.y[i]
     first = 8 if which == 0 else 13
     for i in range(first, first + 3):
         w.y_x[i] = 0.0
@@ -140,7 +143,7 @@ def stop_vehicle(w, which):
     """Put a vehicle at rest if its supports can hold it; what speed it had left goes to them."""
     if not may_rest(w, which):
         return
-    y, mode = w.step.y, w.system.mode
+    y, mode = w.stepper.y, w.system.mode
     before = kinetic_energy(y, w.system.par)
     first = 8 if which == 0 else 13
     for i in range(first, first + 3):
@@ -150,63 +153,63 @@ def stop_vehicle(w, which):
         mode.rest_S = 1
     else:
         mode.rest_T = 1
-    w.run.fresh = 1
-    w.run.measured = 0
+    w.step.equations_changed = 1
+    w.step.start_measured = 0
     log_event(w, EventKind.AT_REST).wall = which + 1
 
 
 @kernel
 def latch_tip(w):
     """Close the latches: the tip is held where it is, the walls let go."""
-    run, mode, par, y = w.run, w.system.mode, w.system.par, w.step.y
+    progress, mode, par, y = w.progress, w.system.mode, w.system.par, w.stepper.y
     px, py, wx, wy = tip_in_cone(y, par)
     for i in range(2):
-        if mode.touching[i]:
-            gap, _, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            run.lost_latch += elastic_contact_energy(gap, par.K)
+        if mode.touch[i].on:
+            gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            w.totals.lost_latch += elastic_contact_energy(gap, par.K)
             end_touch(w, i)
     mode.latched = 1
     mode.latch_x = px
     mode.latch_y = py
-    run.t_stop = min(run.t_stop, run.t0 + par.after_latch)
+    progress.t_stop = min(progress.t_stop, w.step.t0 + par.after_latch)
     log_event(w, EventKind.LATCHED).value = math.hypot(px + par.L_T, py)
 
 
 @kernel
 def draw_consequences(w):
     """Do what the event at the end of a step asks for; the state is the one there."""
-    run, mode, y = w.run, w.system.mode, w.step.y
-    pending, which = run.pending, run.pending_wall
+    mode, y, slow = w.system.mode, w.stepper.y, w.progress.slow
+    kind, which = w.event.kind, w.event.which
     if w.system.par.has_supports:
         for vehicle in range(2):
-            times = _LEFT_SLOW if run.slow[vehicle] else 1.0
-            run.slow[vehicle] = is_slow(y, w.system.par, vehicle, times)
+            times = _LEFT_SLOW if slow[vehicle] else 1.0
+            slow[vehicle] = is_slow(y, w.system.par, vehicle, times)
             resting = mode.rest_S if vehicle == 0 else mode.rest_T
-            if pending == NO_EVENT and not resting and is_slow(y, w.system.par, vehicle, 1.0):
+            if kind == NO_EVENT and not resting and is_slow(y, w.system.par, vehicle, 1.0):
                 stop_vehicle(w, vehicle)
-    if pending == NO_EVENT:
+    if kind == NO_EVENT:
         return
-    run.fresh = 1
-    if pending == EventKind.TOUCH:
+    w.step.equations_changed = 1
+    if kind == EventKind.TOUCH:
         begin_touch(w, which)
-    elif pending == EventKind.LIFT_OFF:
+    elif kind == EventKind.LIFT_OFF:
         end_touch(w, which)
-    elif pending == EventKind.STICK:
+    elif kind == EventKind.STICK:
         change_slip(w, which)
-    elif pending == EventKind.AT_REST:
-        run.slow[which] = 1
+    elif kind == EventKind.AT_REST:
+        slow[which] = 1
         stop_vehicle(w, which)
-    elif pending == EventKind.MOVING:
+    elif kind == EventKind.MOVING:
         if which == 0:
             mode.rest_S = 0
         else:
             mode.rest_T = 0
         log_event(w, EventKind.MOVING).wall = which + 1
-    elif pending == EventKind.LATCHED:
+    elif kind == EventKind.LATCHED:
         latch_tip(w)
-    elif pending == EventKind.STOP_HIT or pending == EventKind.STOP_LEFT:
+    elif kind == EventKind.STOP_HIT or kind == EventKind.STOP_LEFT:
         e = log_event(w, EventKind.STOP_HIT)
-        e.kind = pending
+        e.kind = kind
         e.wall = which
         e.value = y[12]
-        mode.stop = which if pending == EventKind.STOP_HIT else 0
+        mode.stop = which if kind == EventKind.STOP_HIT else 0

@@ -44,38 +44,38 @@ def stop_distance(y, par, side):
 
 
 @kernel
-def event_value(y, par, event, which):
+def event_value(y, par, kind, which):
     """Return an event's function and its rate; it goes below zero when the event happens."""
-    if event == EventKind.STOP_HIT:
+    if kind == EventKind.STOP_HIT:
         return stop_distance(y, par, which)
-    if event == EventKind.STOP_LEFT:
+    if kind == EventKind.STOP_LEFT:
         g, d = stop_distance(y, par, which)
         return -g, -d
     g0, d0, g1, d1, g2, d2, _ = distances(y, par)
-    if event == EventKind.LATCHED:
+    if kind == EventKind.LATCHED:
         return g2, d2
     if which == 1:
         g0, d0 = g1, d1
-    if event == EventKind.TOUCH:
+    if kind == EventKind.TOUCH:
         return g0, d0
     return -g0, -d0
 
 
 @kernel
-def value_inside(w, x, event, which):
+def value_inside(w, x, kind, which):
     """Return an event's function and its rate at a place of the present step."""
     state_inside(w, x)
-    return event_value(w.y_x, w.system.par, event, which)
+    return event_value(w.y_x, w.system.par, kind, which)
 
 
 @kernel
-def refine(w, event, which, x_a, x_b, x):
+def refine(w, kind, which, x_a, x_b, x):
     """Return where an event's function passes zero between x_a (>= 0) and x_b (< 0).
 
     Newton's method from ``x``, bisecting where that would leave the bracket; to rounding.
     """
     for _ in range(80):
-        g, d = value_inside(w, x, event, which)
+        g, d = value_inside(w, x, kind, which)
         if g >= 0.0:
             x_a = x
         else:
@@ -84,7 +84,7 @@ def refine(w, event, which, x_a, x_b, x):
             break
         step = 0.0
         if d != 0.0:
-            step = -g / (d * w.run.h)
+            step = -g / (d * w.step.h)
         trial = x + step
         if d == 0.0 or not (x_a < trial < x_b):
             trial = 0.5 * (x_a + x_b)
@@ -96,7 +96,7 @@ def refine(w, event, which, x_a, x_b, x):
     # rounding may leave it a hair short: what has been left must not be met again at once
     nudge = 0.5 * _ROUNDING * x
     for _ in range(40):
-        g, _ = value_inside(w, x, event, which)
+        g, _ = value_inside(w, x, kind, which)
         if g < 0.0 or x + nudge >= x_b:
             return x
         x += nudge
@@ -105,27 +105,27 @@ def refine(w, event, which, x_a, x_b, x):
 
 
 @kernel
-def first_crossing(w, event, which):
+def first_crossing(w, kind, which):
     """Return the first place (0..1) in a step where an event's function goes below zero; 2 if none.
 
     One that falls nearly straight is followed down at once.  Else the step is looked at in
     quarters; in each, the cubic through value and slope of both ends points to where a dip
     would be.
     """
-    h, par = w.run.h, w.system.par
+    h, par = w.step.h, w.system.par
     x_a = 0.0
-    g_a, d_a = event_value(w.step.y, par, event, which)
+    g_a, d_a = event_value(w.stepper.y, par, kind, which)
     if g_a <= 0.0 and d_a < 0.0:
         return 0.0
     g_a = max(g_a, 0.0)
-    g_b, d_b = event_value(w.step.y_new, par, event, which)
+    g_b, d_b = event_value(w.stepper.y_new, par, kind, which)
     fall = (g_a - g_b) / h
     least, most = _STRAIGHT
     if g_a > 0.0 > g_b and least * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < most * fall:
-        return refine(w, event, which, 0.0, 1.0, g_a / (g_a - g_b))
+        return refine(w, kind, which, 0.0, 1.0, g_a / (g_a - g_b))
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
-        g_b, d_b = value_inside(w, x_b, event, which)
+        g_b, d_b = value_inside(w, x_b, kind, which)
         low_a, low_g, low_d = x_a, g_a, d_a
         high_b, high_g, high_d = x_b, g_b, d_b
         for _ in range(6):
@@ -137,7 +137,7 @@ def first_crossing(w, event, which):
             if place < 0.0 or low > slack:
                 break
             x_m = low_a + place * width
-            g_m, d_m = value_inside(w, x_m, event, which)
+            g_m, d_m = value_inside(w, x_m, kind, which)
             if g_m >= 0.0 and d_m < 0.0:
                 low_a, low_g, low_d = x_m, g_m, d_m
             else:
@@ -147,7 +147,7 @@ def first_crossing(w, event, which):
             if low_g == 0.0 or low_d > 0.0:
                 trial = low_a + 0.5 * (high_b - low_a)
                 for _ in range(60):
-                    g_t, _ = value_inside(w, trial, event, which)
+                    g_t, _ = value_inside(w, trial, kind, which)
                     if g_t > low_g:
                         break
                     high_b = trial
@@ -158,7 +158,7 @@ def first_crossing(w, event, which):
             start = 0.5 * (low_a + high_b)
             if low_d < 0.0:
                 start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
-            return refine(w, event, which, low_a, high_b, start)
+            return refine(w, kind, which, low_a, high_b, start)
         x_a, g_a, d_a = x_b, g_b, d_b
     return _NOWHERE
 
@@ -193,24 +193,24 @@ def slip_margin(y, system, i):
     Sliding: the slip in its direction, m/s.  Sticking: the force that is left, N.
     """
     par, mode, out = system.par, system.mode, system.out
-    if not mode.sticking[i]:
-        return slip_of(y, par, i) * mode.direction[i] + _SLIP_FLOOR * par.speed_scale
+    if not mode.touch[i].sticking:
+        return slip_of(y, par, i) * mode.touch[i].direction + _SLIP_FLOOR * par.speed_scale
     accelerate_sticking(y, system.spare[0], system)
-    return par.mu_s * out.normal[i] - abs(out.rub[i])
+    return par.mu_s * out.normal[i] - abs(out.friction_force[i])
 
 
 @kernel
-def holds(y, system, event, which):
+def holds(y, system, kind, which):
     """Return whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
-    if event == EventKind.MOVING:
+    if kind == EventKind.MOVING:
         return ratio_of_limit(y, system, which) > 1.0
-    if event == EventKind.AT_REST:
+    if kind == EventKind.AT_REST:
         return is_slow(y, system.par, which, 1.0)
     return slip_margin(y, system, which) <= 0.0
 
 
 @kernel
-def first_holding(w, event, which, x_b):
+def first_holding(w, kind, which, x_b):
     """Return the place before ``x_b``, where it holds, at which such a condition comes to hold.
 
     By bisection: it has just been left (sliding starts at slip zero) as often as not.
@@ -219,7 +219,7 @@ def first_holding(w, event, which, x_b):
     while x_b - x_a > 1e-15:
         x = 0.5 * (x_a + x_b)
         state_inside(w, x)
-        if holds(w.y_x, w.system, event, which):
+        if holds(w.y_x, w.system, kind, which):
             x_b = x
         else:
             x_a = x
@@ -233,16 +233,16 @@ def where_slip_changes(w, i):
     A tip may reverse twice within a step, and the force that holds it may swing: it is
     looked at inside the step too, while sliding only where the slip's rates allow a dip.
     """
-    system, step = w.system, w.step
-    end = slip_margin(step.y_new, system, i)
+    system, stepper = w.system, w.stepper
+    end = slip_margin(stepper.y_new, system, i)
     if end <= 0.0:
         return 1.0
     place = -1.0
-    if not system.mode.sticking[i]:
-        width = system.mode.direction[i] * w.run.h
-        start = max(slip_margin(step.y, system, i), 0.0)
-        rate_a = width * slip_acceleration(step.y, step.K[0], system, i)
-        rate_b = width * slip_acceleration(step.y_new, step.K[step.stages], system, i)
+    if not system.mode.touch[i].sticking:
+        width = system.mode.touch[i].direction * w.step.h
+        start = max(slip_margin(stepper.y, system, i), 0.0)
+        rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system, i)
+        rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system, i)
         if not may_cross(start, rate_a, end, rate_b, _CUBIC_OFF):
             return _NOWHERE
         place, _ = cubic_minimum(start, rate_a, end, rate_b)
@@ -257,36 +257,39 @@ def where_slip_changes(w, i):
 
 
 @kernel
-def note_event(w, x, event, which):
+def note_event(w, x, kind, which):
     """Keep the earliest event of a step."""
-    if x < w.run.cut:
-        w.run.cut = x
-        w.run.pending = event
-        w.run.pending_wall = which
+    event = w.event
+    if x < event.place:
+        event.place = x
+        event.kind = kind
+        event.which = which
 
 
 @kernel
 def search_step(w):
-    """Find the first event in the step, ``run.pending`` at the place ``run.cut``; 2 if none."""
-    run, par, mode = w.run, w.system.par, w.system.mode
-    h = run.h
-    run.cut = _NOWHERE
-    run.pending = NO_EVENT
+    """Find the first event in the step and write it to ``w.event``."""
+    step, event, slow = w.step, w.event, w.progress.slow
+    start, end = step.start, step.end
+    par, mode = w.system.par, w.system.mode
+    h = step.h
+    event.place = _NOWHERE
+    event.kind = NO_EVENT
     if not mode.latched:
         for i in range(2):
-            event = EventKind.LIFT_OFF if mode.touching[i] else EventKind.TOUCH
-            sign = -1.0 if mode.touching[i] else 1.0
-            start, rate = max(sign * run.gap[i], 0.0), sign * run.gap_rate[i] * h
-            end, end_rate = sign * run.next_gap[i], sign * run.next_gap_rate[i] * h
-            if may_cross(start, rate, end, end_rate, _CUBIC_OFF):
-                note_event(w, first_crossing(w, event, i), event, i)
+            kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
+            sign = -1.0 if mode.touch[i].on else 1.0
+            g_a, d_a = max(sign * start.gap[i], 0.0), sign * start.gap_rate[i]
+            g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
+            if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_OFF):
+                note_event(w, first_crossing(w, kind, i), kind, i)
         if par.has_latch and may_cross(
-            run.gap[2], run.gap_rate[2] * h, run.next_gap[2], run.next_gap_rate[2] * h, _CUBIC_OFF
+            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_OFF
         ):
             note_event(w, first_crossing(w, EventKind.LATCHED, NO_WALL), EventKind.LATCHED, NO_WALL)
         if par.friction_law == COULOMB:
             for i in range(2):
-                if mode.touching[i]:
+                if mode.touch[i].on:
                     x = where_slip_changes(w, i)
                     if x <= 1.0:
                         x = first_holding(w, EventKind.STICK, i, x)
@@ -295,17 +298,17 @@ def search_step(w):
         for side in (-1, 1):
             if mode.stop == -side:
                 continue
-            event = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
-            g_a, d_a = event_value(w.step.y, par, event, side)
-            g_b, d_b = event_value(w.step.y_new, par, event, side)
+            kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
+            g_a, d_a = event_value(w.stepper.y, par, kind, side)
+            g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
             if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_OFF):
-                note_event(w, first_crossing(w, event, side), event, side)
+                note_event(w, first_crossing(w, kind, side), kind, side)
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(w.step.y_new, w.system, which) > 1.0:
+            if resting and ratio_of_limit(w.stepper.y_new, w.system, which) > 1.0:
                 x = first_holding(w, EventKind.MOVING, which, 1.0)
                 note_event(w, x, EventKind.MOVING, which)
-            if not (resting or run.slow[which]) and is_slow(w.step.y_new, par, which, 1.0):
+            if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
                 x = first_holding(w, EventKind.AT_REST, which, 1.0)
                 note_event(w, x, EventKind.AT_REST, which)

@@ -16,7 +16,7 @@ import numpy as np
 from capture_sim.engine.steps import distances, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import normal_force
-from capture_sim.model.equations import IMPULSE, N_STATE, tip_in_cone, wall_gap
+from capture_sim.model.equations import IMPULSE, N_STATE, gap_and_rate, tip_in_cone
 from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
@@ -56,8 +56,8 @@ def force_at(y, system, i):
     """Return the normal force on the tip from wall ``i``, N."""
     par = system.par
     px, py, wx, wy = tip_in_cone(y, par)
-    gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
-    force, _ = normal_force(-gap, -rate, par.K, system.mode.chi[i])
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    force, _ = normal_force(-gap, -rate, par.K, system.mode.touch[i].chi)
     return force
 
 
@@ -82,7 +82,7 @@ def value_at(w, x, quantity, side):
 @kernel
 def largest_inside(w, quantity, side):
     """Return place and value of a quantity's largest value within the present segment."""
-    x_end = w.run.x_end
+    x_end = w.step.x_end
     a, b = 0.0, x_end
     x1 = b - _GOLDEN * (b - a)
     x2 = a + _GOLDEN * (b - a)
@@ -120,34 +120,35 @@ def largest_inside(w, quantity, side):
 
 
 @kernel
-def keep(run, row, slot, value, t):
+def keep(totals, row, slot, value, t):
     """Keep a value that is larger than the largest so far."""
-    if value > run.extreme[row, slot]:
-        run.extreme[row, slot] = value
-        run.extreme_time[row, slot] = t
+    if value > totals.extreme[row, slot]:
+        totals.extreme[row, slot] = value
+        totals.extreme_time[row, slot] = t
 
 
 @kernel
 def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
     """Keep a quantity's largest value over a segment; values and rates are those at its ends."""
-    run, row = w.run, w.system.mode.latched
-    keep(run, row, slot, v_b, run.t1)
-    width = run.x_end * run.h
+    step, totals, row = w.step, w.totals, w.system.mode.latched
+    keep(totals, row, slot, v_b, step.t1)
+    width = step.x_end * step.h
     changes = width * (abs(d_a) + abs(d_b))
-    if max(v_a, v_b) + _CUBIC_RISE * changes <= run.extreme[row, slot]:
+    if max(v_a, v_b) + _CUBIC_RISE * changes <= totals.extreme[row, slot]:
         return
     place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
-    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= run.extreme[row, slot]:
+    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= totals.extreme[row, slot]:
         return
     x, value = largest_inside(w, quantity, side)
-    keep(run, row, slot, value, run.t0 + x * run.h)
+    keep(totals, row, slot, value, step.t0 + x * step.h)
 
 
 @kernel
 def watch_extremes(w):
     """Keep strokes, torsion, nearest distance and penetration of the segment that ends."""
-    run, mode, par = w.run, w.system.mode, w.system.par
-    a, b = w.step.y, w.y_end
+    start, end = w.step.start, w.step.end
+    mode, par = w.system.mode, w.system.par
+    a, b = w.stepper.y, w.y_end
     for side in (-1.0, 1.0):
         slot = COMPRESSION if side < 0.0 else EXTENSION
         s_a, s_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0)
@@ -155,15 +156,14 @@ def watch_extremes(w):
         t_a, t_b = side * (a[3] - a[2]), side * (b[3] - b[2])
         r_a, r_b = side * (a[11] - a[10]), side * (b[11] - b[10])
         watch(w, Quantity.TORSION, side, TORSION, t_a, r_a, t_b, r_b)
-    d_a, d_b = run.gap[2] + par.latch_radius, run.next_gap[2] + par.latch_radius
-    watch(
-        w, Quantity.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -run.gap_rate[2], -d_b, -run.next_gap_rate[2]
-    )
+    d_a, d_b = start.gap[2] + par.latch_radius, end.gap[2] + par.latch_radius
+    watch(w, Quantity.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -start.gap_rate[2], -d_b, -end.gap_rate[2])
     for i in range(2):
-        if mode.touching[i]:
-            run.touch_rate[i] = max(run.touch_rate[i], -run.next_gap_rate[i])
-            p_a, p_b = -run.gap[i], -run.next_gap[i]
-            r_a, r_b = -run.gap_rate[i], -run.next_gap_rate[i]
+        if mode.touch[i].on:
+            touch = mode.touch[i]
+            touch.largest_rate = max(touch.largest_rate, -end.gap_rate[i])
+            p_a, p_b = -start.gap[i], -end.gap[i]
+            r_a, r_b = -start.gap_rate[i], -end.gap_rate[i]
             watch(w, Quantity.PENETRATION, 1.0 - 2.0 * i, PENETRATION, p_a, r_a, p_b, r_b)
 
 
@@ -171,68 +171,72 @@ def watch_extremes(w):
 def watch_rail(w, y):
     """Keep the distance at the end of a segment on the rail, along which it falls; t1 is there."""
     _, _, _, _, gap, _, _ = distances(y, w.system.par)
-    keep(w.run, w.system.mode.latched, TIP_DISTANCE, -(gap + w.system.par.latch_radius), w.run.t1)
+    keep(
+        w.totals, w.system.mode.latched, TIP_DISTANCE, -(gap + w.system.par.latch_radius), w.step.t1
+    )
 
 
 @kernel
 def begin_extremes(w):
     """Set the extremes of the phase that begins to the present values."""
-    run, y, row = w.run, w.step.y, w.system.mode.latched
-    for slot in range(run.extreme.shape[1]):
-        run.extreme[row, slot] = 0.0
-        run.extreme_time[row, slot] = run.t0
+    totals, y, row = w.totals, w.stepper.y, w.system.mode.latched
+    for slot in range(totals.extreme.shape[1]):
+        totals.extreme[row, slot] = 0.0
+        totals.extreme_time[row, slot] = w.step.t0
     stroke = y[4] - w.system.par.h_0
-    run.extreme[row, COMPRESSION] = max(-stroke, 0.0)
-    run.extreme[row, EXTENSION] = max(stroke, 0.0)
-    run.extreme[row, TORSION] = abs(y[3] - y[2])
+    totals.extreme[row, COMPRESSION] = max(-stroke, 0.0)
+    totals.extreme[row, EXTENSION] = max(stroke, 0.0)
+    totals.extreme[row, TORSION] = abs(y[3] - y[2])
     _, _, _, _, gap, _, _ = distances(y, w.system.par)
-    run.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
+    totals.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
 
 
 @kernel
 def measure_force(w):
     """Set force and rate at the start of a segment whose equations have changed; K[0] is known."""
-    run, step = w.run, w.step
-    small = _SMALL_MOVE * run.h_next
+    step, stepper = w.step, w.stepper
+    small = _SMALL_MOVE * step.h_next
     for i in range(2):
+        touch = w.system.mode.touch[i]
         # a touch that has just begun has no force yet, but one that rises
-        if w.system.mode.touching[i] and run.t0 > run.touch_start[i]:
+        if touch.on and step.t0 > touch.start:
             for k in range(N_STATE):
-                step.y_stage[k] = step.y[k] + small * step.K[0, k]
-            run.force[i] = step.K[0, IMPULSE + i]
-            run.force_rate[i] = (force_at(step.y_stage, w.system, i) - run.force[i]) / small
+                stepper.y_stage[k] = stepper.y[k] + small * stepper.K[0, k]
+            touch.force = stepper.K[0, IMPULSE + i]
+            touch.force_rate = (force_at(stepper.y_stage, w.system, i) - touch.force) / small
 
 
 @kernel
 def watch_force(w):
     """Keep each touch's peak of force, found inside the segment where it lies."""
-    run, step, system = w.run, w.step, w.system
-    whole = run.x_end == 1.0
-    last = step.K[step.stages]
-    small = _SMALL_MOVE * run.h
+    step, stepper, system = w.step, w.stepper, w.system
+    whole = step.x_end == 1.0
+    last = stepper.K[stepper.stages]
+    small = _SMALL_MOVE * step.h
     for k in range(N_STATE):
-        step.y_stage[k] = w.y_end[k] + small * last[k]
+        stepper.y_stage[k] = w.y_end[k] + small * last[k]
     for i in range(2):
-        if not system.mode.touching[i]:
+        touch = system.mode.touch[i]
+        if not touch.on:
             continue
         # a whole step's last evaluation has the force; one cut short ends with the touch, or
         # is to be looked through anyway
         force = last[IMPULSE + i] if whole else force_at(w.y_end, system, i)
         # rate by a small move along the flow: it only decides where to look
-        rate = (force_at(step.y_stage, system, i) - force) / small if whole else -1.0
-        if run.force_rate[i] > 0.0 and rate < 0.0:
-            width = run.x_end * run.h
+        rate = (force_at(stepper.y_stage, system, i) - force) / small if whole else -1.0
+        if touch.force_rate > 0.0 and rate < 0.0:
+            width = step.x_end * step.h
             place, low = cubic_minimum(
-                -run.force[i], -run.force_rate[i] * width, -force, -rate * width
+                -touch.force, -touch.force_rate * width, -force, -rate * width
             )
-            if not whole or (place >= 0.0 and -low > _WORTHWHILE * run.touch_peak[i]):
+            if not whole or (place >= 0.0 and -low > _WORTHWHILE * touch.peak_force):
                 x, peak = largest_inside(w, Quantity.NORMAL_FORCE, 1.0 - 2.0 * i)
-                if peak > run.touch_peak[i]:
-                    run.touch_peak[i] = peak
-                    run.touch_peak_time[i] = run.t0 + x * run.h
-        if force > run.touch_peak[i]:
-            run.touch_peak[i] = force
-            run.touch_peak_time[i] = run.t1
-        run.force[i] = force
-        run.force_rate[i] = rate
-        keep(run, system.mode.latched, NORMAL_FORCE, run.touch_peak[i], run.touch_peak_time[i])
+                if peak > touch.peak_force:
+                    touch.peak_force = peak
+                    touch.peak_time = step.t0 + x * step.h
+        if force > touch.peak_force:
+            touch.peak_force = force
+            touch.peak_time = step.t1
+        touch.force = force
+        touch.force_rate = rate
+        keep(w.totals, system.mode.latched, NORMAL_FORCE, touch.peak_force, touch.peak_time)

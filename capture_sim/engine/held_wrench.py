@@ -16,10 +16,10 @@ from capture_sim.engine.events import event_value
 from capture_sim.kernels import entry_kernel, inline_kernel, kernel
 from capture_sim.model.equations import (
     N_TOTAL,
+    gap_and_rate,
     rate_of_change,
     slip_speed,
     tip_in_cone,
-    wall_gap,
 )
 from capture_sim.model.observe import kinetic_energy
 from capture_sim.model.trig import hyperbolic_tangent
@@ -45,7 +45,7 @@ LAW = np.dtype(
 )
 
 #: Columns of a trace: pose of the tip and its rates in the target's frame, force on the tip.
-TRACE = 8
+TRACE_COLUMNS = 8
 
 
 @inline_kernel
@@ -68,16 +68,16 @@ def _drive(y, system, law, fx, fy, torque):
         px, py, vx, vy = tip_in_cone(y, par)
         spin = y[11] - y[15]
         for i in range(2):
-            gap, rate, nx, ny = wall_gap(px, py, vx, vy, 1.0 - 2.0 * i, par)
+            gap, rate, nx, ny = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, par)
             if gap < 0.0:
                 touched = True
                 force = (-gap) ** law.exponent * (law.stiffness - law.damping * rate)
                 force = max(force, 0.0) - law.drag * rate
                 slip = slip_speed(gap, nx, ny, vx, vy, spin, par)
-                rub = -law.friction * force * hyperbolic_tangent(slip / law.slip_speed)
-                wx += force * nx - rub * ny
-                wy += force * ny + rub * nx
-                wt -= (gap + par.R_t) * rub
+                friction = -law.friction * force * hyperbolic_tangent(slip / law.slip_speed)
+                wx += force * nx - friction * ny
+                wy += force * ny + friction * nx
+                wt -= (gap + par.R_t) * friction
     acts = touched or not law.gated
     if acts:
         wx += fx
@@ -229,7 +229,7 @@ def stored_energy(systems, laws, y):
         energy += 0.5 * p.k_L * ((px - mode.latch_x) ** 2 + (py - mode.latch_y) ** 2)
     elif law.stiffness > 0.0:
         for i in range(2):
-            gap, _, _, _ = wall_gap(px, py, vx, vy, 1.0 - 2.0 * i, p)
+            gap, _, _, _ = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, p)
             if gap < 0.0:
                 energy += law.stiffness * (-gap) ** (law.exponent + 1.0) / (law.exponent + 1.0)
     return energy

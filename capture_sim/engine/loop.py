@@ -6,7 +6,7 @@ from capture_sim.engine.consequences import end_touch, log_event
 from capture_sim.engine.extremes import begin_extremes
 from capture_sim.engine.rail import close_rail, plan_rail, rail_state
 from capture_sim.engine.segment import close_step, plan_step
-from capture_sim.engine.state import EVENT_ROOM, Segment, Status
+from capture_sim.engine.state import LOG_ROOM, Segment, Status
 from capture_sim.engine.steps import make_dense
 from capture_sim.kernels import entry_kernel, kernel
 from capture_sim.model.equations import N_STATE, N_TOTAL, rate_of_change
@@ -27,43 +27,43 @@ _ENERGY_ROUNDING = 1e-15
 @kernel
 def begin(w):
     """Set the energy that the ledger starts from, and what is dissipated within its rounding."""
-    run, weights, s = w.run, w.step.weights, w.sample
-    observe(run.t0, w.step.y, w.system, run, s)
-    run.energy_0 = (
+    totals, weights, s = w.totals, w.stepper.weights, w.sample
+    observe(w.step.t0, w.stepper.y, w, s)
+    totals.energy_0 = (
         s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
     )
-    rounding = _ENERGY_ROUNDING * run.energy_0
+    rounding = _ENERGY_ROUNDING * totals.energy_0
     for i in range(N_STATE, weights.shape[0]):
         if rounding * weights[i] > 1.0:
             weights[i] = 1.0 / rounding
     begin_extremes(w)
-    run.begun = 1
+    w.progress.begun = 1
 
 
 @kernel
 def end_run(w):
     """Close the touches that are still on and log the end."""
     for i in range(2):
-        if w.system.mode.touching[i]:
+        if w.system.mode.touch[i].on:
             end_touch(w, i)
     log_event(w, EventKind.END)
-    w.run.done = 1
-    w.run.segment = Segment.NONE
+    w.progress.done = 1
+    w.step.segment = Segment.NONE
 
 
 @kernel
 def sample_at(w, t, sample):
     """Sample the present segment at ``t``."""
-    run, step, y_x = w.run, w.step, w.y_x
-    if run.segment == Segment.RAIL:
+    step, stepper, y_x = w.step, w.stepper, w.y_x
+    if step.segment == Segment.RAIL:
         rail_state(w, t)
-    elif run.h == 0.0:
+    elif step.h == 0.0:
         for i in range(N_TOTAL):
-            y_x[i] = step.y[i]
+            y_x[i] = stepper.y[i]
     else:
         make_dense(w)
-        dense(step, (t - run.t0) / run.h, y_x, N_TOTAL)
-    observe(t, y_x, w.system, run, sample)
+        dense(stepper, (t - step.t0) / step.h, y_x, N_TOTAL)
+    observe(t, y_x, w, sample)
 
 
 @entry_kernel
@@ -73,50 +73,50 @@ def advance(workspaces, times, samples, trace):
     ``trace`` takes samples as well, at the ends of the steps in contact; without any room it
     takes none and costs nothing.
 
-    Returns how many samples were written; ``run.status`` says how it ended.
+    Returns how many samples were written; ``progress.status`` says how it ended.
     """
     w = workspaces[0]
-    run = w.run
-    if not run.begun:
+    step, progress, totals = w.step, w.progress, w.totals
+    if not progress.begun:
         begin(w)
-    last_step = run.steps + _STEPS_PER_CALL
+    last_step = totals.steps + _STEPS_PER_CALL
     k = 0
     while k < times.shape[0]:
-        if run.segment != Segment.NONE and times[k] <= run.t1:
+        if step.segment != Segment.NONE and times[k] <= step.t1:
             sample_at(w, times[k], samples[k])
             k += 1
             continue
-        if run.done:
+        if progress.done:
             break
-        if run.n_events + _SEGMENT_EVENTS > EVENT_ROOM or run.steps >= last_step:
-            run.status = Status.INTERRUPTED
+        if progress.n_log + _SEGMENT_EVENTS > LOG_ROOM or totals.steps >= last_step:
+            progress.status = Status.INTERRUPTED
             return k
-        if trace.shape[0] > 0 and run.n_trace == trace.shape[0]:
-            run.status = Status.INTERRUPTED
+        if trace.shape[0] > 0 and progress.n_trace == trace.shape[0]:
+            progress.status = Status.INTERRUPTED
             return k
-        if run.segment == Segment.RAIL:
+        if step.segment == Segment.RAIL:
             close_rail(w)
-        elif run.segment == Segment.STEP:
+        elif step.segment == Segment.STEP:
             latched = w.system.mode.latched
             close_step(w, trace)
             if w.system.mode.latched != latched:
                 begin_extremes(w)
-        if run.segment != Segment.NONE and run.pending == EventKind.END:
+        if step.segment != Segment.NONE and w.event.kind == EventKind.END:
             end_run(w)
             break
-        if run.pile > _MOST_PILED_UP:
-            run.status = Status.PILE_UP
+        if progress.events_at_t0 > _MOST_PILED_UP:
+            progress.status = Status.PILE_UP
             return k
-        if run.on_rail:
+        if w.rail.on:
             plan_rail(w)
         else:
             status = plan_step(w)
             if status != Status.SERVED:
-                run.segment = Segment.NONE
-                run.status = status
-                observe(run.t0, w.step.y, w.system, run, w.sample)
+                step.segment = Segment.NONE
+                progress.status = status
+                observe(step.t0, w.stepper.y, w, w.sample)
                 return k
-    run.status = Status.SERVED
+    progress.status = Status.SERVED
     return k
 
 

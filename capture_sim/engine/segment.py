@@ -12,9 +12,9 @@ from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
     measure,
+    path_to_events,
     step_length,
     take_step,
-    way_to_events,
 )
 from capture_sim.kernels import kernel
 from capture_sim.model.equations import N_TOTAL, rate_of_change
@@ -28,55 +28,54 @@ _DEEPEST = 0.75
 _FIXED_ANGLE = 1.5
 #: Events located within one fixed step: bounds its cost.
 _MOST_SUBSTEPS = 8
-#: Of the way to the next event: so far a step may go that has gathered speed; and how far the
+#: Of the path to the next event: how far a step that has gathered speed may go, and how far the
 #: next trial goes.
-_FARTHER, _SHORTER = 1.01, 0.9
-#: An event before this place of a long step in contact is located anew, at the end of a step that
-#: goes to just behind it: dense output inside the step is less exact than its end.
-_NEAR_END, _BEHIND = 0.95, 1.02
+_MAX_OVERSHOOT, _RETRY_SHARE = 1.01, 0.9
+#: A step in contact with an event before this place is taken again, to this multiple of the
+#: event's place: dense output inside the step is less exact than its end.
+_NEAR_END, _PAST_EVENT = 0.95, 1.02
 
 
 @kernel
 def begin_equations(w):
     """Evaluate equations that have changed; True if a vehicle is torn loose at once by them."""
-    run, mode = w.run, w.system.mode
-    rate_of_change(run.t0, w.step.y, w.step.K[0], w.system)
-    run.evaluations += 1
-    run.fresh = 0
+    step, event, mode = w.step, w.event, w.system.mode
+    rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
+    step.equations_changed = 0
     measure_force(w)
     if w.system.par.has_supports:
         # a change of forces may ask more of the supports at once than they can hold
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(w.step.y, w.system, which) > 1.0:
-                run.h = 0.0
-                run.t1 = run.t0
-                run.pending = EventKind.MOVING
-                run.pending_wall = which
+            if resting and ratio_of_limit(w.stepper.y, w.system, which) > 1.0:
+                step.h = 0.0
+                step.t1 = step.t0
+                event.kind = EventKind.MOVING
+                event.which = which
                 return True
     return False
 
 
 @kernel
-def step_within_way(w):
+def step_within_path(w):
     """Take a step in which the tip does not leap over an event; returns the Status."""
-    run, par = w.run, w.system.par
-    if not run.measured:
-        measure(w, w.step.y)
-        advance_distances(run)
-    way = way_to_events(w)
+    step, par = w.step, w.system.par
+    if not step.start_measured:
+        measure(w, w.stepper.y)
+        advance_distances(step)
+    path = path_to_events(w)
     while True:
         status = take_step(w, step_length(w))
         if status != Status.SERVED:
             return status
-        # a tip that gathers speed makes more way than it seemed at the start
-        made = 0.5 * (run.tip_speed + run.next_tip_speed) * run.h
-        if not made > _FARTHER * way:
+        # a tip that gathers speed moves farther than it seemed at the start
+        moved = 0.5 * (step.start.tip_speed + step.end.tip_speed) * step.h
+        if not moved > _MAX_OVERSHOOT * path:
             return Status.SERVED
         if par.fixed_step > 0.0:
             return Status.STEP_TOO_LONG
-        run.rejected += 1
-        run.h_next = _SHORTER * run.h * way / made
+        w.totals.rejected += 1
+        step.h_next = _RETRY_SHARE * step.h * path / moved
 
 
 @kernel
@@ -84,8 +83,8 @@ def is_resolved(w):
     """Return whether a fixed step resolves the contacts at its end."""
     par, mode = w.system.par, w.system.mode
     for i in range(2):
-        stiffness = 1.5 * par.K * math.sqrt(max(-w.run.next_gap[i], 0.0))
-        if mode.touching[i] and par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
+        stiffness = 1.5 * par.K * math.sqrt(max(-w.step.end.gap[i], 0.0))
+        if mode.touch[i].on and par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
             return False
     return True
 
@@ -96,28 +95,28 @@ def end_segment(w):
 
     Returns the Status by the state there, which goes to ``w.y_end``.
     """
-    run, par, step = w.run, w.system.par, w.step
-    if run.cut <= 1.0:
+    step, event, par, stepper = w.step, w.event, w.system.par, w.stepper
+    if event.place <= 1.0:
         if par.fixed_step > 0.0:
-            run.substeps += 1
-            if run.substeps > _MOST_SUBSTEPS:
+            step.substeps += 1
+            if step.substeps > _MOST_SUBSTEPS:
                 # bounded cost comes first: this event waits for the end of the step
-                run.cut = 1.0
-        run.t1 = run.t0 + run.cut * run.h
-    if run.t1 >= run.t_stop:
-        run.t1 = run.t_stop
-        run.pending = EventKind.END
-    run.x_end = 1.0
-    if run.t1 < run.t0 + run.h:
-        run.x_end = (run.t1 - run.t0) / run.h
+                event.place = 1.0
+        step.t1 = step.t0 + event.place * step.h
+    if step.t1 >= w.progress.t_stop:
+        step.t1 = w.progress.t_stop
+        event.kind = EventKind.END
+    step.x_end = 1.0
+    if step.t1 < step.t0 + step.h:
+        step.x_end = (step.t1 - step.t0) / step.h
         make_dense(w)
-        dense(step, run.x_end, w.y_end, N_TOTAL)
+        dense(stepper, step.x_end, w.y_end, N_TOTAL)
     else:
         for i in range(N_TOTAL):
-            w.y_end[i] = step.y_new[i]
-    if run.pending != NO_EVENT:
+            w.y_end[i] = stepper.y_new[i]
+    if event.kind != NO_EVENT:
         measure(w, w.y_end)
-    if not w.system.mode.latched and min(run.next_gap[0], run.next_gap[1]) < -_DEEPEST * par.R_t:
+    if not w.system.mode.latched and min(step.end.gap[0], step.end.gap[1]) < -_DEEPEST * par.R_t:
         return Status.TIP_THROUGH_WALL
     if w.y_end[4] <= par.R_t:
         return Status.PROBE_IN_HINGE
@@ -130,30 +129,31 @@ def plan_step(w):
 
     Returns the Status.
     """
-    run, par, mode, step = w.run, w.system.par, w.system.mode, w.step
-    run.segment = Segment.STEP
-    if run.fresh:
+    step, stepper, event = w.step, w.stepper, w.event
+    par, mode = w.system.par, w.system.mode
+    step.segment = Segment.STEP
+    if step.equations_changed:
         if begin_equations(w):
             return Status.SERVED
     else:
         for i in range(N_TOTAL):
-            step.K[0, i] = step.K[step.stages, i]
-    status = step_within_way(w)
+            stepper.K[0, i] = stepper.K[stepper.stages, i]
+    status = step_within_path(w)
     if status != Status.SERVED:
         return status
     if par.fixed_step > 0.0 and not is_resolved(w):
         return Status.STEP_TOO_LONG
     search_step(w)
-    in_contact = mode.touching[0] or mode.touching[1] or mode.stop or mode.latched
-    if run.cut < _NEAR_END and par.fixed_step == 0.0 and in_contact:
-        h = min(_BEHIND * run.cut * run.h, run.h)
+    in_contact = mode.touch[0].on or mode.touch[1].on or mode.stop or mode.latched
+    if event.place < _NEAR_END and par.fixed_step == 0.0 and in_contact:
+        h = min(_PAST_EVENT * event.place * step.h, step.h)
         if h > SMALLEST_STEP:
-            h_next = run.h_next
+            h_next = step.h_next
             status = take_step(w, h)
             if status != Status.SERVED:
                 return status
-            if run.h == h:
-                run.h_next = h_next
+            if step.h == h:
+                step.h_next = h_next
             search_step(w)
     return end_segment(w)
 
@@ -164,19 +164,22 @@ def close_step(w, trace):
 
     In contact the state there goes into ``trace``, if that has room at all.
     """
-    run, mode, step = w.run, w.system.mode, w.step
-    if run.h > 0.0:
-        if mode.touching[0] or mode.touching[1]:
+    step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
+    if step.h > 0.0:
+        if mode.touch[0].on or mode.touch[1].on:
             watch_force(w)
         watch_extremes(w)
         for i in range(N_TOTAL):
-            step.y[i] = w.y_end[i]
-        if run.x_end < 1.0:
-            run.fresh = 1
-        advance_distances(run)
-    run.pile = 0 if run.t1 > run.t0 + SMALLEST_STEP else run.pile + 1
-    run.t0 = run.t1
-    if trace.shape[0] > 0 and (mode.touching[0] or mode.touching[1]):
-        observe(run.t0, step.y, w.system, run, trace[run.n_trace])
-        run.n_trace += 1
+            stepper.y[i] = w.y_end[i]
+        if step.x_end < 1.0:
+            step.equations_changed = 1
+        advance_distances(step)
+    if step.t1 > step.t0 + SMALLEST_STEP:
+        progress.events_at_t0 = 0
+    else:
+        progress.events_at_t0 += 1
+    step.t0 = step.t1
+    if trace.shape[0] > 0 and (mode.touch[0].on or mode.touch[1].on):
+        observe(step.t0, stepper.y, w, trace[progress.n_trace])
+        progress.n_trace += 1
     draw_consequences(w)

@@ -1,7 +1,7 @@
-"""What the loop keeps of a run, as one record that all its kernels read and write.
+"""What the loop keeps of a run: one record, in groups by the module that writes them.
 
 One record, not an array or a tuple each: a kernel takes one pointer, and all lengths are known
-when it is compiled.
+when it is compiled.  ``tests/invariants.py`` checks what must hold between the groups.
 """
 
 from __future__ import annotations
@@ -37,73 +37,98 @@ class Segment(IntEnum):
     STEP = 2
 
 
-NO_EVENT = -1  # beside the EventKinds in ``pending``
+NO_EVENT = -1  # next to the EventKinds in ``event.kind``
 #: Wall of an event that has none; typed, as each literal would be compiled as a case of its own.
 NO_WALL = np.int64(0)
-SMALLEST_STEP = 1e-15  # s; below it t + h stands still for runs of minutes
-EVENT_ROOM = 256
+SMALLEST_STEP = 1e-15  # s; below it t + h equals t in runs of minutes
+LOG_ROOM = 256
 #: The states and the energies count in the error, the impulses do not.
 N_WATCHED = STOP + 1
 
-#: Where a run stands.
-RUN = np.dtype(
+#: Distances of the tip at one end of the present step.
+DISTANCES = np.dtype(
     [
-        ("t0", "f8"),  # start of the present segment
-        ("t1", "f8"),  # its end
-        ("h", "f8"),  # full length of the integrator's step it was cut from
-        ("x_end", "f8"),  # its end as a fraction of that step
-        ("cut", "f8"),  # place (0..1) of the first event in the step; 2: none
+        ("gap", "f8", (3,)),  # of both walls and to the latch, m
+        ("gap_rate", "f8", (3,)),
+        ("tip_speed", "f8"),  # against the target, m/s
+    ],
+    align=True,
+)
+
+#: The present segment and the integrator's step that it was cut from; of ``steps`` and ``segment``.
+STEP = np.dtype(
+    [
         ("segment", "i8"),  # of Segment
-        ("pending", "i8"),  # event at its end, of EventKind, or NO_EVENT
-        ("pending_wall", "i8"),  # its wall, vehicle or stop
-        ("begun", "i8"),
-        ("status", "i8"),  # of Status
+        ("t0", "f8"),  # start of the segment
+        ("t1", "f8"),  # its end
+        ("h", "f8"),  # full length of the step
+        ("x_end", "f8"),  # end of the segment as a fraction of the step
         ("dense_ready", "i8"),
-        ("fresh", "i8"),  # equations have changed: K[0] is stale
+        ("equations_changed", "i8"),  # K[0] is stale
         ("h_next", "f8"),
-        ("h_free", "f8"),  # next step before the last touch began
+        ("h_before_touch", "f8"),  # next step before the last touch began
         ("error", "f8"),  # of the last accepted step
-        ("on_rail", "i8"),
+        ("substeps", "i8"),  # events located within one fixed step
+        ("start", DISTANCES),
+        ("start_measured", "i8"),  # ``start`` belongs to t0
+        ("end", DISTANCES),
+    ],
+    align=True,
+)
+
+#: The first event in the present segment; of ``events``.
+NEXT_EVENT = np.dtype(
+    [
+        ("kind", "i8"),  # of EventKind, or NO_EVENT
+        ("which", "i8"),  # its wall, vehicle or stop
+        ("place", "f8"),  # 0..1 of the step; 2: none
+    ],
+    align=True,
+)
+
+#: The chaser on its rail; of ``rail``.
+RAIL = np.dtype(
+    [
+        ("on", "i8"),
         ("taut", "i8"),
-        ("travel", "f8"),  # along the rail at t0
-        ("speed", "f8"),  # along the rail at t0
+        ("travel", "f8"),  # at t0, m
+        ("speed", "f8"),  # at t0, m/s
         ("acceleration", "f8"),
-        ("t_stop", "f8"),
-        ("done", "i8"),
+    ],
+    align=True,
+)
+
+#: What a run adds up; each kernel adds what it causes.
+TOTALS = np.dtype(
+    [
         ("steps", "i8"),
         ("rejected", "i8"),
-        ("evaluations", "i8"),
-        ("pile", "i8"),  # events in a row without progress
-        ("energy_0", "f8"),
-        ("lost_landing", "f8"),
-        ("lost_latch", "f8"),
         ("touches", "i8"),
-        ("touch_start", "f8", (2,)),
-        ("touch_speed", "f8", (2,)),
-        ("touch_rate", "f8", (2,)),  # largest rate of penetration
-        ("touch_peak", "f8", (2,)),
-        ("touch_peak_time", "f8", (2,)),
-        ("touch_impulse", "f8", (2,)),  # the integrals when it began
-        ("touch_hysteresis", "f8", (2,)),
-        ("force", "f8", (2,)),  # normal force at t0, and its rate
-        ("force_rate", "f8", (2,)),
-        ("gap", "f8", (3,)),  # at t0: of both walls and to the latch, m
-        ("gap_rate", "f8", (3,)),
-        ("tip_speed", "f8"),  # at t0: of the tip against the target, m/s
-        ("next_gap", "f8", (3,)),  # likewise at the end of the step
-        ("next_gap_rate", "f8", (3,)),
-        ("next_tip_speed", "f8"),
-        ("measured", "i8"),  # the gaps belong to t0
-        ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
-        ("substeps", "i8"),  # events located within one fixed step
+        ("energy_0", "f8"),  # J, at the release
+        ("lost_landing", "f8"),  # J, at the instant of an event
+        ("lost_latch", "f8"),
         ("extreme", "f8", (2, len(EXTREME_NAMES))),  # before and after the latch
         ("extreme_time", "f8", (2, len(EXTREME_NAMES))),
-        ("n_events", "i8"),
+    ],
+    align=True,
+)
+
+#: How far the run has come; of ``loop``.
+PROGRESS = np.dtype(
+    [
+        ("begun", "i8"),
+        ("done", "i8"),
+        ("status", "i8"),  # of Status
+        ("t_stop", "f8"),
+        ("events_at_t0", "i8"),  # in a row, without progress
+        ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
+        ("n_log", "i8"),
         ("n_trace", "i8"),
     ],
     align=True,
 )
 
+#: An entry of the log.
 EVENT = np.dtype(
     [
         ("kind", "i8"),
@@ -117,15 +142,19 @@ EVENT = np.dtype(
     align=True,
 )
 
-#: All of a run.
+#: All of a run.  The touches of both walls are in ``system.mode.touch``.
 WORKSPACE = np.dtype(
     [
         ("system", SYSTEM),
-        ("step", stepper_type(N_TOTAL, N_WATCHED)),
-        ("run", RUN),
+        ("stepper", stepper_type(N_TOTAL, N_WATCHED)),
+        ("step", STEP),
+        ("event", NEXT_EVENT),
+        ("rail", RAIL),
+        ("totals", TOTALS),
+        ("progress", PROGRESS),
         ("y_end", "f8", (N_TOTAL,)),  # state at the end of the present segment
         ("y_x", "f8", (N_TOTAL,)),  # at a place inside it
-        ("events", EVENT, (EVENT_ROOM,)),
+        ("log", EVENT, (LOG_ROOM,)),
         ("sample", SAMPLE),  # of t0, at the release and where the run had to stop
     ],
     align=True,

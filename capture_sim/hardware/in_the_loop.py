@@ -16,7 +16,7 @@ from capture_sim.engine.held_wrench import (
     LAW,
     MOVED,
     N_LOOP,
-    TRACE,
+    TRACE_COLUMNS,
     step_with_wrench,
     stored_energy,
     tip_state,
@@ -99,7 +99,7 @@ class LoopStage:
         self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
         self._stages = np.zeros((6, N_LOOP))
         self._laws = records(np.zeros(1, LAW))
-        self._trace = np.zeros((substeps, TRACE))
+        self._trace = np.zeros((substeps, TRACE_COLUMNS))
         self._count = 0
         # the kernels are loaded, or compiled, now: within the loop each would cost a wrench
         in_worker(lambda: (self.effective_mass(1.0, 0.0), self.tip, self.energy))
@@ -166,7 +166,7 @@ class LoopStage:
 
         What a blow of 1e-3 N s within 1e-9 s meets.
         """
-        kept, laws, trace = self.saved(), np.zeros_like(self._laws), np.zeros((1, TRACE))
+        kept, laws, trace = self.saved(), np.zeros_like(self._laws), np.zeros((1, TRACE_COLUMNS))
         speeds = []
         for force in (0.0, 1e6):
             self.restore(kept)

@@ -27,13 +27,32 @@ N_TOTAL = 26
 # places of the integrals in y; those up to STOP are energies
 AXIAL, TORSION, HYSTERESIS, FRICTION, ROLLING, LATCH, STOP, IMPULSE = 16, 17, 18, 20, 21, 22, 23, 24
 
+#: The present touch of a wall, all zero between touches.
+WALL_TOUCH = np.dtype(
+    [
+        ("on", "i8"),
+        ("chi", "f8"),  # hysteresis damping, N s/m^2.5
+        ("sticking", "i8"),  # law "coulomb": slip held at zero
+        ("direction", "f8"),  # law "coulomb": sign of the slip while sliding
+        ("start", "f8"),  # s
+        ("approach_speed", "f8"),  # m/s
+        ("largest_rate", "f8"),  # of penetration so far, m/s
+        ("peak_force", "f8"),  # so far, N
+        ("peak_time", "f8"),  # s
+        ("impulse_0", "f8"),  # integrals at its start: N s, and J of hysteresis
+        ("dissipated_0", "f8"),
+        ("force", "f8"),  # at the start of the present segment, N, and its rate
+        ("force_rate", "f8"),
+    ],
+    align=True,
+)
+#: Assigned where a touch begins and ends, so that nothing of an earlier touch remains.
+NO_TOUCH = np.zeros(1, WALL_TOUCH)
+
 #: What changes in the course of a run; the kernels read and write it.
 MODE = np.dtype(
     [
-        ("touching", "i8", (2,)),  # [+y wall, -y wall]
-        ("chi", "f8", (2,)),  # hysteresis damping of the touch, N s/m^2.5
-        ("sticking", "i8", (2,)),  # law "coulomb": slip held at zero
-        ("direction", "f8", (2,)),  # law "coulomb": sign of the slip while sliding
+        ("touch", WALL_TOUCH, (2,)),  # +y wall, -y wall
         ("latched", "i8"),
         ("latch_x", "f8"),  # where the tip was caught, target frame, m
         ("latch_y", "f8"),
@@ -57,7 +76,7 @@ OUT = np.dtype(
         ("latch", "f8"),
         ("stop", "f8"),
         ("normal", "f8", (2,)),  # forces of both walls, N
-        ("rub", "f8", (2,)),
+        ("friction_force", "f8", (2,)),
     ],
     align=True,
 )
@@ -70,6 +89,7 @@ SYSTEM = np.dtype(
         ("out", OUT),
         ("trial", "f8", (N_TOTAL,)),  # a state put together for the sticking tip
         ("spare", "f8", (1, N_TOTAL)),  # a derivative of which only OUT is wanted
+        ("evaluations", "i8"),  # of the equations of motion so far
     ],
     align=True,
 )
@@ -111,7 +131,7 @@ def tip_motion(y, a, sS, cS, sP, cP, sT, cT):
 
 
 @inline_kernel
-def wall_gap(px, py, wx, wy, side, par):
+def gap_and_rate(px, py, wx, wy, side, par):
     """Return gap (m; negative is penetration), its rate (m/s) and the normal, target frame.
 
     ``side`` is +1 for the wall on +y, -1 for the other.
@@ -140,7 +160,7 @@ def tip_forces(y, system, px, py, wx, wy):
 
     Returns (fx, fy, torque_tip, torque_target) with the force in the target's axes, N and
     N m.  ``system.out`` receives the powers of hysteresis, friction and latch (W) and the
-    forces of both walls (N); ``out.rub`` holds the friction forces on entry where a tip sticks.
+    forces of both walls (N); where a tip sticks, ``out.friction_force`` holds it on entry.
     """
     par, mode, out = system.par, system.mode, system.out
     fx = 0.0
@@ -157,28 +177,30 @@ def tip_forces(y, system, px, py, wx, wy):
         target -= px * gy - py * gx
         return fx + gx, fy + gy, tip, target
     for i in range(2):
-        if mode.touching[i]:
-            gap, rate, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            force, elastic = normal_force(-gap, -rate, par.K, mode.chi[i])
+        touch = mode.touch[i]
+        if touch.on:
+            gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            force, elastic = normal_force(-gap, -rate, par.K, touch.chi)
             slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
             if par.friction_law == COULOMB:
-                rub = out.rub[i] if mode.sticking[i] else -par.mu * force * mode.direction[i]
+                sliding = -par.mu * force * touch.direction
+                friction = out.friction_force[i] if touch.sticking else sliding
             else:
-                rub = -force * friction_coefficient(
+                friction = -force * friction_coefficient(
                     slip * par.inverse_v_eps, par.mu, par.mu_s, par.friction_law
                 )
             # the contact point lies on the wall, dist behind the tip's centre
             dist = gap + par.R_t
-            gx = force * nx - rub * ny
-            gy = force * ny + rub * nx
+            gx = force * nx - friction * ny
+            gy = force * ny + friction * nx
             fx += gx
             fy += gy
-            tip -= dist * rub
+            tip -= dist * friction
             target -= (px - dist * nx) * gy - (py - dist * ny) * gx
             out.hysteresis[i] = -(force - elastic) * rate
-            out.friction -= rub * slip
+            out.friction -= friction * slip
             out.normal[i] = force
-            out.rub[i] = rub
+            out.friction_force[i] = friction
     return fx, fy, tip, target
 
 
@@ -192,6 +214,7 @@ def accelerate(y, f, system):
     centre of mass.
     """
     par, mode, out = system.par, system.mode, system.out
+    system.evaluations += 1
     omega, spin, rate = y[10], y[11], y[12]
     h = y[4]
     sS, cS = sine_cosine(y[2])
@@ -221,7 +244,7 @@ def accelerate(y, f, system):
     out.normal[1] = 0.0
     out.rolling = 0.0
     out.stop = 0.0
-    contact = mode.latched or mode.touching[0] or mode.touching[1] or mode.driven
+    contact = mode.latched or mode.touch[0].on or mode.touch[1].on or mode.driven
     if contact or par.has_supports:
         sT, cT = sine_cosine(y[7])
     if contact:
@@ -337,7 +360,7 @@ def stop_force(stroke, rate, stop, par):
 def slip_of(y, par, i):
     """Return the slip of the tip on wall ``i`` (0: +y, 1: -y), m/s; linear in the rates."""
     px, py, wx, wy = tip_in_cone(y, par)
-    gap, _, nx, ny = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    gap, _, nx, ny = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
     return slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
 
 
@@ -365,10 +388,10 @@ def slip_acceleration(y, f, system, i):
     for k in range(8):
         trial[k] = y[k] + small * y[8 + k]
         trial[8 + k] = y[8 + k]
-    ahead = slip_of(trial, par, i)
+    slip_forward = slip_of(trial, par, i)
     for k in range(8):
         trial[k] = y[k] - small * y[8 + k]
-    return rate + (ahead - slip_of(trial, par, i)) / (2.0 * small)
+    return rate + (slip_forward - slip_of(trial, par, i)) / (2.0 * small)
 
 
 @inline_kernel
@@ -385,43 +408,44 @@ def accelerate_sticking(y, f, system):
     one with a unit force at each sticking wall give the equations for them.
     """
     mode, out = system.mode, system.out
-    out.rub[0] = 0.0
-    out.rub[1] = 0.0
+    out.friction_force[0] = 0.0
+    out.friction_force[1] = 0.0
     accelerate(y, f, system)
+    sticking_0, sticking_1 = mode.touch[0].sticking, mode.touch[1].sticking
     b0 = 0.0
     b1 = 0.0
-    if mode.sticking[0]:
+    if sticking_0:
         b0 = _slip_change(y, f, system, 0)
-    if mode.sticking[1]:
+    if sticking_1:
         b1 = _slip_change(y, f, system, 1)
     a00 = 1.0
     a01 = 0.0
     a10 = 0.0
     a11 = 1.0
-    if mode.sticking[0]:
-        out.rub[0] = 1.0
-        out.rub[1] = 0.0
+    if sticking_0:
+        out.friction_force[0] = 1.0
+        out.friction_force[1] = 0.0
         accelerate(y, f, system)
         a00 = _slip_change(y, f, system, 0) - b0
-        if mode.sticking[1]:
+        if sticking_1:
             a10 = _slip_change(y, f, system, 1) - b1
-    if mode.sticking[1]:
-        out.rub[0] = 0.0
-        out.rub[1] = 1.0
+    if sticking_1:
+        out.friction_force[0] = 0.0
+        out.friction_force[1] = 1.0
         accelerate(y, f, system)
         a11 = _slip_change(y, f, system, 1) - b1
-        if mode.sticking[0]:
+        if sticking_0:
             a01 = _slip_change(y, f, system, 0) - b0
     determinant = a00 * a11 - a01 * a10
-    out.rub[0] = -(b0 * a11 - b1 * a01) / determinant
-    out.rub[1] = -(b1 * a00 - b0 * a10) / determinant
+    out.friction_force[0] = -(b0 * a11 - b1 * a01) / determinant
+    out.friction_force[1] = -(b1 * a00 - b0 * a10) / determinant
     return accelerate(y, f, system)
 
 
 @kernel
 def balance(y, f, system):
     """Write accelerations into f[8:16]; return what the supports must hold (:func:`accelerate`)."""
-    if system.mode.sticking[0] or system.mode.sticking[1]:
+    if system.mode.touch[0].sticking or system.mode.touch[1].sticking:
         return accelerate_sticking(y, f, system)
     return accelerate(y, f, system)
 

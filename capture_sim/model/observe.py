@@ -15,9 +15,9 @@ from capture_sim.model.equations import (
     STOP,
     TORSION,
     accelerate_sticking,
+    gap_and_rate,
     tip_forces,
     tip_in_cone,
-    wall_gap,
 )
 from capture_sim.model.trig import sine_cosine
 from capture_sim.samples import Phase
@@ -54,22 +54,23 @@ def elastic_contact_energy(gap, K):
 
 
 @kernel
-def observe(t, y, system, run, sample):
+def observe(t, y, w, sample):
     """Fill one record of dtype SAMPLE for the state ``y`` at ``t``.
 
-    ``run`` tells where the run stands (dtype :data:`capture_sim.engine.state.RUN`).
+    ``w`` is a record of dtype :data:`capture_sim.engine.state.WORKSPACE`.
     """
+    system, rail, totals = w.system, w.rail, w.totals
     par, mode, out = system.par, system.mode, system.out
     sample.t = t
     for i in range(8):
         sample.q[i] = y[i]
         sample.v[i] = y[8 + i]
     sample.at_rest = mode.rest_S + 2 * mode.rest_T
-    sample.touches = run.touches
-    walls = mode.touching[0] + 2 * mode.touching[1]
+    sample.touches = totals.touches
+    walls = mode.touch[0].on + 2 * mode.touch[1].on
     sample.walls = walls
-    if run.on_rail:
-        sample.phase = Phase.TAUT if run.taut else Phase.COAST
+    if rail.on:
+        sample.phase = Phase.TAUT if rail.taut else Phase.COAST
     elif mode.latched:
         sample.phase = Phase.LATCHED
     else:
@@ -88,8 +89,8 @@ def observe(t, y, system, run, sample):
     sample.tip_distance = math.hypot(px + par.L_T, py)
     for i in range(2):
         out.normal[i] = 0.0
-        out.rub[i] = 0.0
-    if mode.sticking[0] or mode.sticking[1]:
+        out.friction_force[i] = 0.0
+    if mode.touch[0].sticking or mode.touch[1].sticking:
         # fills the friction forces that hold the tip
         accelerate_sticking(y, system.spare[0], system)
     fx, fy, tip, _ = tip_forces(y, system, px, py, wx, wy)
@@ -98,13 +99,13 @@ def observe(t, y, system, run, sample):
     gy = sT * fx + cT * fy
     contact = 0.0
     for i in range(2):
-        gap, rate, _, _ = wall_gap(px, py, wx, wy, 1.0 - 2.0 * i, par)
+        gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
         sample.penetration[i] = -gap
         sample.penetration_rate[i] = -rate
         sample.normal_force[i] = out.normal[i]
-        sample.friction_force[i] = out.rub[i] if mode.touching[i] else 0.0
+        sample.friction_force[i] = out.friction_force[i] if mode.touch[i].on else 0.0
         sample.impulse[i] = y[IMPULSE + i]
-        if mode.touching[i]:
+        if mode.touch[i].on:
             contact += elastic_contact_energy(gap, par.K)
     sample.contact_force[0] = 0.0 if mode.latched else gx
     sample.contact_force[1] = 0.0 if mode.latched else gy
@@ -129,14 +130,14 @@ def observe(t, y, system, run, sample):
     sample.string_tension = 0.0
     sample.mass_height = 0.0
     sample.mass_speed = 0.0
-    if run.taut:
+    if rail.taut:
         speed = y[8] * par.rail_x + y[9] * par.rail_y
         kinetic += 0.5 * (par.m_hanging + par.pulley_mass) * speed * speed
-        travel = run.travel + speed_travel(run, t)
+        travel = rail.travel + rail_travel(w, t)
         sample.mass_height = par.drop_height - travel
         sample.mass_speed = speed
         sample.string_tension = (
-            par.m_hanging * (par.gravity - run.acceleration) - par.pulley_mass * run.acceleration
+            par.m_hanging * (par.gravity - rail.acceleration) - par.pulley_mass * rail.acceleration
         )
     sample.kinetic = kinetic
     sample.elastic_axial = 0.5 * par.k_A * stroke * stroke
@@ -147,18 +148,18 @@ def observe(t, y, system, run, sample):
     sample.dissipated_contact = y[HYSTERESIS] + y[HYSTERESIS + 1]
     sample.dissipated_friction = y[FRICTION]
     sample.dissipated_rolling = y[ROLLING]
-    sample.dissipated_latch = y[LATCH] + run.lost_latch
+    sample.dissipated_latch = y[LATCH] + totals.lost_latch
     sample.dissipated_stop = y[STOP]
-    sample.dissipated_landing = run.lost_landing
+    sample.dissipated_landing = totals.lost_landing
     stored = kinetic + sample.elastic_axial + sample.elastic_torsion + contact + latch + stop
-    lost = run.lost_latch + run.lost_landing
+    lost = totals.lost_latch + totals.lost_landing
     for i in range(AXIAL, STOP + 1):
         lost += y[i]
-    sample.energy_residual = stored - run.energy_0 - sample.work_string + lost
+    sample.energy_residual = stored - totals.energy_0 - sample.work_string + lost
 
 
 @kernel
-def speed_travel(run, t):
+def rail_travel(w, t):
     """Return the chaser's travel along the rail within the present segment, m."""
-    tau = t - run.t0
-    return run.speed * tau + 0.5 * run.acceleration * tau * tau
+    rail, tau = w.rail, t - w.step.t0
+    return rail.speed * tau + 0.5 * rail.acceleration * tau * tau

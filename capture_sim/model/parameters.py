@@ -94,14 +94,14 @@ def loads(scene: Scene, vehicle: str) -> np.ndarray:
     """
     assert scene.supports is not None
     if vehicle == "chaser":
-        support, mass, ahead = (
+        support, mass, com_offset = (
             scene.supports.chaser,
             scene.chaser_total_mass,
             chaser_com_offset(scene),
         )
     else:
-        support, mass, ahead = scene.supports.target, scene.target.mass, 0.0
-    return ball_loads(np.array(support.balls), mass * scene.gravity, ahead, 0.0)
+        support, mass, com_offset = scene.supports.target, scene.target.mass, 0.0
+    return ball_loads(np.array(support.balls), mass * scene.gravity, com_offset, 0.0)
 
 
 def _limits(support: BallSupport, load: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ def mean_length(scene, t_end, order, **settings):
     while ends[-1] < t_end:
         # just behind the present step lies the next one
         bench.advance([np.nextafter(ends[-1], np.inf)])
-        ends.append(float(bench._run["t1"]))
+        ends.append(float(bench._record["step"]["t1"]))
     h = np.diff(ends)
     return (np.sum(h ** (order + 1)) / h.sum()) ** (1.0 / order)
 

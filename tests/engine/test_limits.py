@@ -130,3 +130,23 @@ def test_ledger_closes_at_the_slowest_approach(speed, t_end):
     assert len(bench.touches) > 0
     # 9e-9 and 1.5e-6 of the energy; with the floor 9.5 % at 1e-7 m/s
     assert np.abs(samples["energy_residual"]).max() < 1e-5 * samples["kinetic"].max()
+
+
+def test_a_tip_that_is_latched_while_it_sticks_is_not_solved_for_sticking_any_more():
+    """The walls let go of it, and with them friction; each step costs its own evaluations."""
+    bench = Bench(
+        load_scene(
+            "paper_designed",
+            [
+                *("friction.law=coulomb", "friction.mu=1.5", "initial.target.y=0.03"),
+                "latch={radius: 0.0470193, stiffness: 2.0e+4, damping: 80}",
+                "run.after_latch=0.01",
+            ],
+        )
+    )
+    bench.advance(np.array([0.064]))
+    assert [event.kind.label for event in bench.events[-3:]] == ["stick", "lift_off", "latched"]
+    before = bench.statistics
+    bench.advance([])
+    steps, rejected, evaluations = np.subtract(bench.statistics, before)
+    assert evaluations <= 16 * (steps + rejected)

@@ -1,0 +1,113 @@
+"""What must hold between the groups of the engine's record, checked between its segments.
+
+Only where the kernels run as plain Python (``NUMBA_DISABLE_JIT=1``): ``install`` puts the checks
+round the functions that plan and close a segment.
+"""
+
+import functools
+import math
+
+import numpy as np
+
+from capture_sim.engine import loop
+from capture_sim.engine.state import NO_EVENT, Segment, Status
+from capture_sim.engine.steps import distances
+from capture_sim.model.contact import COULOMB
+from capture_sim.model.equations import IMPULSE, N_TOTAL, NO_TOUCH, rate_of_change
+from capture_sim.samples import EventKind
+
+
+def check_touches(w):
+    mode, t0 = w.system.mode, w.step.t0
+    for touch in mode.touch:
+        if not touch.on:
+            assert touch == NO_TOUCH[0], f"of a touch that is over remains {touch}"
+            continue
+        assert not mode.latched
+        assert touch.start <= t0
+        assert abs(touch.direction) == 1.0
+        assert touch.sticking == 0 or w.system.par.friction_law == COULOMB
+        assert touch.largest_rate >= touch.approach_speed >= 0.0
+        assert touch.start <= touch.peak_time <= t0
+        assert touch.peak_force >= touch.force >= 0.0
+        assert touch.chi >= 0.0
+
+
+def check_between_segments(w):
+    """After a segment has been closed: the state at t0 and all that is said to belong to it."""
+    step, stepper, rail, totals = w.step, w.stepper, w.rail, w.totals
+    mode, par = w.system.mode, w.system.par
+    check_touches(w)
+    assert np.all(totals.extreme_time <= step.t0)
+    assert not (rail.taut and not rail.on)
+    assert not (mode.rest_S and np.any(stepper.y[8:11]))
+    assert not (mode.rest_T and np.any(stepper.y[13:16]))
+    if rail.on:
+        return
+    if step.start_measured:
+        *known, tip_speed = distances(stepper.y, par)
+        assert np.array_equal(step.start.gap, known[0::2])
+        assert np.array_equal(step.start.gap_rate, known[1::2])
+        assert step.start.tip_speed == tip_speed
+    if not step.equations_changed and not any(touch.sticking for touch in mode.touch):
+        # a force that has been found by events is known to their rounding only
+        f = np.zeros(N_TOTAL)
+        rate_of_change(step.t0, stepper.y, f, w.system)
+        assert np.array_equal(stepper.K[stepper.stages], f)
+        for i in range(2):
+            if mode.touch[i].on:
+                assert mode.touch[i].force == f[IMPULSE + i]
+
+
+def check_planned(w):
+    """After a segment has been planned: it lies ahead, and its event can happen."""
+    step, event, mode = w.step, w.event, w.system.mode
+    assert step.segment == (Segment.RAIL if w.rail.on else Segment.STEP)
+    assert step.t1 >= step.t0
+    if event.kind == NO_EVENT:
+        return
+    assert math.isfinite(step.t1)
+    kind, which = EventKind(event.kind), event.which
+    resting = (mode.rest_S, mode.rest_T)
+    possible = {
+        EventKind.TOUCH: lambda: not mode.touch[which].on and not mode.latched,
+        EventKind.LIFT_OFF: lambda: mode.touch[which].on,
+        EventKind.STICK: lambda: mode.touch[which].on,
+        EventKind.MOVING: lambda: resting[which],
+        EventKind.AT_REST: lambda: w.rail.on or not resting[which],
+        EventKind.LATCHED: lambda: not mode.latched,
+        EventKind.STOP_HIT: lambda: mode.stop == 0,
+        EventKind.STOP_LEFT: lambda: mode.stop == which,
+        EventKind.LANDED: lambda: w.rail.taut,
+        EventKind.RAIL_END: lambda: w.rail.on and not w.rail.taut,
+        EventKind.END: lambda: step.t1 == w.progress.t_stop,
+    }
+    assert possible[kind]()
+
+
+def check_ended(w):
+    assert w.progress.done
+    assert w.step.segment == Segment.NONE
+    assert not any(touch.on for touch in w.system.mode.touch)
+
+
+def install():
+    """Put the checks into the loop, for the whole process."""
+
+    def followed_by(check, name):
+        function = getattr(loop, name)
+
+        @functools.wraps(function.py_func)
+        def checked(w, *rest):
+            result = function(w, *rest)
+            if result is None or result == Status.SERVED:
+                check(w)
+            return result
+
+        setattr(loop, name, checked)
+
+    for name in ("close_step", "close_rail"):
+        followed_by(check_between_segments, name)
+    for name in ("plan_step", "plan_rail"):
+        followed_by(check_planned, name)
+    followed_by(check_ended, "end_run")
