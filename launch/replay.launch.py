@@ -22,7 +22,6 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "start", default_value="0.0", description="begin so many seconds later"
             ),
-            DeclareLaunchArgument("loop", default_value="false", choices=["true", "false"]),
             DeclareLaunchArgument("paused", default_value="false", choices=["true", "false"]),
             DeclareLaunchArgument(
                 "detect",
@@ -45,7 +44,6 @@ def nodes(context):
         "bag": argument("bag"),
         "rtf": number("rtf", argument("rtf"), FASTEST),
         "start": number("start", argument("start")),
-        "loop": argument("loop") == "true",
         "paused": argument("paused") == "true",
     }
     followers = []

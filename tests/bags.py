@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import yaml
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -47,3 +48,26 @@ def later(topic, data):
 def of_a_bench(source, path, topics=STANDARD):
     """Copy some topics, late by WALL, by their stamps as well."""
     return copied(source, path, topics=topics, late=WALL, change=later)
+
+
+def in_two_files(source, folder, at):
+    """Copy a recording into a bag's folder of two files, as rosbag2 splits it at a log time, s."""
+    folder.mkdir()
+    names = [f"{folder.name}_{part}.mcap" for part in range(2)]
+    with source.open("rb") as read:
+        stored = [(c.topic, s, c, m) for s, c, m in make_reader(read).iter_messages()]
+    for name, early in zip(names, (True, False), strict=True):
+        with (folder / name).open("wb") as write:
+            writer = Writer(write, chunk_size=100_000)
+            writer.start(profile="ros2")
+            ids = {}
+            for topic, schema, channel, message in stored:
+                if (message.log_time < at * 1e9) is early:
+                    if topic not in ids:
+                        kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        ids[topic] = writer.register_channel(topic, "cdr", kind, channel.metadata)
+                    writer.add_message(ids[topic], message.log_time, message.data, message.log_time)
+            writer.finish()
+    listed = {"rosbag2_bagfile_information": {"relative_file_paths": names}}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(listed))
+    return folder

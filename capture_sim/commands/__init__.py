@@ -28,7 +28,7 @@ GROUPS = {
         "detect": "judge a recorded run anew, with other limits if wanted",
         "compare": "hold two recordings against each other, as measured and simulated",
         "resimulate": "simulate a recorded run again and compare state by state",
-        "recover": "save what is whole in a damaged recording",
+        "recover": "copy a damaged recording up to the damage",
     },
     "study": {
         "identify": "fit parameters of the bench to a recorded run",

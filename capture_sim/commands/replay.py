@@ -14,9 +14,9 @@ from capture_sim.recording.playback import Playback
 from capture_sim.scene.quantities import Range
 
 DESCRIPTION = (
-    "Play a recording with ROS 2: the recorded bytes with their timing and quality of service, "
-    "on the caller's ROS_DOMAIN_ID. While it plays, the services /player/pause, /player/resume "
-    "and /player/play_next (std_srvs/Trigger) control it."
+    "Play a recording with ROS 2: the recorded bytes with their timing, on the caller's "
+    "ROS_DOMAIN_ID. While it plays, the services /player/pause and /player/resume "
+    "(std_srvs/Trigger) and those of simulation_interfaces control it."
 )
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
@@ -28,13 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
     parser.add_argument(
         "--rtf",
-        "--rate",
         type=number(FACTORS),
         default=1.0,
         metavar="FACTOR",
         help="real-time factor, up to 1000; 0 plays as fast as it goes (default: 1)",
     )
-    parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(
         "--start",
         type=number(Range(0.0, 1e9)),
@@ -56,14 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     if not Path(options.recording).exists():
         raise RecordingError(f"{options.recording}: no such file or folder")
     Playback(Path(options.recording))  # what cannot be played is refused before a node starts
     parameters: dict[str, Any] = {
         "bag": str(options.recording),
         "rtf": options.rtf,
-        "loop": options.loop,
         "start": options.start,
         "paused": options.paused,
     }

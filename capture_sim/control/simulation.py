@@ -191,7 +191,7 @@ class SimulationControl:
         """
         with self.changed:
             if not self.resets:
-                text = "there is no reset: start it again, or let it loop"
+                text = "there is no reset: start the replay again"
                 return _answered(Code.FEATURE_UNSUPPORTED, text)
             if self._state is State.QUITTING:
                 return _answered(Code.INCORRECT_STATE, "already quitting")

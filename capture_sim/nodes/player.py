@@ -1,4 +1,4 @@
-"""The node that plays a recording again: same bytes, same timing, same quality of service."""
+"""The node that plays a recording: same bytes, same timing, and no faster than its consumers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from capture_sim.control.pacing import FACTORS, Pacer
@@ -17,7 +16,6 @@ from capture_sim.control.simulation import Request, SimulationControl, State
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
-    CLOCK,
     LAUNCHER,
     RUN_INFO,
     SIMULATOR,
@@ -32,7 +30,7 @@ from capture_sim.nodes.participant import RECORDER
 from capture_sim.nodes.process import run
 from capture_sim.nodes.services import SimulationServices
 from capture_sim.nodes.start import FAILED, OK
-from capture_sim.recording.playback import Playback, PlayedTopic, Rewritten, run_id_of
+from capture_sim.recording.playback import Playback, Rewritten, run_id_of
 
 PLAYER = "player"
 #: Nodes that can take part.
@@ -48,6 +46,7 @@ CLOSING_TIME, LAST = 60.0, 1.0
 class PlayerNode(BenchNode):
     """Publishes the serialised messages of a recording.
 
+    Topics of the bench have their own quality of service, others are reliable and volatile.
     Types that are not installed are left out with a warning.  Nodes of the bench that are
     named as consumers take part in the played run as in the simulator's: they are awaited
     at the start and never outrun, and what they publish themselves is not played.
@@ -67,7 +66,6 @@ class PlayerNode(BenchNode):
             low=FACTORS.low,
             high=FACTORS.high,
         )
-        self._loop = self.declare("loop", False, "play again and again")
         self._offset = self.declare(
             "start", 0.0, "s after the recording's start, to begin at", low=0.0, high=1e9
         )
@@ -85,18 +83,11 @@ class PlayerNode(BenchNode):
         self._delay = self.declare(
             "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
         )
-        self._clock_rate = self.declare(
-            "clock_rate",
-            100.0,
-            "Hz, of /clock where the recording has none; 0 none",
-            low=0.0,
-            high=1e4,
-        )
         self._playback = Playback(path)
         length = (self._playback.end - self._playback.start) / 1e9
         if self._offset > length:
             raise ParameterError(
-                f"parameter start = {self._offset:g} s: must be 0 to {length:g}, "
+                f"parameter start = {self._offset:g} s: must be 0 to {length:g} s, "
                 "the recording's length"
             )
         self._played = self._chosen(wanted)
@@ -104,8 +95,8 @@ class PlayerNode(BenchNode):
             topic_named(name) is RUN_INFO and self._playback.counts[name] for name in self._played
         ):
             raise ParameterError(
-                f"parameter consumers = {self._consumers!r}: must be empty: the "
-                f"replay contains no {RUN_INFO.name}, so no node can join"
+                f"parameter consumers = {self._consumers!r}: must be empty: the replay contains "
+                f"no {RUN_INFO.name}, so no node can join"
             )
         self._control = SimulationControl(
             State.PAUSED if paused else State.PLAYING,
@@ -115,18 +106,13 @@ class PlayerNode(BenchNode):
         )
         self._outlets: dict[str, Callable[..., None]] = {}
         for name in self._played:
-            self._open(self._playback.topics[name])
+            self._open(name, self._playback.types[name])
         own = [topic for topic in map(topic_named, self._outlets) if topic in self._senders]
         played = {SIMULATOR, LAUNCHER, *ROLES} - set(self._consumers)
         self._barrier = Barrier(self, self._consumers, own, played, self._control.check)
-        self._ticker = None
-        self._ticked = -1  # ns, of the clock that was published last
-        if CLOCK.name not in self._outlets and self._clock_rate > 0.0:
-            self._ticker = self.create_publisher(Clock, CLOCK.name, 10)
         for name, action in (
             ("pause", lambda: self._control.set_state(State.PAUSED)),
             ("resume", lambda: self._control.set_state(State.PLAYING)),
-            ("play_next", lambda: self._control.step(1)),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
         self._served = SimulationServices(self, self._control, INFO)
@@ -135,13 +121,13 @@ class PlayerNode(BenchNode):
 
     def _chosen(self, wanted: Sequence[str]) -> list[str]:
         """Return the names of the topics that are played."""
-        there = self._playback.topics
+        there = self._playback.types
         names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(there)
         unknown = [name for name in names if name not in there]
         if unknown:
             raise ParameterError(
                 f"parameter topics = {list(wanted)!r}: {', '.join(unknown)} not in the recording; "
-                f"must be among {', '.join(sorted(there))}"
+                f"must be one of {', '.join(sorted(there))}"
             )
         own = {
             topic.absolute_name
@@ -151,21 +137,19 @@ class PlayerNode(BenchNode):
         }
         return [name for name in names if name not in own]
 
-    def _open(self, played: PlayedTopic) -> None:
+    def _open(self, name: str, type_name: str) -> None:
         try:
-            kind = message_class(played.type_name)
+            kind = message_class(type_name)
         except (ImportError, AttributeError, ValueError):
-            self.get_logger().warning(
-                f"{played.name}: type {played.type_name} is not installed; it is not played"
-            )
+            self.get_logger().warning(f"{name}: type {type_name} is not installed: not played")
             return
-        topic = topic_named(played.name)
-        if topic is not None and topic.type_name == played.type_name:
+        topic = topic_named(name)
+        if topic is not None and topic.type_name == type_name:
             self.open((topic,))
-            self._outlets[played.name] = lambda data, last, t=topic: self.send(t, data, latch=last)
+            self._outlets[name] = lambda data, last, t=topic: self.send(t, data, latch=last)
             return
-        publisher = self.create_publisher(kind, played.name.lstrip("/"), qos_from(played.qos))
-        self._outlets[played.name] = lambda data, last: publisher.publish(data)
+        publisher = self.create_publisher(kind, name.lstrip("/"), QoSProfile(depth=1000))
+        self._outlets[name] = lambda data, last: publisher.publish(data)
 
     def _serving(self, ask: Callable[[], Request]) -> Any:
         def serve(_: Any, response: Any) -> Any:
@@ -180,107 +164,61 @@ class PlayerNode(BenchNode):
 
     def work(self) -> int:
         """Play; return the exit status."""
-        for name, encoding in self._playback.left_out.items():
-            self.get_logger().warning(f"{name}: messages encoded as {encoding!r} are not played")
+        for name, reason in self._playback.left_out.items():
+            self.get_logger().warning(f"{name}: not played: {reason}")
         for line in self._playback.damage:
-            self.get_logger().warning(f"{line}; what is whole is played")
-        status = OK
-        turn = 0
+            self.get_logger().warning(line)
         try:
-            while True:
-                count = self._play(f"/{turn + 1}" if turn else "")
-                if count == 0:  # another turn would play no more
-                    self.get_logger().error(
-                        "nothing was played: of the topics and times chosen the recording holds no "
-                        "message of an installed type"
-                    )
-                if not count or self.left_behind:
-                    status = FAILED
-                if count == 0:
-                    return status
-                turn += 1
-                if not self._loop:
-                    return status
-        finally:
-            self._served.close()
-
-    def _play(self, suffix: str) -> int | None:
-        """Play once; return how many messages were played, None when others were not ready."""
-        skipped = self._playback.skipped(self._offset, self._outlets)
-        rewrite = Rewritten(suffix, self._consumers, skipped)
-        name = self._playback.path.name
-        count: Counter[str] = Counter()
-        stamp = self._playback.start
-        self._control.begin()
-        try:
-            if self._consumers:
-                self._barrier.wait(name, self._barrier.all_there, self._patience)
-            elif not suffix:
-                time.sleep(self._delay)
-            self._control.pacer.reset()
-            for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
-                self._control.tick((stamp - self._playback.start) / 1e9)
-                self._tick(stamp)
-                sent = rewrite(topic, data)
-                if sent is None:
-                    continue
-                count[topic] += 1
-                self._outlets[topic](sent, count[topic] == self._playback.counts[topic])
-                if topic_named(topic) is RUN_INFO:
-                    self._barrier.begin(run_id_of(sent))
-                    self.drain(self.reader_timeout, [RUN_INFO])
-            # counted from before the others close their files
-            spent = max(self._control.pacer.wall, 1e-9)
-            self._control.pacer.hold()
-            self.drain(CLOSING_TIME if self._consumers else LAST)
-            if self._consumers:
-                self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
+            count = self._play()
         except CaptureSimError as error:
             self.get_logger().error(str(error))
-            return None
+            return FAILED
         finally:
             self._control.end()
+            self._served.close()
+        if count == 0:
+            self.get_logger().error(
+                "nothing was played: of the topics and times chosen the recording contains no "
+                "message of an installed type"
+            )
+        return FAILED if count == 0 or self.left_behind else OK
+
+    def _play(self) -> int:
+        """Play; return how many messages were played."""
+        skipped = self._playback.skipped(self._offset, self._outlets)
+        rewrite = Rewritten(self._consumers, skipped)
+        name = self._playback.path.name
+        count: Counter[str] = Counter(skipped)
+        stamp = self._playback.start
+        self._control.begin()
+        if self._consumers:
+            self._barrier.wait(name, self._barrier.all_there, self._patience)
+        else:
+            time.sleep(self._delay)
+        self._control.pacer.reset()
+        for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
+            self._control.tick((stamp - self._playback.start) / 1e9)
+            sent = rewrite(topic, data)
+            if sent is None:
+                continue
+            count[topic] += 1
+            self._outlets[topic](sent, count[topic] == self._playback.counts[topic])
+            if topic_named(topic) is RUN_INFO:
+                self._barrier.begin(run_id_of(sent))
+                self.drain(self.reader_timeout, [RUN_INFO])
+        # measured before the others close their files
+        spent = max(self._control.pacer.wall, 1e-9)
+        self._control.pacer.hold()
+        self.drain(CLOSING_TIME if self._consumers else LAST)
+        if self._consumers:
+            self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
         played = (stamp - self._playback.start) / 1e9 - self._offset
+        messages = count.total() - sum(skipped.values())
         self.get_logger().info(
-            f"{count.total()} messages, {played:.2f} s played in {spent:.2f} s "
+            f"{messages} messages, {played:.2f} s played in {spent:.2f} s "
             f"({played / spent:.2f} x real time)"
         )
-        return count.total()
-
-    def _tick(self, stamp: int) -> None:
-        """Publish the clock's time that is due before a message of this stamp, ns."""
-        if self._ticker is None:
-            return
-        due = stamp - stamp % round(1e9 / self._clock_rate)
-        if due != self._ticked:
-            self._ticked = due
-            clock = Clock()
-            clock.clock.sec, clock.clock.nanosec = divmod(due, 1_000_000_000)
-            self._ticker.publish(clock)
-
-
-#: rosbag2 wrote numbers once, and names since version 7 of its metadata.
-_BEST_EFFORT = ("best_effort", 2)
-_TRANSIENT_LOCAL = ("transient_local", 1)
-_KEEP_ALL = ("keep_all", 2)
-
-
-def qos_from(recorded: dict[str, Any]) -> QoSProfile:
-    """Return the quality of service that rosbag2's profile says.
-
-    Without one: reliable, volatile, the last 1000 messages.
-    """
-    if not recorded:
-        return QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-    keep_all = recorded.get("history") in _KEEP_ALL
-    best_effort = recorded.get("reliability") in _BEST_EFFORT
-    latched = recorded.get("durability") in _TRANSIENT_LOCAL
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
-        depth=int(recorded.get("depth") or 10),
-        reliability=(ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
+        return messages
 
 
 main = partial(run, PlayerNode)

@@ -21,7 +21,7 @@ from capture_sim.nodes.node import from_bytes
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.nodes.process import run
-from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.recording.live import LiveRecorder
 from capture_sim.scene.parts import Scene
 
 #: Messages of others that come before a run is announced here are kept for it, at most so many.
@@ -52,25 +52,6 @@ class RecorderNode(Participant):
         names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(known)
         self._topics = [known[name] for name in names if name in known]
         self._sought = {name for name in names if name not in known}
-        self._split = Split(
-            size=self.declare(
-                "split_size",
-                0,
-                "bytes, then a new file is begun; 0 never",
-                low=0,
-                high=10**15,
-            ),
-            time=self.declare(
-                "split_time",
-                0.0,
-                "s, simulated, after which a new file is begun; 0 never",
-                low=0.0,
-                high=1e9,
-            ),
-            folder=self.declare(
-                "folder", False, "a bag's folder with metadata.yaml, even if it is not split"
-            ),
-        )
         self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._early: list[tuple[Topic, bytes]] = []
@@ -90,7 +71,7 @@ class RecorderNode(Participant):
         del scene
         for name in sorted(self._sought):
             self.get_logger().warning(f"{info.name}: {name} is not recorded: nobody publishes it")
-        self._recorder = LiveRecorder(self._out, topics=self._topics, split=self._split)
+        self._recorder = LiveRecorder(self._out, topics=self._topics)
         self._recorder.paused = self._paused
         self._recorder.take(RUN_INFO, serialize_message(info))
         early, self._early = self._early, []

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from capture_sim.errors import MessageError, RecordingError
-from capture_sim.files import file_name, free_path, whole_file
+from capture_sim.files import file_name, free_path
 from capture_sim.messages.cdr import sequence_of, stamp_of
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import decoded
@@ -24,7 +24,6 @@ from capture_sim.messages.topics import (
     TOPICS,
     Topic,
 )
-from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER, bag_metadata, dump
 from capture_sim.recording.completeness import Completeness, TopicCount
 from capture_sim.recording.write import RunWriter
 
@@ -40,113 +39,29 @@ WRITE_PERIOD = 0.05
 STALL_LIMIT = 10.0
 
 
-@dataclass(frozen=True)
-class Split:
-    """When a new file is begun."""
+def open_new(
+    directory: Path, run: RunDescription, metadata: Mapping[str, str], topics: Sequence[Topic]
+) -> RunWriter:
+    """Open ``<directory>/<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
 
-    size: int = 0  # bytes in the file; 0 for no bound
-    time: float = 0.0  # s, from its first message to its last; 0 for no bound
-    # lay the recording out as a bag's folder, even if no new file is ever begun
-    folder: bool = False
-
-    def __bool__(self) -> bool:
-        return self.folder or self.size > 0 or self.time > 0.0
-
-
-class RecordingFiles:
-    """Writes a run to ``<directory>/<name>.mcap``, or split to a folder ``<directory>/<name>``.
-
-    A folder holds ``<name>_0.mcap``, ``<name>_1.mcap`` ... and ``metadata.yaml``, as rosbag2
-    lays out a bag.  What exists is never overwritten: ``<name>_2`` is taken instead.  The files
-    have their names from the beginning, so that what a kill leaves is where it is looked for.
-
-    Parameters
-    ----------
-    directory
-        Where the recording goes.
-    run, metadata, topics
-        As of :class:`~capture_sim.recording.write.RunWriter`.
-    split
-        When a new file is begun.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be written, here or later.
+    A live recording has its name from the beginning, so that what a kill leaves is where one
+    looks for it.
     """
-
-    def __init__(
-        self,
-        directory: Path,
-        run: RunDescription,
-        metadata: Mapping[str, str],
-        topics: Sequence[Topic],
-        split: Split,
-    ) -> None:
-        self._run, self._metadata, self._topics, self._split = run, metadata, topics, split
-        self._stem = file_name(run.name)
-        self._finished: list[RunWriter] = []
-        wanted = directory / (self._stem if split else f"{self._stem}.mcap")
-        while True:
-            #: The file, or the folder.
-            self.path = free_path(wanted)
-            try:
-                if split:
-                    self.path.mkdir(parents=True)
-                self._writer = self._open()
-                break
-            except (OSError, RecordingError) as error:
-                taken = isinstance(error.__cause__ or error, FileExistsError)
-                if taken and os.path.lexists(self.path):
-                    continue  # another recorder was faster
-                if isinstance(error, RecordingError):
-                    raise
-                reason = error.strerror or error
-                raise RecordingError(f"{self.path}: cannot write: {reason}") from None
-
-    def write(self, topic: Topic, data: bytes, time: int | None) -> None:
-        """Write a serialised message, into a new file when it is time for one."""
-        size, span = self._split.size, self._split.time
-        if (size and self._writer.size >= size) or (span and self._writer.span >= span):
-            self._writer.close()
-            self._finished.append(self._writer)
-            self._writer = self._open()
-        self._writer.write(topic, data, time)
-
-    def flush(self) -> None:
-        """Hand what waits to the operating system."""
-        self._writer.flush()
-
-    def close(self, closing: Mapping[str, str]) -> None:
-        """Write what is known at the end, index and summary; ``metadata.yaml`` of a folder."""
-        self._writer.closing.update(closing)
-        self._writer.close()
-        if not self._split:
-            return
-        parts = [*self._finished, self._writer]
-        whole = {IN_FOLDER: bag_metadata([part.bag for part in parts], self._writer.run_id)}
-        with whole_file(self.path / FILE_NAME) as file:
-            file.write_text(dump(whole), encoding="utf-8")
-
-    def give_up(self) -> None:
-        """Close the file as far as that is possible."""
-        with suppress(Exception):  # the file is as whole as it can be
-            self._writer.close()
-
-    def _open(self) -> RunWriter:
-        path, metadata = self.path, self._metadata
-        if self._split:
-            number = len(self._finished)
-            path = self.path / f"{self._stem}_{number}.mcap"
-            metadata = {**metadata, "part": str(number)}
-        return RunWriter(path, self._run, metadata, topics=self._topics)
+    while True:
+        path = free_path(directory / f"{file_name(run.name)}.mcap")
+        try:
+            return RunWriter(path, run, metadata, topics=topics)
+        except RecordingError as error:
+            if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
+                raise
+            # another recorder was faster
 
 
 @dataclass(frozen=True)
 class RecordingReport:
     """What came of a recording."""
 
-    # the file, or the folder of files; None when no run was announced, so that nothing was written
+    # the file; None when no run was announced, so that nothing was written
     path: Path | None
     complete: bool  # every publisher has ended its streams and every message came
     topics: Mapping[str, TopicCount]  # messages seen, written, expected and missing, by topic name
@@ -175,8 +90,6 @@ class LiveRecorder:
     topics
         Those that are recorded, of the bench's or others; what is not among them is ignored.
         RunInfo and StreamCounts always are.
-    split
-        When a new file is begun, in a folder ``<directory>/<name>``.
 
     Attributes
     ----------
@@ -185,7 +98,7 @@ class LiveRecorder:
     run : RunDescription or None
         The run that is recorded; None until it is announced.
     path : Path or None
-        The file, or the folder of files; None until the run is announced.
+        The file; None until the run is announced.
 
     Raises
     ------
@@ -200,14 +113,12 @@ class LiveRecorder:
         queue_bytes: int = QUEUE_BYTES,
         *,
         topics: Sequence[Topic] = TOPICS,
-        split: Split | None = None,
     ) -> None:
         self._directory = Path(directory)
         self._metadata = {"origin": LIVE, **(metadata or {})}
         chosen = {*topics, RUN_INFO, STREAM_COUNTS}
         others = [topic for topic in topics if topic not in TOPICS]
         self._topics = (*(topic for topic in TOPICS if topic in chosen), *others)
-        self._split = split or Split()
         self._completeness = Completeness(topics=self._topics)
         self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
@@ -281,8 +192,8 @@ class LiveRecorder:
             run = RunDescription.of_message(info)
             self._simulated = SIMULATOR in run.publishers
             first = (RUN_INFO, data, self._log_time(RUN_INFO, data))
-            files = (self._directory, run, self._metadata, self._topics, self._split)
-            self.path = self._queue.begin(first, *files)
+            where = (self._directory, run, self._metadata, self._topics)
+            self.path = self._queue.begin(first, *where)
             self._completeness.add(RUN_INFO, None)
             self.run = run
             self._completeness.publishers = run.publishers
@@ -309,7 +220,7 @@ _Waiting = tuple[Topic, bytes, int | None]
 
 
 class _WriteQueue:
-    """Hands messages to the files in a thread of its own, in batches, in bounded memory.
+    """Hands messages to the file in a thread of its own, in batches, in bounded memory.
 
     The thread looks every :data:`WRITE_PERIOD` instead of being woken by each message: at 1 kHz
     the waking costs more than the writing.  What it fails by is raised by every later call.
@@ -324,17 +235,17 @@ class _WriteQueue:
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
 
-    def begin(self, first: _Waiting, *files: Any) -> Path:
-        """Open the files and start writing: the first message, then what waits; return where."""
+    def begin(self, first: _Waiting, *where: Any) -> Path:
+        """Open the file and start writing: the first message, then what waits; return its path."""
         try:
-            opened = RecordingFiles(*files)
+            writer = open_new(*where)
         except RecordingError as error:
             self._error = error
             raise
         self._waiting.insert(0, first)
-        self._thread = threading.Thread(target=self._work, args=(opened,), daemon=True)
+        self._thread = threading.Thread(target=self._work, args=(writer,), daemon=True)
         self._thread.start()
-        return opened.path
+        return writer.path
 
     def put(self, *message: *_Waiting) -> None:
         """Append a message; waits while the queue is full."""
@@ -366,7 +277,7 @@ class _WriteQueue:
         if self._error is not None:
             raise self._error
 
-    def _work(self, files: RecordingFiles) -> None:
+    def _work(self, writer: RunWriter) -> None:
         flushed = time.monotonic()
         try:
             while self._closing is None or self._waiting:
@@ -376,17 +287,19 @@ class _WriteQueue:
                     self._bytes = 0
                     self._lock.notify_all()
                 for message in batch:
-                    files.write(*message)
+                    writer.write(*message)
                 if time.monotonic() - flushed > FLUSH_PERIOD:
-                    files.flush()
+                    writer.flush()
                     flushed = time.monotonic()
-            files.close(self._closing or {})
+            writer.closing.update(self._closing or {})
+            writer.close()
         except Exception as error:  # whatever it is, the callers of put() must learn of it
-            files.give_up()
+            with suppress(Exception):  # the file is as whole as it can be
+                writer.close()
             with self._lock:
                 self._error = (
                     error
                     if isinstance(error, RecordingError)
-                    else RecordingError(f"{files.path}: {type(error).__name__}: {error}")
+                    else RecordingError(f"{writer.path}: {type(error).__name__}: {error}")
                 )
                 self._lock.notify_all()

@@ -103,8 +103,9 @@ def is_simulated(path: Path) -> bool:
         for found in scan(data, 1.0):
             if isinstance(found, Damage) or found.messages:
                 break
-            if isinstance(found.record, Metadata) and found.record.name == RUN_METADATA:
-                return found.record.metadata.get("origin") == SIMULATED
+            for entry in found.entries:
+                if isinstance(entry, Metadata) and entry.name == RUN_METADATA:
+                    return entry.metadata.get("origin") == SIMULATED
     return False
 
 

@@ -33,7 +33,7 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.completeness import Completeness
-from capture_sim.recording.contents import CDR, Contents, read_contents
+from capture_sim.recording.contents import Contents, read_contents
 from capture_sim.recording.scan import UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
@@ -57,12 +57,11 @@ _ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
 def read_run(path: Path | str, ratio: float = UNPACKED_RATIO) -> Run:
-    """Read a recorded run, a file or the folder of a split one; checksums are checked.
+    """Read a recorded run, a file or a bag's folder; checksums are checked.
 
     It may be a bag of a real bench with the same topics: what is not in it is empty.
-    A file whose recorder was killed is read as far as its records are complete, and
-    marked by ``complete`` and ``damage``.  Messages come in the order of their log times,
-    in whatever order they stand in the file.
+    A file that was cut or damaged is read up to there, and marked by ``complete`` and
+    ``damage``.  Messages are sorted by their log times.
 
     Parameters
     ----------
@@ -74,8 +73,7 @@ def read_run(path: Path | str, ratio: float = UNPACKED_RATIO) -> Run:
     Raises
     ------
     RecordingError
-        The file cannot be read, is no MCAP file, is damaged inside, or unpacks to more than
-        is allowed.
+        The file cannot be read or is not an MCAP file.
     """
     path = Path(path)
     return Run(path, read_contents(path, ratio))
@@ -89,7 +87,7 @@ class Run:
     path
         The file.
     damage
-        Why the file could not be read to its end; empty when it could.
+        A line for each file that could not be read to its end; empty if there is none.
     """
 
     def __init__(self, path: Path, contents: Contents) -> None:
@@ -106,21 +104,14 @@ class Run:
     @property
     def problems(self) -> tuple[str, ...]:
         """One line for everything that is wrong with the recording; empty when complete."""
-        damage = (self.damage,) if self.damage else ()
-        noted = self._contents.metadata.get(RECOVERY_METADATA, {})
-        recovery = [
-            f"{word}: {line}"
-            for word, name in (("not recovered", "lost"), ("unconfirmed", "unconfirmed"))
-            for line in noted.get(name, "").splitlines()
-        ]
-        return (*damage, *recovery, *self.missing)
+        lost = self._contents.metadata.get(RECOVERY_METADATA, {}).get("lost", "")
+        return (*self.damage, *(f"not recovered: {x}" for x in lost.splitlines()), *self.missing)
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """One line for every topic whose messages cannot be read, as they are not CDR."""
+        """One line for every topic that is left out."""
         return tuple(
-            f"{topic}: messages encoded as {encoding!r} are left out: read is {CDR}"
-            for topic, encoding in self._contents.left_out.items()
+            f"{topic}: left out: {reason}" for topic, reason in self._contents.left_out.items()
         )
 
     @cached_property
@@ -132,7 +123,7 @@ class Run:
             if (topic := topic_named(name)) and self._contents.types[name] == topic.type_name
         }
         # when the recording was cut, their counts are missing too
-        publishers = () if self.damage else self._publishers
+        publishers = self._publishers if self._contents.has_verified_end else ()
         completeness = Completeness(publishers, list(recorded))
         for topic, messages in recorded.items():
             for data in messages:
@@ -173,10 +164,9 @@ class Run:
     @property
     def metadata(self) -> dict[str, str]:
         """How the run was made: run_id, name, scene_sha256, software, rates."""
-        stored = self._contents.metadata.get(RUN_METADATA)
-        if stored is None:
-            return {} if self.announced is None else describing(self.announced)
-        return dict(stored)
+        stored = self._contents.metadata.get(RUN_METADATA, {})
+        # unlike a metadata record, a message has a checksum in every file
+        return {**stored, **({} if self.announced is None else describing(self.announced))}
 
     @property
     def name(self) -> str:
@@ -205,7 +195,7 @@ class Run:
 
     def _known_at_end(self, name: str, parse: Callable[[str], _T], otherwise: str) -> _T | None:
         text = self._contents.metadata.get(END_METADATA, {}).get(name)
-        if text is None:
+        if text is None or not self._contents.has_verified_end:
             return None
         try:
             return parse(text)
@@ -226,13 +216,13 @@ class Run:
         RecordingError
             The file holds none.
         """
+        if self.announced is not None:
+            return self.announced.scene
         if SCENE_ATTACHMENT in self._contents.attachments:
             try:
                 return self._contents.attachments[SCENE_ATTACHMENT].decode()
             except UnicodeDecodeError:
                 raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is no text") from None
-        if self.announced is not None:
-            return self.announced.scene
         raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}")
 
     @cached_property

@@ -1,77 +1,47 @@
-"""What is whole in an MCAP file, in its order, and where it is damaged.
-
-Everything is checked that carries a checksum, and within bounds.  The library's indexed readers
-need the index at the file's end, which a killed recorder never wrote; its sequential one stops at
-the first damage.
-"""
+"""The records of an MCAP file up to the first damage, checked, and unpacked within bounds."""
 
 from __future__ import annotations
 
 import mmap
-import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Metadata,
-    Schema,
-)
-from mcap.summary import Summary
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import RecordingError, one_line
 
 #: A file may unpack to so many times its size, and to UNPACKED_LEAST bytes in any case; the
 #: bench's own recordings unpack to about five times.
 UNPACKED_RATIO = 100.0
 UNPACKED_LEAST = 64 * 1024 * 1024
-#: Bytes that a message takes in memory beside its own.
+#: Bytes that a message needs in memory besides its own.
 _MESSAGE_COST = 100
-#: Opcodes from here on are anybody's own, and passed over.
-_PRIVATE = 0x80
+#: Log times from here on (ns) do not fit into ROS's clock.
+_TIME_LIMIT = 1 << 63
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time (ns)
-_CHUNK = struct.Struct("<QQQII")  # first and last time, size, checksum, length of a name
-_SIZE = struct.Struct("<Q")
-_CRC = struct.Struct("<I")
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length, places of summary and offsets, checksum
-# opcode of a chunk, and a length below 4 GB; looked ahead, so that hits may overlap
-_CHUNK_HEAD = re.compile(rb"(?=\x06[\s\S]{4}\x00\x00\x00\x00)")
 
-_READ: Mapping[int, Any] = {
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.CHUNK: Chunk,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.METADATA: Metadata,
-    Opcode.DATA_END: DataEnd,
-}
-_PASSED_OVER = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
 #: A message: channel, log time (ns), bytes, publish time (ns), sequence.  The library's ``Message``
 #: takes several times as long to make.
-Stored = tuple[int, int, bytes, int, int]
+StoredMessage = tuple[int, int, bytes, int, int]
 #: What parsing of a damaged record may raise.
 _DAMAGE = (
     McapError,
     struct.error,
-    UnicodeDecodeError,
     ValueError,
     MemoryError,
     OverflowError,
@@ -80,41 +50,34 @@ _DAMAGE = (
 )
 
 
-class Whole(NamedTuple):
-    """A whole record, and what a chunk holds; None for a kind that nothing is taken from."""
+class Block(NamedTuple):
+    """What a record of the data section contains; a chunk contains several."""
 
-    start: int
-    end: int
-    record: McapRecord | None
-    definitions: Sequence[Schema | Channel] = ()
-    messages: Sequence[Stored] = ()
+    entries: Sequence[Schema | Channel | Attachment | Metadata]
+    messages: Sequence[StoredMessage] = ()
 
 
 class Damage(NamedTuple):
-    """Where a record is not whole, why, and whether the file ends within it."""
+    """Why a file was not read to its end, and what was read of it."""
 
-    start: int
-    why: str
-    cut: bool
+    start: int  # first byte that was not read
+    size: int  # of the file, bytes
+    reason: str
+    messages: int  # messages read
+    written: int | None  # messages written, if the file's index is intact and reports them
+    duration: float  # s, from the first log time to the last that was read
+    in_index: bool  # the data section before it is complete, with the right checksum if it has one
 
-
-class Index(NamedTuple):
-    """What stands at a file's end; ``confirmed``: by a checksum."""
-
-    start: int
-    confirmed: bool
-    summary: Summary
+    def __str__(self) -> str:
+        total = "" if self.written is None else f" of {self.written}"
+        text = f"read up to byte {self.start} of {self.size} ({self.reason}): "
+        text += f"{self.messages}{total} messages"
+        return text + (f", the last {self.duration:.3f} s after the first" if self.messages else "")
 
 
 @contextmanager
 def mapped(path: Path) -> Iterator[mmap.mmap]:
-    """Map an MCAP file into memory.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or is none.
-    """
+    """Map an MCAP file into memory; RecordingError if it cannot be read or is not one."""
     try:
         if not path.is_dir() and not path.stat().st_size:
             raise RecordingError(f"{path}: not an MCAP file")
@@ -126,123 +89,56 @@ def mapped(path: Path) -> Iterator[mmap.mmap]:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
 
 
-def scan(data: mmap.mmap, ratio: float) -> Iterator[Whole | Damage]:
-    """Yield the whole records of a file's data section, and each place where one is not.
+def scan(data: mmap.mmap, ratio: float) -> Iterator[Block | Damage]:
+    """Yield the contents of a file's data section; last its damage, if it has any.
 
-    Behind damage the next whole chunk is looked for byte by byte, since a damaged length leads
-    anywhere; it may lie before the place that the length has led to.
-
-    Parameters
-    ----------
-    data
-        The file.
-    ratio
-        How many times its size it may unpack to.
+    ``ratio`` is how many times its size the file may unpack to.
     """
-    left = int(max(UNPACKED_LEAST, ratio * len(data)))
-    position = sure = len(MCAP0_MAGIC)
-    while True:
-        try:
-            while True:
-                found = _whole(data, position, left)
-                if isinstance(found.record, Chunk):
-                    left -= found.record.uncompressed_size + _MESSAGE_COST * len(found.messages)
-                    if left < 0:
-                        raise ValueError("it unpacks to more than is allowed for the file")
-                yield found
-                position = found.end
-                if isinstance(found.record, Chunk | Attachment):
-                    sure = position  # nothing before it needs another look
-                if isinstance(found.record, DataEnd):
-                    return
-        except _DAMAGE as error:
-            short = len(data) - position - _HEAD.size
-            cut = short < 0 or _HEAD.unpack_from(data, position)[1] > short
-            yield Damage(position, _in_words(error), cut)
-        for match in _CHUNK_HEAD.finditer(data, sure):
-            with suppress(*_DAMAGE):
-                if _may_be_chunk(data, match.start()):
-                    _whole(data, match.start(), left)
-                    position = sure = match.start()
-                    break
-        else:
-            return
+    remaining = int(max(UNPACKED_LEAST, ratio * len(data)))
+    channels: set[int] = set()
+    first, last, count = _TIME_LIMIT, 0, 0
+    end, in_index = len(MCAP0_MAGIC), False
+    try:
+        reader = StreamReader(
+            data, emit_chunks=True, validate_crcs=True, record_size_limit=len(data)
+        )
+        for record in reader.records:
+            in_index = in_index or isinstance(record, DataEnd)
+            if not in_index:
+                block = _block(record, remaining)
+                size = record.uncompressed_size if isinstance(record, Chunk) else 0
+                remaining -= size + _MESSAGE_COST * len(block.messages)
+                if remaining < 0:
+                    raise ValueError("it unpacks to more than is accepted for the file")
+                channels.update(each.id for each in block.entries if isinstance(each, Channel))
+                if block.messages:
+                    times = [message[1] for message in block.messages]
+                    _check(block.messages, times, channels)
+                    first, last = min(first, *times), max(last, *times)
+                    count += len(times)
+                yield block
+            end = data.tell()
+    except _DAMAGE as error:
+        duration = (last - first) / 1e9 if count else 0.0
+        yield Damage(end, len(data), _in_words(error), count, _written(data), duration, in_index)
 
 
-def index_of(data: mmap.mmap) -> Index | None:
-    """Return index and statistics; None where they are damaged or not there."""
-    footer = len(data) - len(MCAP0_MAGIC) - _FOOTER.size
-    if footer < 0 or not ends_with_mark(data):
-        return None
-    opcode, length, start, _, crc = _FOOTER.unpack_from(data, footer)
-    if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _HEAD.size) or start > footer:
-        return None
-    end = footer + _FOOTER.size - _CRC.size
-    if crc and zlib.crc32(memoryview(data)[start or footer : end]) != crc:
-        return None
-    summary = None
-    with suppress(*_DAMAGE):
-        summary = SeekingReader(data, record_size_limit=len(data)).get_summary()
-    return Index(start or footer, bool(crc), summary or Summary())
-
-
-def ends_with_mark(data: mmap.mmap) -> bool:
-    """Whether a file has its end mark."""
-    size = len(MCAP0_MAGIC)
-    return len(data) > size and data[-size:] == MCAP0_MAGIC
-
-
-def data_fit(data: mmap.mmap, end: Whole) -> bool | None:
-    """Whether the data section fits the checksum at its end; None where it carries none."""
-    assert isinstance(end.record, DataEnd)
-    stored = end.record.data_section_crc
-    return zlib.crc32(memoryview(data)[: end.start]) == stored if stored else None
-
-
-def definitions_in(attachment: Attachment) -> list[Schema | Channel]:
-    """Return the types and topics of an attached MCAP file, as far as they are whole."""
-    found, position = [], len(MCAP0_MAGIC)
-    with suppress(*_DAMAGE):
-        while True:
-            position, record = _parsed(attachment.data, position)
-            if isinstance(record, Schema | Channel):
-                found.append(record)
-    return found
-
-
-def _parsed(data: bytes | mmap.mmap, start: int) -> tuple[int, McapRecord | None]:
-    """Return where a record ends, and its content if it is of a kind that is read."""
-    opcode, length = _HEAD.unpack_from(data, start)
-    begin, end = start + _HEAD.size, start + _HEAD.size + length
-    if end > len(data):
-        raise EndOfFile
-    kind = _READ.get(opcode)
-    return end, kind and kind.read(ReadDataStream(BytesIO(data[begin:end])))
-
-
-def _whole(data: mmap.mmap, start: int, limit: int) -> Whole:
-    """Return a record of the data section with what it holds, checked."""
-    end, record = _parsed(data, start)
-    opcode = data[start]
+def _block(record: McapRecord, limit: int) -> Block:
+    """Return what a record contains; at most ``limit`` bytes are unpacked."""
     if isinstance(record, Chunk):
-        return Whole(start, end, record, *_records_in(_unpacked(record, limit)))
-    if isinstance(record, Attachment):
-        (crc,) = _CRC.unpack(data[end - _CRC.size : end])
-        if crc and zlib.crc32(memoryview(data)[start + _HEAD.size : end - _CRC.size]) != crc:
-            raise ValueError(f"attachment {record.name!r}: wrong checksum")
-    elif opcode == Opcode.MESSAGE:  # outside chunks
-        messages = _records_in(data[start:end])[1]
-        return Whole(start, end, None, (), messages)
-    elif record is None and opcode not in _PASSED_OVER and opcode < _PRIVATE:
-        raise ValueError(f"a record of kind {opcode} among the data")
-    return Whole(start, end, record)
+        return _records_in(_unpacked(record, limit))
+    if isinstance(record, Message):
+        fields = (record.channel_id, record.log_time, record.data)
+        return Block((), [(*fields, record.publish_time, record.sequence)])
+    is_used = isinstance(record, Schema | Channel | Attachment | Metadata)
+    return Block((record,) if is_used else ())  # type: ignore[arg-type]
 
 
 def _unpacked(chunk: Chunk, limit: int) -> bytes:
-    """Return the records of a chunk, its size and checksum being right."""
+    """Return the records of a chunk; its size and checksum are right."""
     size = chunk.uncompressed_size
     if size > limit:
-        raise ValueError(f"a chunk unpacks to {size} bytes, more than is allowed for the file")
+        raise ValueError(f"a chunk unpacks to {size} bytes, more than is accepted for the file")
     if chunk.compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
             records = stream.read(size + 1)
@@ -251,47 +147,64 @@ def _unpacked(chunk: Chunk, limit: int) -> bytes:
     elif not chunk.compression:
         records = chunk.data
     else:
-        raise ValueError(f"a chunk's compression {chunk.compression!r} is not known")
+        raise ValueError(f"unknown compression {chunk.compression!r}")
     if len(records) != size:
-        raise ValueError("a chunk unpacks to another size than it says")
+        raise ValueError("a chunk unpacks to another size than its own")
     if chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
         raise ValueError("wrong checksum of a chunk")
     return records
 
 
-def _records_in(data: bytes) -> tuple[list[Schema | Channel], list[Stored]]:
+def _records_in(data: bytes) -> Block:
     """Return definitions and messages of a chunk."""
     definitions: list[Schema | Channel] = []
-    messages: list[Stored] = []
+    messages: list[StoredMessage] = []
     position, end, size = 0, len(data), _MESSAGE.size
-    head, a_message = _MESSAGE.unpack_from, int(Opcode.MESSAGE)
+    head, message_opcode = _MESSAGE.unpack_from, int(Opcode.MESSAGE)
+    kinds = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
     while position < end:
-        if data[position] != a_message:
-            position, record = _parsed(data, position)
-            if isinstance(record, Schema | Channel):
-                definitions.append(record)
-            continue
-        _, length, channel, sequence, log_time, publish_time = head(data, position)
-        start, position = position, position + _HEAD.size + length
-        if position > end or length < size - _HEAD.size:
-            raise EndOfFile
-        body = data[start + size : position]
-        messages.append((channel, log_time, body, publish_time, sequence))
-    return definitions, messages
+        start, opcode = position, data[position]
+        if opcode == message_opcode:
+            _, length, channel, sequence, log_time, publish_time = head(data, start)
+            position = start + _HEAD.size + length
+            if position > end or length < size - _HEAD.size:
+                raise EndOfFile
+            body = data[start + size : position]
+            messages.append((channel, log_time, body, publish_time, sequence))
+        else:
+            _, length = _HEAD.unpack_from(data, start)
+            position = start + _HEAD.size + length
+            if position > end:
+                raise EndOfFile
+            if opcode in kinds:
+                record = BytesIO(data[start + _HEAD.size : position])
+                definitions.append(kinds[opcode].read(ReadDataStream(record)))
+    return Block(definitions, messages)
 
 
-def _may_be_chunk(data: mmap.mmap, at: int) -> bool:
-    """Whether the lengths in a chunk's head fit together; looks at nothing behind it."""
-    _, length = _HEAD.unpack_from(data, at)
-    *_, name = _CHUNK.unpack_from(data, at + _HEAD.size)
-    if name > len("zstd"):
-        return False
-    (size,) = _SIZE.unpack_from(data, at + _HEAD.size + _CHUNK.size + name)
-    return bool(length == _CHUNK.size + name + _SIZE.size + size)
+def _check(messages: Sequence[StoredMessage], times: Sequence[int], channels: set[int]) -> None:
+    if max(times) >= _TIME_LIMIT:
+        raise ValueError(f"log time {max(times)} ns: must be below 2^63 ns")
+    if unknown := {message[0] for message in messages} - channels:
+        raise ValueError(f"a message of unknown channel {min(unknown)}")
+
+
+def _written(data: mmap.mmap) -> int | None:
+    """Return how many messages the index at a file's end reports; None without one."""
+    with suppress(*_DAMAGE, OSError):
+        data.seek(0)
+        summary = SeekingReader(data, record_size_limit=len(data)).get_summary()
+        if summary is not None and summary.statistics is not None:
+            return summary.statistics.message_count
+    return None
 
 
 def _in_words(error: Exception) -> str:
     """Return what is wrong with a record whose parsing raised one of _DAMAGE."""
-    if isinstance(error, struct.error | EndOfFile | OverflowError | MemoryError):
-        return "a length that does not fit"
-    return " ".join(str(error).split())
+    if isinstance(error, EndOfFile | struct.error | OverflowError | MemoryError):
+        return "incomplete record"
+    if isinstance(error, InvalidMagic):
+        return "no end mark"
+    if isinstance(error, CRCValidationError):
+        return "wrong checksum of the data section: a byte outside the chunks is damaged"
+    return one_line(str(error))

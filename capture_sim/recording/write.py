@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
-
-from mcap.writer import IndexType
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import is_device
@@ -21,9 +18,6 @@ from capture_sim.recording.bag_file import BagFile, TopicEntry, dump, qos_profil
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"
-#: Name of the attachment that holds the types and topics again, as an MCAP file of its own:
-#: the first chunk holds them too, and may be damaged.
-DEFINITIONS_ATTACHMENT = "definitions.mcap"
 #: Name of the metadata record that says how the run was made.
 RUN_METADATA = "capture_sim"
 #: Name of the metadata record that is written last, with what is known at the end only.
@@ -35,8 +29,7 @@ RECOVERY_METADATA = "capture_sim_recovery"
 class RunWriter:
     """Writes one run: ``with RunWriter(path, run) as writer: writer.write(topic, data, time)``.
 
-    Scene, description and definitions stand in the file before the first message and survive
-    a kill, with a checksum each.
+    Scene and description precede the first message and so survive a kill.
 
     Parameters
     ----------
@@ -82,11 +75,8 @@ class RunWriter:
             self.bag = BagFile(self._file, name or path.name)
             self._writer = self.bag.writer
             self._writer.add_metadata(RUN_METADATA, {**describing(run), **(metadata or {})})
-            for attached in (
-                (SCENE_ATTACHMENT, "application/yaml", run.scene.encode()),
-                (DEFINITIONS_ATTACHMENT, "application/mcap", _definitions(topics)),
-            ):
-                self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *attached)
+            scene = (SCENE_ATTACHMENT, "application/yaml", run.scene.encode())
+            self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *scene)
             self._channels = {topic: _add(topic, self.bag) for topic in topics}
             self._file.flush()
 
@@ -124,25 +114,9 @@ class RunWriter:
             self._writer.flush()
             if self.closing:
                 self._writer.add_metadata(END_METADATA, self.closing)
-            self.bag.finish(self.run_id)
+            self.bag.finish({"run_id": self._run.run_id})
             self._file.close()
             self._file = None
-
-    @property
-    def run_id(self) -> dict[str, str]:
-        """What a bag's metadata holds of the run."""
-        return {"run_id": self._run.run_id}
-
-    @property
-    def size(self) -> int:
-        """Bytes written so far, the chunk in progress not counted."""
-        return 0 if self._file is None else self._file.tell()
-
-    @property
-    def span(self) -> float:
-        """Time from the first to the last message so far, s."""
-        first, last = self.bag.span or (0, 0)
-        return (last - first) / 1e9
 
     def __enter__(self) -> Self:
         return self
@@ -197,21 +171,3 @@ def _add(topic: Topic, bag: BagFile) -> int:
 @cache
 def _offered(topic: Topic) -> str:
     return dump([qos_profile(topic)])
-
-
-def _definitions(topics: Sequence[Topic]) -> bytes:
-    """Return an MCAP file of types and topics alone, with the ids that the recording has."""
-    file = io.BytesIO()
-    bag = BagFile(
-        file,
-        index_types=IndexType.NONE,
-        repeat_channels=False,
-        repeat_schemas=False,
-        use_chunking=False,
-        use_statistics=False,
-        use_summary_offsets=False,
-    )
-    for topic in topics:
-        _add(topic, bag)
-    bag.writer.finish()
-    return file.getvalue()

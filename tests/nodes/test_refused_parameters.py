@@ -197,7 +197,7 @@ def test_reasons_say_what_is_wrong(bench):
         ("launcher", "speed_tolerance", 0.0, "0.01"),
         ("capture_detector", "min_dwell", -1.0, "min_dwell = -1.0 s: must be >= 0"),
         ("recorder", "out", "elsewhere", "read-only"),
-        ("recorder", "split_time", 1.0, "read-only"),
+        ("recorder", "paused", True, "read-only"),
         ("recorder", "paused", True, "read-only"),
     ):
         assert words in refusal(client, node, name, value), (node, name)

@@ -1,4 +1,4 @@
-"""Trials with damaged recordings: what must be saved of a file that was cut or changed."""
+"""Trials with damaged recordings: what must be read of a file that was cut or changed."""
 
 from __future__ import annotations
 
@@ -61,41 +61,29 @@ def flips(path: Path, count: int, seed: int) -> Iterator[tuple[bytes, int]]:
         yield bytes(changed), at
 
 
-def saved_rightly(
-    broken: Path,
-    chunks: Sequence[KnownChunk],
-    *,
-    cut: int | None = None,
-    flipped: int | None = None,
-) -> str:
-    """Recover a damaged file; return what came of it, or nothing when it was not right.
+def messages_in(path: Path) -> Counter[tuple[str, bytes]]:
+    """Return how often each message is in a file."""
+    run = read_run(path)
+    return Counter((topic, data) for topic in run.topics for data in run.raw(topic))
 
-    Right is: every whole chunk is saved, with the very bytes of its messages, and nothing
-    else; what is lost is told, and again by the new file; a file without a whole chunk is
-    refused.  ``"saved"`` or ``"refused"`` is returned.
+
+def copied_rightly(broken: Path, chunks: Sequence[KnownChunk], at: int) -> str:
+    """Recover a file that was damaged at a byte; return what came of it, empty if it is wrong.
+
+    Right is: every chunk before the damage is read and copied, with the very bytes of its
+    messages, no other message is; a loss is reported, and again by the new file; a file without
+    a chunk before the damage is refused.  ``"copied"`` or ``"refused"`` is returned.
     """
-    whole = [
-        messages
-        for start, end, messages in chunks
-        if (cut is None or end <= cut) and (flipped is None or not start <= flipped < end)
-    ]
-    wanted = Counter(message for messages in whole for message in messages)
-    out = broken.with_name(f"{broken.stem}_saved.mcap")
+    before = Counter(message for _, end, messages in chunks if end <= at for message in messages)
+    every = Counter(message for _, _, messages in chunks for message in messages)
+    out = broken.with_name(f"{broken.stem}_copy.mcap")
     out.unlink(missing_ok=True)
     try:
-        saved = recover(broken, out)
+        recovery = recover(broken, out)
     except RecordingError:
-        return "" if whole else "refused"
-    run = read_run(out)
-    found = Counter((topic, data) for topic in run.topics for data in run.raw(topic))
-    # a chunk whose damaged byte its checksum does not cover, as its index's, is whole too
-    extra = found - wanted
-    allowed = Counter(
-        message
-        for start, end, messages in chunks
-        if flipped is not None and start <= flipped < end
-        for message in messages
-    )
-    right = not wanted - found and not extra - allowed
-    told = bool(saved.losses or saved.unconfirmed) and not run.complete
-    return "saved" if right and told else ""
+        return "" if before else "refused"
+    copied = messages_in(out)
+    is_reported = bool(recovery.losses) and not read_run(out).complete
+    right = before <= copied <= every and copied == messages_in(broken)
+    # a byte of the index, or behind all, loses nothing
+    return "copied" if right and (is_reported or copied == every) else ""

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.reader import make_reader
 from mcap.records import Channel, Chunk
 from mcap.writer import Writer
 
@@ -99,7 +98,7 @@ def test_damaged_files_give_nothing_wrong(path, tmp_path):
         else:
             again = read_run(out)
             assert all(Counter(again.raw(topic)) <= known[topic] for topic in again.topics)
-            assert len(saved.losses) < 40
+            assert len(saved.losses) <= 1
     assert sum(tried.values()) == CASES
 
 
@@ -221,12 +220,14 @@ def test_a_small_file_cannot_fill_the_memory(compression, told, tmp_path):
     file = bomb(tmp_path / "bomb.mcap", compression, 1 << 30, told)
     assert file.stat().st_size < 5_000_000
     tracemalloc.start()
-    for read in (read_run, lambda file: recover(file, tmp_path / "out.mcap")):
-        with pytest.raises(RecordingError) as caught:
-            read(file)
-        assert "\n" not in str(caught.value)
+    run = read_run(file)
+    with pytest.raises(RecordingError, match="nothing to recover"):
+        recover(file, tmp_path / "out.mcap")
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
+    assert run.topics == {}
+    assert len(run.damage) == 1
+    assert "unpacks to" in run.damage[0]
     assert most < max(UNPACKED_LEAST, 100 * file.stat().st_size) + 50e6
     assert not (tmp_path / "out.mcap").exists()
 
@@ -241,26 +242,9 @@ def test_many_empty_messages_cannot_fill_the_memory(tmp_path):
     with (tmp_path / "x.mcap").open("wb") as file:
         Writer(file).start("ros2")
         file.write(builder.end())
-    with pytest.raises(RecordingError, match="more than is allowed"):
-        read_run(tmp_path / "x.mcap")
-
-
-def test_definitions_are_taken_from_wherever_they_are_whole(path, tmp_path):
-    whole = read_run(path)
-    data = bytearray(path.read_bytes())
-    at = data.index(b"capture_sim/msg/RunInfo")  # in the attachment of definitions
-    data[at] ^= 1
-    chunk = data.index(b"zstd") - 40
-    data[chunk + 400] ^= 1  # the first chunk, with the definitions too
-    del data[-3000:]  # and the summary
-    (tmp_path / "x.mcap").write_bytes(data)
-    with pytest.raises(RecordingError, match="nothing to recover"):
-        recover(tmp_path / "x.mcap")
-    data[at] ^= 1
-    (tmp_path / "x.mcap").write_bytes(data)
-    saved = recover(tmp_path / "x.mcap")
-    assert 0 < sum(saved.messages.values()) < sum(whole.topics.values())
-    assert saved.messages.keys() == whole.topics.keys()
+    run = read_run(tmp_path / "x.mcap")
+    assert run.topics == {"/x": 0}
+    assert "more than is accepted for the file" in run.damage[0]
 
 
 def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
@@ -290,17 +274,3 @@ def test_topics_of_one_file_name_are_exported_to_two(tmp_path):
         "x_a_b_2.csv",
         "_x.csv",
     }
-
-
-def test_many_damages_are_few_lines(path, tmp_path):
-    data = path.read_bytes()
-    with path.open("rb") as file:
-        index = make_reader(file).get_summary().chunk_indexes[1]
-    start, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
-    # many times a chunk that is whole, and as many that are not
-    chunk, broken = data[start:end], bytearray(data[start:end])
-    broken[len(broken) // 2] ^= 1
-    (tmp_path / "x.mcap").write_bytes(data[:start] + 100 * (chunk + broken))
-    saved = recover(tmp_path / "x.mcap")
-    assert 0 < len(saved.losses) < 20
-    assert sum(saved.messages.values()) > 0

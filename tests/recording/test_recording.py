@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bags import copied, in_two_files
 from damage import cuts, expected
 from mcap.reader import make_reader
 from mcap.records import Channel, DataEnd, Message
@@ -26,7 +27,6 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 import capture_sim
-from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path
 from capture_sim.launch.scenes import load_scene_text
@@ -47,10 +47,9 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording import live as live_module
 from capture_sim.recording.completeness import Completeness
-from capture_sim.recording.live import LiveRecorder, Split
+from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import read_run
-from capture_sim.recording.recover import recover
 from capture_sim.recording.write import RunWriter
 from capture_sim.samples import SAMPLE, TOUCH
 
@@ -288,30 +287,6 @@ def test_file_cut_anywhere_gives_its_complete_chunks_and_says_so(path, result, t
         if n:
             assert run.scene == result.scene
             assert run.name == NAME
-
-
-@pytest.mark.parametrize("back", [10, 13, 20, 30, 700, 3000])
-def test_damaged_index_is_refused(back, path, tmp_path, capsys):
-    changed = bytearray(path.read_bytes())
-    changed[-back] ^= 1
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(changed)
-    assert main(["detect", str(broken)]) == 2
-    said = capsys.readouterr().err
-    assert f"{broken}: damaged at byte " in said
-    assert "`capture-sim recover` saves" in said
-    saved = recover(broken)
-    assert bits(read_run(saved.path).samples) == bits(read_run(path).samples)
-
-
-def test_index_without_checksum_is_read(path, tmp_path):
-    """As writers may leave it: 0 says that there is none."""
-    data = bytearray(path.read_bytes())
-    data[-12:-8] = bytes(4)
-    data[-700] ^= 1
-    other = tmp_path / "other.mcap"
-    other.write_bytes(data)
-    assert bits(read_run(other).samples) == bits(read_run(path).samples)
 
 
 def test_messages_come_in_the_order_of_their_times_whatever_the_files(path, tmp_path):
@@ -565,7 +540,7 @@ def test_bytes_that_are_no_message_are_refused(sent, tmp_path):
         recorder.take(STREAM_COUNTS, b"\0\1\0\0\xff")
 
 
-# a recorder that is paused, split, told which topics
+# a recorder that is paused, or records some topics
 
 
 def test_paused_recorder_counts_what_it_does_not_write(sent, tmp_path):
@@ -600,49 +575,31 @@ def test_recorder_told_which_topics(sent, tmp_path):
     assert run.topics["/bench/state"] == sum(topic is BENCH_STATE for topic, _ in sent)
 
 
-@pytest.mark.parametrize("split", [Split(time=1.5), Split(size=400_000), Split(folder=True)])
-def test_split_recording_is_one_run_and_a_bag(split, path, sent, tmp_path):
-    report = record(tmp_path, sent, split=split).close()
-    assert report.complete
-    assert report.path == tmp_path / NAME
-    files = sorted(report.path.glob("*.mcap"), key=lambda file: file.stat().st_mtime)
-    if split.folder:
-        assert {file.name for file in report.path.iterdir()} == {f"{NAME}_0.mcap", "metadata.yaml"}
-    else:
-        assert len(files) > 3
-    whole, run = read_run(path), read_run(report.path)
-    assert run.complete
-    for name in whole.topics:
-        assert run.raw(name) == whole.raw(name)
-    for file in files:  # each explains itself
-        assert read_run(file).scene == whole.scene
-        if split.size:
-            assert file.stat().st_size < 1.3 * split.size
-    with Reader(report.path) as reader:
-        assert reader.message_count == len(sent)
-        assert reader.start_time == 10**9
-    again = record(tmp_path, sent, split=split).close()
-    assert again.path == tmp_path / f"{NAME}_2"
-
-
-@pytest.mark.parametrize("split", [Split(), Split(folder=True)])
-def test_name_that_another_recorder_takes_first(split, sent, tmp_path, monkeypatch):
+def test_name_that_another_recorder_takes_first(sent, tmp_path, monkeypatch):
     # between the look for a free name and the file
-    taken = tmp_path / (NAME if split else f"{NAME}.mcap")
-    taken.mkdir() if split else taken.write_text("another's")
+    taken = tmp_path / f"{NAME}.mcap"
+    taken.write_text("another's")
     looks = iter([taken])
     monkeypatch.setattr(live_module, "free_path", lambda path: next(looks, None) or free_path(path))
-    report = record(tmp_path, sent, split=split).close()
+    report = record(tmp_path, sent).close()
     assert report.path == taken.with_stem(f"{NAME}_2")
     assert report.complete
-    assert split or taken.read_text() == "another's"
+    assert taken.read_text() == "another's"
 
 
-def test_split_recording_without_metadata_is_read_in_order(path, sent, tmp_path):
-    folder = record(tmp_path, sent, split=Split(time=0.4)).close().path
-    assert len(list(folder.glob("*.mcap"))) > 10  # so that names do not sort as numbers
-    (folder / "metadata.yaml").unlink()
-    assert bits(read_run(folder).samples) == bits(read_run(path).samples)
+def test_folder_is_read_in_order_with_and_without_metadata(path, tmp_path):
+    folder = in_two_files(path, tmp_path / "bag", 3.0)
+    whole = read_run(path)
+    for _ in range(2):
+        run = read_run(folder)
+        assert run.complete
+        for name in run.topics:
+            assert run.raw(name) == whole.raw(name)
+        assert {n for n, count in whole.topics.items() if count} == set(run.topics)
+        (folder / "metadata.yaml").unlink(missing_ok=True)  # as a kill leaves it
+    (folder / "bag_1.mcap").rename(folder / "bag_10.mcap")
+    copied(path, folder / "bag_9.mcap", topics=["/nothing"])
+    assert bits(read_run(folder).samples) == bits(whole.samples)
 
 
 # small parts
