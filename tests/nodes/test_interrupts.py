@@ -253,7 +253,7 @@ def test_interrupt_within_work_apart_is_not_lost():
 def test_interrupted_replay_says_so_by_its_status(tmp_path):
     scene = capture_sim.load_scene("tilt_0", ["run.t_end=3.0"])
     path = write_run(capture_sim.simulate(scene), tmp_path / "tilt_0.mcap")
-    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rate", "0.05"]
+    command = [sys.executable, "-m", "capture_sim.cli", "replay", str(path), "--rtf", "0.05"]
     command += ["--with", "recorder", "--out", str(tmp_path / "out")]
     replay = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
