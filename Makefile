@@ -9,27 +9,29 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test test-numpy1 lint docs benchmark faults picture format clean test-plain
+.PHONY: help setup develop lock run test test-numpy1 lint docs benchmark faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests"
 	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
-	@echo "make setup       only set up .venv; leaves .venv/bin/capture-sim"
+	@echo "make setup       only set up .venv for runs; leaves .venv/bin/capture-sim"
+	@echo "make develop     ... and for the tests and the docs"
 	@echo "make lint        only check style, types and layers"
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min)"
 	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      lay out the Python files as lint wants them"
+	@echo "make lock        pin the packages again after a change of pyproject.toml"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
 
-setup:
+setup develop:
 	@command -v $(PYTHON) >/dev/null || { \
 		echo "setup: no $(PYTHON). On Debian or Ubuntu: apt-get install python3 python3-dev python3-venv g++" >&2; \
 		exit 2; }
-	@$(PYTHON) tools/setup_env.py
+	@$(PYTHON) tools/setup_env.py $(if $(filter develop,$@),--develop)
 
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
@@ -43,7 +45,7 @@ test: lint
 test-numpy1:
 	rm -rf build/numpy1
 	git clone -q . build/numpy1
-	$(MAKE) -C build/numpy1 setup
+	$(MAKE) -C build/numpy1 develop
 	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
 	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
 	cd build/numpy1 && $(BIN)/python -m pytest tests --ignore tests/nodes -n auto
@@ -57,28 +59,31 @@ test-plain:
 	sed -n '/^```python/,/^```/{/^```/!p}' README.md >build/plain/readme.py
 	cd build/plain && bin/python readme.py
 
-lint: setup
+lint: develop
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: setup
+docs: develop
 	$(BIN)/mkdocs build
 
-benchmark: setup
+benchmark: develop
 	$(BIN)/python -m benchmarks.speed
 
-faults: setup
+faults: develop
 	$(BIN)/python tests/faults/run.py
 
-picture: setup
+picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	cp build/picture/overview.png docs/experiments.png
 	$(BIN)/python -m tools.explain docs
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
-format: setup
+lock: develop
+	tools/lock.sh
+
+format: develop
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

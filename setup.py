@@ -73,7 +73,8 @@ def cmake_install(build: Path) -> Path:
         *("cmake", "-S", HERE, "-B", build, *generator, "-Wno-dev"),
         f"-DCMAKE_INSTALL_PREFIX={PREFIX}",
         f"-DPython3_EXECUTABLE={sys.executable}",
-        "-DCMAKE_BUILD_TYPE=Release",
+        "-DCMAKE_BUILD_TYPE=None",  # copying fields gains nothing from optimisation
+        "-DCPP_MESSAGES=OFF",
         "-DBUILD_TESTING=OFF",
         "-DINSTALL_COMMAND=OFF",  # setuptools makes it, see pyproject.toml
     ]

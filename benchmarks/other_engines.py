@@ -60,7 +60,7 @@ def adapter(package: str) -> tuple[ModuleType | None, str]:
         version = importlib.metadata.version(package)
         return importlib.import_module(f"benchmarks.engines.{package}"), version
     except importlib.metadata.PackageNotFoundError:
-        return None, "not installed: pip install -c requirements/constraints.txt '.[benchmark]'"
+        return None, "not installed: pip install -c requirements/lock.txt '.[benchmark]'"
     except ImportError as error:
         return None, f"does not load: {str(error).splitlines()[0]}"
 

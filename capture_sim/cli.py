@@ -10,20 +10,13 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import takewhile
 from typing import Any, NoReturn
 
 from capture_sim import __version__
 from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
-from capture_sim.errors import one_line
+from capture_sim.errors import explain_import_error, one_line
 
-#: Extra of pyproject.toml that brings a package of another name along.
-_EXTRAS = {
-    "record": ("lz4", "mcap", "rosbags", "zstandard"),
-    "ros": ("ament_index_python", "rclpy", "rosidl_runtime_py"),
-    "view": ("jinja2", "matplotlib", "plotly", "rerun"),
-    "study": ("SALib", "pandas", "pyarrow"),
-    "cluster": ("dask", "distributed"),
-}
 #: What a wrong file, value or device raises when nothing has turned it into a line yet.
 _FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError, MemoryError)
 
@@ -34,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 fine; 1 the command's own no: a run that stopped, a verdict that differs, no buffer found;
     2 bad input: an argument, a scene, a file that cannot be read or written; 130 interrupted.
     """
+    _open_closed_streams()
     try:
         status = _run(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
@@ -72,9 +66,31 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     return parser
 
 
+def _open_closed_streams() -> None:
+    """Send the standard streams that the caller has closed (``>&-``) to the null device.
+
+    Otherwise the next file that is opened gets a stream's number, and with it the messages.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
+
+
 def _run(arguments: Sequence[str]) -> int:
     if arguments and arguments[0] in COMMANDS:
-        options = command_parser(arguments[0]).parse_args(arguments[1:])
+        parser = command_parser(arguments[0])
+        for argument in takewhile(lambda text: text != "--", arguments):
+            option, equals, value = argument.partition("=")
+            # argparse of Python 3.11 would hand on an empty list
+            if option.startswith("-") and equals and value == "--":
+                parser.error(f"argument {option}: expected one argument, not '--'")
+        options = parser.parse_args(arguments[1:])
         return int(options.run(options))
     parser = _Parser(
         prog="capture-sim",
@@ -116,7 +132,7 @@ def _failed(error: Exception) -> int:
 
     status, text = BAD_INPUT, str(error)
     if isinstance(error, ImportError):
-        status, text = FAILED, _lacking(error)
+        status, text = FAILED, explain_import_error(error)
     elif isinstance(error, (SimulationError, MissingPackageError)):
         status = FAILED
     elif isinstance(error, OSError):
@@ -128,16 +144,6 @@ def _failed(error: Exception) -> int:
             status, text = FAILED, f"{text} (CAPTURE_SIM_TRACEBACK=1 says where)"
     _complain(text)
     return _flushed(status)
-
-
-def _lacking(error: ImportError) -> str:
-    if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv")):
-        return "the ROS messages are not compiled: install capture_sim where ROS 2 is"
-    package = (error.name or "").partition(".")[0]
-    for extra, packages in _EXTRAS.items():
-        if package in packages:
-            return f"{package} is not installed: pip install 'capture_sim[{extra}]'"
-    return str(error)
 
 
 def _complain(text: str) -> None:

@@ -53,6 +53,31 @@ class MissingPackageError(CaptureSimError):
     """An optional package is asked for that is not installed; the message names it."""
 
 
+#: Packages that each extra of pyproject.toml installs, by the name they are imported under.
+_EXTRAS = {
+    "view": ("plotly", "rerun"),
+    "study": ("SALib", "pandas", "pyarrow"),
+    "cluster": ("dask", "distributed"),
+}
+_ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtime_py")
+
+
+def explain_import_error(error: ImportError) -> str:
+    """Return one line that says which package is missing and how to install it."""
+    package = (error.name or "").partition(".")[0]
+    if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv")):
+        return "the ROS messages are not compiled: install capture_sim where ROS 2 is installed"
+    if package in _ROS_PACKAGES:
+        return (
+            "ROS 2 is not installed: source an installation of it, "
+            "or run 'make setup' in a clone of capture_sim"
+        )
+    for extra, packages in _EXTRAS.items():
+        if package in packages:
+            return f"{package} is not installed: pip install 'capture_sim[{extra}]'"
+    return str(error)
+
+
 def one_line(text: str) -> str:
     """Return a text without line breaks and control characters, shortened where it is endless."""
     text = "".join(c if c.isprintable() else " " for c in text)

@@ -46,7 +46,7 @@ def project(tmp_path, setup_env, monkeypatch):
         ("srv/Reset.srv", "---\n", "package"),
         ("CMakeLists.txt", "\n", "package"),
         ("setup.py", "\n", "package"),
-        ("requirements/constraints.txt", "\n", "requirements"),
+        ("requirements/lock.txt", "\n", "requirements"),
         ("tools/finish_venv.py", "\n", "requirements"),
         ("pyproject.toml", "\n[tool.other]\n", None),
         ("capture_sim/bench.py", "\n", None),
@@ -91,13 +91,19 @@ def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monk
     for expected in (["python", "packages", "package"], ["package"]):
         done.clear()
         with pytest.raises(setup_env.SetupError):
-            setup_env.set_up()
+            setup_env.set_up(develop=True)
         assert done == expected
     monkeypatch.setattr(setup_env, "install_package", lambda *_: done.append("package"))
-    setup_env.set_up()
-    done.clear()
-    setup_env.set_up()
-    assert done == []
+    monkeypatch.setattr(setup_env, "install_development", lambda *_: done.append("development"))
+    for develop, expected in (
+        (False, ["package"]),
+        (True, ["development"]),
+        (False, []),
+        (True, []),
+    ):
+        done.clear()
+        setup_env.set_up(develop)
+        assert done == expected
 
 
 def test_missing_parts_are_named_with_the_command(setup_env, monkeypatch, capsys, tmp_path):
@@ -138,11 +144,11 @@ def test_a_failing_step_leaves_its_output_in_the_log(setup_env, monkeypatch, tmp
 
 
 def test_every_requirement_is_pinned(setup_env):
-    pins = (ROOT / "requirements" / "constraints.txt").read_text().lower()
+    pins = (ROOT / "requirements" / "lock.txt").read_text().lower()
     pinned = set(re.findall(r"^([\w.-]+)==[\w.]+$", pins, re.MULTILINE))
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
-    wanted = setup_env.requirements(project)
+    wanted = setup_env.requirements(project, (*setup_env.RUN_EXTRAS, *setup_env.DEVELOP_EXTRAS))
     assert {"ros-rclpy[fastrtps]==7.1.6", "pytest>=8,<9"} <= set(wanted)
     for extra in (*project["optional-dependencies"].values(), wanted):
         for requirement in extra:

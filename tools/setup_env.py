@@ -1,12 +1,13 @@
 """Set up .venv, where everything runs: the wheels of ROS 2, our messages, this package.
 
-    python3 tools/setup_env.py            set up; nothing to do when all is up to date
+    python3 tools/setup_env.py            set up what a run needs; instant when up to date
+    python3 tools/setup_env.py --develop  ... and what the tests and the docs need
     python3 tools/setup_env.py --missing  print the Debian packages that this machine lacks
 
-Needs Python's standard library only. What was done is remembered in .venv/setup.json, as
-hashes of all that it depends on, and done again where they differ: changed messages are
+Needs Python's standard library only. The state of .venv is kept in .venv/setup.json, as hashes
+of all that each step depends on. A step whose hashes differ is repeated: changed messages are
 compiled without installing anything else, changed requirements are installed in place, and
-another Python or a moved folder starts from nothing. Edits of Python files need none of it.
+another Python or a moved folder starts from nothing. Edits of Python files need no step.
 
 Exit status: 0 done, 1 a step failed, 2 the machine lacks something.
 """
@@ -32,7 +33,9 @@ VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 LOG = VENV / "setup.log"
 STAMP = VENV / "setup.json"
-EXTRAS = ("ros", "test")
+RUN_EXTRAS = ("ros", "view")
+DEVELOP_EXTRAS = ("test",)
+LOCK = Path("requirements", "lock.txt")
 
 OLDEST_PYTHON = (3, 11)
 NEWEST_PYTHON = (3, 14)  # no wheels of ROS for a later one
@@ -44,6 +47,8 @@ from rclpy.serialization import serialize_message
 types = [t for t in vars(capture_sim.msg).values() if isinstance(t, type)]
 print(sum(len(serialize_message(t())) > 0 for t in types), "messages work")
 """
+
+COMPILE_KERNELS = "from capture_sim.bench import compile_kernels; compile_kernels()"
 
 
 class SetupError(Exception):
@@ -103,26 +108,36 @@ def digest(paths):
     return sha.hexdigest()
 
 
-def wanted_state():
-    """Return what the finished set-up depends on, from what is built first to last."""
+def wanted_state(develop=False):
+    """Return what the finished set-up depends on, a key per step, in the order of the steps."""
     import tomllib
 
     with (ROOT / "pyproject.toml").open("rb") as file:
-        project = tomllib.load(file)
-    project["tool"] = project["tool"]["setuptools"]  # the linters' settings need no rebuild
+        pyproject = tomllib.load(file)
+    project, lock = pyproject["project"], digest([ROOT / LOCK])
     interfaces = [*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")]
     build = [ROOT / name for name in ("CMakeLists.txt", "package.xml", "setup.py")]
-    pins = [ROOT / "requirements" / "constraints.txt", ROOT / "tools" / "finish_venv.py"]
-    return {
+    # what setuptools reads: requirements have steps of their own, linters' settings need none
+    metadata = {key: project[key] for key in ("name", "dynamic", "scripts")}
+    state = {
         "python": [sys.version, os.path.realpath(sys.executable), str(VENV)],
-        "requirements": [requirements(project["project"]), digest(pins)],
-        "package": [digest([*interfaces, *build]), project],
+        "requirements": {
+            "packages": requirements(project, RUN_EXTRAS),
+            "hashes": [lock, digest([ROOT / "tools" / "finish_venv.py"])],
+        },
+        "package": [digest([*interfaces, *build]), metadata, pyproject["tool"]["setuptools"]],
     }
+    if develop:
+        state["development"] = {
+            "packages": requirements(project, DEVELOP_EXTRAS),
+            "hashes": [lock],
+        }
+    return state
 
 
-def requirements(project):
-    """Return what the package and the extras EXTRAS require, this package's own extras resolved."""
-    found, extras = list(project["dependencies"]), list(EXTRAS)
+def requirements(project, extras):
+    """Return what the package and some extras require, this package's own extras resolved."""
+    found, extras = list(project["dependencies"]), list(extras)
     for extra in extras:  # grows meanwhile
         for requirement in project["optional-dependencies"][extra]:
             own = re.fullmatch(r"capture_sim\[(.*)\]", requirement)
@@ -149,7 +164,7 @@ def clean_environment():
 
 
 class Progress:
-    """Runs commands, one line for each: live with the seconds on a terminal, else when done."""
+    """Shows each step on one line: live with its seconds on a terminal, else when it is done."""
 
     def __init__(self):
         self.live = sys.stdout.isatty()
@@ -157,33 +172,24 @@ class Progress:
 
     def run(self, title, command, env=None):
         """Run a command with its output in the log; raise SetupError when it fails."""
-        command = [str(word) for word in command]
-        start = time.monotonic()
+        self.finish(title, start_logged(title, command, env))
+
+    def finish(self, title, process):
+        """Wait for a process that writes into the log; raise SetupError when it fails."""
+        start = shown = time.monotonic()
         if not self.live:
             print(f"  {title} ...", flush=True)
-        with LOG.open("a") as log:
-            log.write(f"\n=== {title}: {' '.join(command)}\n")
-            log.flush()
-            process = subprocess.Popen(
-                command,
-                cwd=ROOT,
-                env=env or clean_environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
-            shown = start
-            while True:
-                try:
-                    status = process.wait(timeout=0.2)
-                    break
-                except subprocess.TimeoutExpired:
-                    now = time.monotonic()
-                    if self.live:
-                        self.rewrite(f"  {title} ... {now - start:.0f} s  {last_line()}")
-                    elif now - shown >= 10:
-                        shown = now
-                        print(f"    {now - start:.0f} s: {last_line()}", flush=True)
+        while True:
+            try:
+                status = process.wait(timeout=0.2)
+                break
+            except subprocess.TimeoutExpired:
+                now = time.monotonic()
+                if self.live:
+                    self.rewrite(f"  {title} ... {now - start:.0f} s  {last_line()}")
+                elif now - shown >= 10:
+                    shown = now
+                    print(f"    {now - start:.0f} s: {last_line()}", flush=True)
         seconds = time.monotonic() - start
         if status:
             if self.live:
@@ -196,11 +202,27 @@ class Progress:
 
     @staticmethod
     def rewrite(line):
-        """Put a text in place of the terminal's present line."""
+        """Replace the terminal's current line."""
         width = shutil.get_terminal_size().columns - 1
         end = "\n" if line.endswith("\n") else ""
         sys.stdout.write("\r\033[K" + line.rstrip()[:width] + end)
         sys.stdout.flush()
+
+
+def start_logged(title, command, env=None):
+    """Start a command with its output in the log; return the process."""
+    command = [str(word) for word in command]
+    with LOG.open("a") as log:
+        log.write(f"\n=== {title}: {' '.join(command)}\n")
+        log.flush()
+        return subprocess.Popen(
+            command,
+            cwd=ROOT,
+            env=env or clean_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
 
 
 def log_tail(lines):
@@ -226,23 +248,34 @@ def make_venv(progress, _):
 
 
 def install_requirements(progress, wanted):
-    """Install what is wanted, as pinned: by uv, which takes seconds; else by pip."""
-    packages, constraints = wanted[0], ROOT / "requirements" / "constraints.txt"
-    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "-c", constraints]
-    env = clean_environment()
-    try:
-        progress.run("Installer", [*pip, "--no-compile", "uv"])
-        index = pip_index()
-        if index:
-            env.setdefault("UV_DEFAULT_INDEX", index)
-        # with bytecode: the nodes are many processes, and each would compile it anew where
-        # Python may not write it
-        uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
-        progress.run("Packages", [*uv, "-c", constraints, *packages], env)
-    except SetupError as error:
-        print(f"  {error}; trying pip")
-        progress.run("Packages", [*pip, *packages])
+    """Install what a run needs, and make the wheels of ROS one underlay that CMake can use."""
+    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--no-compile"]
+    with contextlib.suppress(SetupError):
+        progress.run("Installer", [*pip, "-c", ROOT / LOCK, "uv"])
+    install(progress, "Packages", wanted["packages"])
     progress.run("Mending", [PYTHON, ROOT / "tools" / "finish_venv.py"])
+
+
+def install_development(progress, wanted):
+    """Install what the tests, the docs and the linters need."""
+    install(progress, "Packages of the tests", wanted["packages"])
+
+
+def install(progress, title, packages):
+    """Install packages at the locked versions: by uv, which needs seconds; else by pip."""
+    env = clean_environment()
+    index = pip_index()
+    if index:
+        env.setdefault("UV_DEFAULT_INDEX", index)
+    # with bytecode: the nodes are many processes, and each would compile it anew where
+    # Python may not write it
+    uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
+    try:
+        progress.run(title, [*uv, "-c", ROOT / LOCK, *packages], env)
+    except (SetupError, OSError) as error:
+        print(f"  {error}; trying pip")
+        pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install"]
+        progress.run(title, [*pip, "-c", ROOT / LOCK, *packages])
 
 
 def pip_index():
@@ -253,31 +286,44 @@ def pip_index():
 
 
 def install_package(progress, _):
-    """Compile the messages and install this package so that it is used from its source."""
-    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--verbose"]
-    progress.run("Messages", [*pip, "--no-build-isolation", "--no-deps", "--editable", ROOT])
-    progress.run("Check", [PYTHON, "-c", CHECK])
+    """Compile the messages and install this package so that it is used from its source.
+
+    The generators of the messages keep one core busy, so the kernels compile on another one.
+    """
+    env = {**clean_environment(), "PYTHONPATH": str(ROOT)}
+    kernels = start_logged("Kernels", [PYTHON, "-c", COMPILE_KERNELS], env)
+    try:
+        pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--verbose"]
+        progress.run("Messages", [*pip, "--no-build-isolation", "--no-deps", "--editable", ROOT])
+        progress.run("Check", [PYTHON, "-c", CHECK])
+        with contextlib.suppress(SetupError):  # a run compiles what is not compiled
+            progress.finish("Kernels", kernels)
+    finally:
+        kernels.kill()
 
 
-def set_up():
-    """Do what is not done yet."""
-    wanted, found = wanted_state(), found_state()
-    if found == wanted:
+def set_up(develop):
+    """Run the steps whose state differs from the state of .venv."""
+    wanted, found = wanted_state(develop), found_state()
+    if all(found.get(step) == wanted[step] for step in wanted):
         return
     print("Setting up .venv", "again" if found else "(once)", flush=True)
     progress, done = Progress(), {}
     STAMP.parent.mkdir(exist_ok=True)
     LOG.unlink(missing_ok=True)
-    for part, make in (
-        ("python", make_venv),
-        ("requirements", install_requirements),
-        ("package", install_package),
-    ):
-        if found.get(part) != wanted[part]:
-            found = {}  # what comes behind is made upon it
-            STAMP.write_text(json.dumps(done))  # need not be done again after a failure
-            make(progress, wanted[part])
-        done[part] = wanted[part]
+    steps = {
+        "python": make_venv,
+        "requirements": install_requirements,
+        "package": install_package,
+        "development": install_development,
+    }
+    for step in wanted:
+        if found.get(step) != wanted[step]:
+            found = {}  # the later steps build on this one
+            STAMP.write_text(json.dumps(done))  # the steps that a failure need not repeat
+            steps[step](progress, wanted[step])
+        done[step] = wanted[step]
+    done.update({step: found[step] for step in found if step not in done})
     STAMP.write_text(json.dumps(done, indent=1))
     print(f"Set up in {time.monotonic() - progress.start:.0f} s", flush=True)
 
@@ -290,7 +336,11 @@ def main():
         action="store_true",
         help="only print the Debian packages that this machine lacks",
     )
-    if parser.parse_args().missing:
+    parser.add_argument(
+        "--develop", action="store_true", help="also set up what the tests and the docs need"
+    )
+    options = parser.parse_args()
+    if options.missing:
         print(*sorted({package for _, package in missing_packages()}))
         return 0
     if not check_machine():
@@ -302,7 +352,7 @@ def main():
         print("setup: waiting for another set-up of this folder", flush=True)
         fcntl.flock(lock, fcntl.LOCK_EX)
     try:
-        set_up()
+        set_up(options.develop)
     except SetupError as error:
         print("", *log_tail(40), sep="\n", file=sys.stderr)
         print(f"setup: {error}. The whole log: {LOG.relative_to(ROOT)}", file=sys.stderr)

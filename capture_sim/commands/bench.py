@@ -10,7 +10,7 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
 from capture_sim.commands.output import draw, report, warn
 from capture_sim.control.pacing import FACTORS
-from capture_sim.nodes.supervisor import run_suite
+from capture_sim.nodes.supervisor import check_ros, run_suite
 from capture_sim.recording.read import read_run
 from capture_sim.viewing.source import summary_of
 
@@ -46,7 +46,8 @@ def _namespace(text: str) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
+    check_ros()
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()

@@ -8,7 +8,6 @@ from pathlib import Path
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
 from capture_sim.commands.output import echo
-from capture_sim.viewing.report import save_report
 
 DESCRIPTION = (
     "Make one self-contained HTML page of runs: results, figures, energy, errors, parameters. "
@@ -30,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
+    from capture_sim.viewing.report import save_report  # needs the extra view
+
     prepare_folder(options.out.parent)
     opened = open_runs(options.runs, options.scene, options.release)
     echo(f"report in {save_report(opened, options.out)}")

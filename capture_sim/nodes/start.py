@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import signal
+import sys
 from functools import partial
 from importlib import import_module
+
+from capture_sim.errors import explain_import_error
 
 #: Exit statuses: done, or ended by Ctrl-C; failed; parameters or the scene are wrong.
 OK, FAILED, REFUSED = 0, 1, 2
@@ -16,7 +19,12 @@ def start(name: str) -> int:
     """Load a node and run it as this process; return the exit status."""
     # an import that it met would end in a traceback; nodes.process.run lets it through
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    return int(import_module(f"capture_sim.nodes.{name}").main())
+    try:
+        node = import_module(f"capture_sim.nodes.{name}")
+    except ImportError as error:
+        print(f"{REFUSAL}{explain_import_error(error)}", file=sys.stderr)
+        return FAILED
+    return int(node.main())
 
 
 simulator = partial(start, "simulator")

@@ -15,13 +15,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
 import yaml
 
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
@@ -38,6 +39,13 @@ START_LIMIT = 180.0
 SLOWEST = 30.0
 #: What ends a command from outside.
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def check_ros() -> None:
+    """Raise MissingPackageError if ROS 2 or the compiled messages are not installed."""
+    for package in ("rclpy", "capture_sim.msg"):
+        if find_spec(package) is None:
+            raise MissingPackageError(explain_import_error(ImportError(name=package)))
 
 
 def run_suite(
@@ -113,6 +121,7 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
     KeyboardInterrupt
         After Ctrl-C, when all nodes have ended in order.
     """
+    check_ros()
     nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
     for name in parameters.get("consumers", ()):
         nodes[name] = {"out": str(out)} if name == RECORDER else {}

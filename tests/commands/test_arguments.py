@@ -197,6 +197,29 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path):
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("arguments, status", [("scenes", 0), ("run --nonsense", BAD_INPUT)])
+def test_closed_streams_change_neither_status_nor_the_other_stream(
+    arguments, status, closed, tmp_path
+):
+    command = f"{sys.executable} -m capture_sim.cli {arguments}"
+    whole = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        f"{command} {closed}", shell=True, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert whole.returncode == done.returncode == status
+    assert done.stdout == ("" if ">&-" in closed.replace("2>&-", "") else whole.stdout)
+    assert done.stderr == ("" if "2>&-" in closed else whole.stderr)
+
+
+@pytest.mark.parametrize("option", ["--set", "--out"])
+def test_two_dashes_are_no_value(option, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "tilt_0", f"{option}=--"]) == BAD_INPUT
+    assert f"argument {option}: expected one argument" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_help_lists_every_command_in_its_group_with_an_example(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
@@ -88,11 +89,9 @@ def test_energy_is_what_the_curves_of_force_enclose(design):
     dense = touches["start"][:, None] + share * (touches["end"] - touches["start"])[:, None]
     t = np.unique(np.concatenate([np.arange(0.0, end, 5e-4), dense.ravel(), [end]]))
     s = simulate(design.scene, t_end=end, t_eval=t[t <= end]).samples
-    damper = -np.trapezoid(s["axial_force"], s["axial_stroke"]) - np.ptp(
-        s["elastic_axial"][[0, -1]]
-    )
+    damper = -trapezoid(s["axial_force"], s["axial_stroke"]) - np.ptp(s["elastic_axial"][[0, -1]])
     contact = sum(
-        np.trapezoid(s["normal_force"][:, wall], s["penetration"][:, wall]) for wall in (0, 1)
+        trapezoid(s["normal_force"][:, wall], s["penetration"][:, wall]) for wall in (0, 1)
     )
     assert energy.damper == pytest.approx(damper, rel=2e-3)
     assert energy.contact == pytest.approx(contact, rel=1e-2)

@@ -1,0 +1,113 @@
+"""What pip installs without ROS: each set of extras in an environment of its own.
+
+The environments are made by uv from its cache, which the project's set-up has filled.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+UV = Path(sys.prefix, "bin", "uv")
+pytestmark = pytest.mark.skipif(not UV.is_file(), reason="uv is not installed")
+
+
+def environment():
+    """Return the variables of a shell in which no ROS is sourced."""
+    ros = ("AMENT_", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHON", "VIRTUAL_ENV", "ROS_")
+    return {name: value for name, value in os.environ.items() if not name.startswith(ros)}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Return the wheel that pip builds of a clean copy where there is no ROS."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("capture_sim", "config", "launch", "msg", "srv"):
+        subprocess.run(["cp", "-r", ROOT / name, source / name], check=True)
+    for name in ("LICENSE", "README.md", "pyproject.toml", "setup.py"):
+        subprocess.run(["cp", ROOT / name, source / name], check=True)
+    build = [UV, "build", "--wheel", "--quiet", "--out-dir", out, source]
+    subprocess.run(build, check=True, env=environment())
+    return next(out.glob("*.whl"))
+
+
+@pytest.fixture(scope="module", params=["", "[view]", "[study]"], ids=["base", "view", "study"])
+def installed(request, wheel, tmp_path_factory):
+    """Return the folder of programs of an environment with one set of extras, and the set.
+
+    The base gets the versions of an apt Jazzy's workstation: NumPy 1.26.
+    """
+    folder = tmp_path_factory.mktemp("venv")
+    lock = "lock.txt" if request.param else "workstation.txt"
+    subprocess.run([UV, "venv", "-q", "--python", sys.executable, folder / "env"], check=True)
+    packages = [
+        "-c",
+        ROOT / "requirements" / lock,
+        f"capture_sim{request.param} @ {wheel.as_uri()}",
+    ]
+    install = [UV, "pip", "install", "-q", "--python", folder / "env" / "bin" / "python", *packages]
+    subprocess.run(install, check=True, env=environment())
+    return folder / "env" / "bin", request.param
+
+
+def call(installed, *arguments, folder):
+    """Run capture-sim as installed, away from the sources; return status, output and errors."""
+    command = [installed[0] / "capture-sim", *arguments]
+    done = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True)
+    return done.returncode, done.stdout, done.stderr
+
+
+HELP = """
+import contextlib, io
+from capture_sim.cli import main
+from capture_sim.commands import COMMANDS
+for command in COMMANDS:
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        status = main([command, "--help"])
+    assert (status, out.getvalue().split()[:3]) == (0, ["usage:", "capture-sim", command]), command
+"""
+
+
+def test_every_command_shows_its_help(installed, tmp_path):
+    done = subprocess.run(
+        [installed[0] / "python", "-c", HELP],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_commands_that_need_more_name_it(installed, tmp_path):
+    status, _, errors = call(installed, "bench", "tilt_0", folder=tmp_path)
+    assert (status, errors.count("\n")) == (1, 1)
+    assert errors.startswith("capture-sim: ROS 2 is not installed")
+    node = subprocess.run(
+        [installed[0] / "capture-sim-recorder"], env=environment(), capture_output=True, text=True
+    )
+    assert (node.returncode, node.stderr.count("\n")) == (1, 1)
+    assert node.stderr.startswith("error: ROS 2 is not installed")
+    if installed[1] != "[view]":
+        status, _, errors = call(installed, "report", "tilt_0", folder=tmp_path)
+        assert (status, errors.count("\n")) == (1, 1)
+        assert re.search(r"pip install 'capture_sim\[view\]'", errors)
+
+
+def test_a_run_is_recorded_drawn_and_read_again(installed, tmp_path):
+    if installed[1]:
+        pytest.skip("compiles the kernels: once is enough")
+    versions = [installed[0] / "python", "-c", "import numpy; print(numpy.__version__)"]
+    assert subprocess.check_output(versions, text=True) == "1.26.4\n"
+    status, out, _ = call(installed, "run", "tilt_p10", folder=tmp_path)
+    assert status == 0
+    assert "captured" in out
+    runs = tmp_path / "runs"
+    assert (runs / "tilt_p10.png").stat().st_size > 20_000
+    status, out, _ = call(installed, "detect", runs / "tilt_p10.mcap", folder=tmp_path)
+    assert status == 0
+    assert "captured" in out
