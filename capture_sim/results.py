@@ -81,37 +81,149 @@ def impact_speed(events: Iterable[Event]) -> float | None:
     return None
 
 
-def extremes_in(samples: np.ndarray, events: Iterable[Event]) -> Extremes:
-    """Return the extremes among the samples of a run; those between them are not known."""
+class Load(NamedTuple):
+    """A load of a run: its key in results, its fields of EXTREMES, and how it is shown."""
+
+    key: str
+    meaning: str
+    unit: str  # SI
+    shown_in: str  # unit in tables
+    factor: float  # from the one to the other
+    extremes: tuple[str, ...]
+    least: bool = False  # the smallest counts, not the largest
+
+
+#: Extremes of a run that are reported; :func:`loads_of` gives each four keys.
+LOADS = (
+    Load("max_axial_stroke_in", "stroke inwards", "m", "mm", 1e3, ("axial_stroke_in",)),
+    Load("max_axial_stroke_out", "stroke outwards", "m", "mm", 1e3, ("axial_stroke_out",)),
+    Load("max_torsion", "torsion", "rad", "mrad", 1e3, ("torsion",)),
+    Load("max_buffer_force", "force of the buffer", "N", "N", 1.0, ("buffer_force",)),
+    Load("max_buffer_torque", "torque of the buffer", "N m", "N m", 1.0, ("buffer_torque",)),
+    Load(
+        "max_normal_force",
+        "peak normal force",
+        *("N", "N", 1.0),
+        ("normal_force_plus_y", "normal_force_minus_y"),
+    ),
+    Load(
+        "max_normal_force_plus_y",
+        "peak normal force, +y wall",
+        "N",
+        "N",
+        1.0,
+        ("normal_force_plus_y",),
+    ),
+    Load(
+        "max_normal_force_minus_y",
+        "peak normal force, -y wall",
+        "N",
+        "N",
+        1.0,
+        ("normal_force_minus_y",),
+    ),
+    Load("max_latch_force", "force of the latch", "N", "N", 1.0, ("latch_force",)),
+    Load("max_penetration", "penetration", "m", "um", 1e6, ("penetration",)),
+    Load("nearest_distance", "nearest to BE", "m", "mm", 1e3, ("tip_distance",), least=True),
+)
+
+
+def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
+    """Return the loads of a run by name, SI units.
+
+    Every load of :data:`LOADS` has four keys: ``max_torsion`` over the whole run, latch included,
+    ``max_torsion_before_latch`` until the latch closes (of the whole run where none does), and
+    ``max_torsion_time``, ``max_torsion_before_latch_time``, s since the release.  A magnitude that
+    never was is 0 and has no time; what was not measured is None.  Then ``touches``, their number,
+    and ``first_contact_impulse``, N s.
+
+    Parameters
+    ----------
+    extremes
+        Of the run.
+    touches
+        (n,) of dtype TOUCH.
+    """
+    before, after = extremes
+    periods = {"": [before] if after is None else [before, after], "_before_latch": [before]}
+    loads: dict[str, Any] = {}
+    for load in LOADS:
+        peak = min if load.least else max
+        for period, parts in periods.items():
+            numbers = [(row[name], row[f"{name}_time"]) for row in parts for name in load.extremes]
+            known = [(float(value), float(t)) for value, t in numbers if math.isfinite(value)]
+            value, t = peak(known, default=(None, None), key=lambda number: number[0])
+            loads[load.key + period] = value
+            loads[f"{load.key}{period}_time"] = t if value or load.least else None
+    del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
+    loads["touches"] = int(touches.size)
+    impulse = float(first_cluster(touches)["impulse"].sum())
+    loads["first_contact_impulse"] = impulse if math.isfinite(impulse) else None
+    return loads
+
+
+def sampled_extremes(
+    scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
+) -> Extremes:
+    """Return the extremes of a run of which only samples and touches are known.
+
+    The peak of a touch is that of ``touches``; a larger stroke, torsion, penetration or force of
+    buffer or latch between two samples is not seen.  What was not measured is NaN.
+    """
     closed = next((e.t for e in events if e.kind is EventKind.LATCHED), math.inf)
     parts = [samples[samples["t"] < closed], samples[samples["t"] >= closed]]
+    located = touches["start"] < closed
     found = np.zeros(2, EXTREMES)
-    for row, part in zip(found, parts, strict=True):
+    for row, part, own in zip(found, parts, (touches[located], touches[~located]), strict=True):
         # a latch holds the tip in place of the walls
         penetration = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
-        for name, values in (
-            ("compression", np.maximum(-part["axial_stroke"], 0.0)),
-            ("extension", np.maximum(part["axial_stroke"], 0.0)),
-            ("torsion", np.abs(part["torsion"])),
-            ("tip_distance", -part["tip_distance"]),
-            ("penetration", penetration.max(axis=1, initial=0.0)),
-            ("normal_force", part["normal_force"].max(axis=1, initial=0.0)),
-        ):
-            if values.size:
-                largest = int(values.argmax())
-                row[name], row[f"{name}_time"] = values[largest], part["t"][largest]
-        row["tip_distance"] = -row["tip_distance"] if part.size else math.inf
+        series = [
+            ("axial_stroke_in", part["t"], np.maximum(-part["axial_stroke"], 0.0)),
+            ("axial_stroke_out", part["t"], np.maximum(part["axial_stroke"], 0.0)),
+            ("torsion", part["t"], np.abs(part["torsion"])),
+            ("buffer_force", part["t"], np.abs(part["axial_force"] + _stop_force(scene, part))),
+            ("buffer_torque", part["t"], np.abs(part["torsion_torque"])),
+            ("latch_force", part["t"], np.linalg.norm(part["latch_force"], axis=1)),
+            ("penetration", part["t"], penetration.max(axis=1, initial=0.0)),
+            ("tip_distance", part["t"], -part["tip_distance"]),
+        ]
+        for column, (wall, side) in enumerate((("plus_y", 1), ("minus_y", -1))):
+            of_wall = own[own["wall"] == side]
+            times = np.concatenate([part["t"], of_wall["peak_time"]])
+            force = np.concatenate([part["normal_force"][:, column], of_wall["peak_force"]])
+            series.append((f"normal_force_{wall}", times, force))
+        for name, times, values in series:
+            known = np.flatnonzero(np.isfinite(values))
+            row[name] = math.nan
+            if known.size:
+                largest = known[values[known].argmax()]
+                row[name], row[f"{name}_time"] = values[largest], times[largest]
+        row["tip_distance"] *= -1.0
     return Extremes(found[0], found[1] if parts[1].size else None)
+
+
+def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
+    """Return the force of the stroke stops on the probe in samples, (n,), N."""
+    stops, stroke = scene.stops, samples["axial_stroke"]
+    force = np.zeros(samples.size)
+    if stops is None:
+        return force
+    for side, end in ((-1.0, -stops.compression), (1.0, stops.extension)):
+        beyond = side * (stroke - end)
+        push = stops.stiffness * beyond + side * stops.damping * samples["v"][:, 4]
+        force -= np.where(beyond > 0.0, side * np.maximum(push, 0.0), 0.0)
+    return force
 
 
 def extremes_to_text(extremes: Extremes) -> str:
     """Return extremes as a line of JSON, exactly."""
-    rows = (None if row is None else row.item() for row in extremes)
-    return json.dumps(dict(zip(Extremes._fields, rows, strict=True)))
+    names = EXTREMES.names or ()
+    named = [None if row is None else dict(zip(names, row.item(), strict=True)) for row in extremes]
+    return json.dumps(dict(zip(Extremes._fields, named, strict=True)))
 
 
 def extremes_from_text(text: str) -> Extremes:
-    """Return the extremes that a line of JSON says.
+    """Return the extremes in a line of JSON.
 
     Raises
     ------
@@ -121,10 +233,10 @@ def extremes_from_text(text: str) -> Extremes:
     found = np.zeros(2, EXTREMES)
     try:
         before, after = (json.loads(text)[name] for name in Extremes._fields)
-        found[0] = tuple(before)
+        found[0] = tuple(before[name] for name in EXTREMES.names or ())
         if after is not None:
-            found[1] = tuple(after)
-    except (TypeError, KeyError, RecursionError) as error:
+            found[1] = tuple(after[name] for name in EXTREMES.names or ())
+    except (TypeError, KeyError, IndexError, RecursionError) as error:
         raise ValueError(str(error)) from None
     return Extremes(found[0], None if after is None else found[1])
 
@@ -140,10 +252,12 @@ def summarize(
 ) -> dict[str, Any]:
     """Return the run in a few numbers, SI units; None where there was no contact or no clock.
 
-    Strokes and torsion are those up to the latch; those of the held tip are named ``latched``,
-    None where no latch has closed.  Without the bench's ``extremes`` they are the samples'.
+    Its loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they are those of
+    the samples, and ``loads_from`` names the sample rate.
     """
-    before, after = extremes_in(samples, events) if extremes is None else extremes
+    sampled = extremes is None
+    if extremes is None:
+        extremes = sampled_extremes(scene, samples, touches, events)
     first = first_cluster(touches)
     met = first.size > 0
     simulated = float(samples["t"][-1]) if samples.size else 0.0
@@ -155,26 +269,18 @@ def summarize(
         "first_contact_duration": float(first["end"].max() - first["start"].min()) if met else None,
         "first_contact_touches": int(first.size),
         "first_contact_peak_force": float(first["peak_force"].max()) if met else None,
-        "touches": int(touches.size),
-        "peak_force": float(touches["peak_force"].max()) if met else None,
         "normal_impulse": float(touches["impulse"].sum()),
-        "max_axial_stroke": _stroke(before),
-        "max_torsion": float(before["torsion"]),
-        "max_penetration": max(float(before["penetration"]), 0.0),
-        "max_axial_stroke_latched": None if after is None else _stroke(after),
-        "max_torsion_latched": None if after is None else float(after["torsion"]),
-        "nearest_distance": min(
-            float(part["tip_distance"]) for part in (before, after) if part is not None
-        ),
+        **loads_of(extremes, touches),
+        "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
         "energy_residual": _largest(samples["energy_residual"]),
         "wall_time": wall_time,
         "real_time_factor": simulated / wall_time if wall_time else None,
     }
 
 
-def _stroke(extremes: np.void) -> float:
-    """Return the largest stroke of the probe, inwards or outwards, m."""
-    return max(float(extremes["compression"]), float(extremes["extension"]))
+def _sample_rate(samples: np.ndarray) -> float:
+    """Return how often a run was sampled, Hz, by its median interval; 0 for one sample."""
+    return 1.0 / float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
 
 
 def _largest(values: np.ndarray) -> float | None:
@@ -197,24 +303,28 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("", "experiment", "", "name", "{}"),
     _Column("", "verdict", "", "verdict", "{}"),
-    _Column("first touch", "speed", "m/s", "impact_speed", "{:.4f}"),
-    _Column("first touch", "time", "s", "first_contact_time", "{:.3f}"),
+    _Column("first contact", "speed", "m/s", "impact_speed", "{:.4f}"),
+    _Column("first contact", "time", "s", "first_contact_time", "{:.3f}"),
     _Column("first contact", "lasts", "ms", "first_contact_duration", "{:.1f}", 1e3),
     _Column("first contact", "n", "", "first_contact_touches", "{}"),
-    _Column("first contact", "peak", "N", "first_contact_peak_force", "{:.1f}"),
-    _Column("all touches", "n", "", "touches", "{}"),
-    _Column("all touches", "peak", "N", "peak_force", "{:.1f}"),
-    _Column("buffer up to", "stroke", "mm", "max_axial_stroke", "{:.2f}", 1e3),
-    _Column("buffer up to", "torsion", "mrad", "max_torsion", "{:.2f}", 1e3),
+    _Column("touches", "n", "", "touches", "{}"),
+    _Column("touches", "peak", "N", "max_normal_force", "{:.1f}"),
+    _Column("buffer", "in", "mm", "max_axial_stroke_in", "{:.2f}", 1e3),
+    _Column("buffer", "out", "mm", "max_axial_stroke_out", "{:.2f}", 1e3),
+    _Column("buffer", "torsion", "mrad", "max_torsion", "{:.2f}", 1e3),
+    _Column("buffer", "force", "N", "max_buffer_force", "{:.1f}"),
+    _Column("latch", "force", "N", "max_latch_force", "{:.1f}"),
     _Column("", "to BE", "mm", "nearest_distance", "{:.2f}", 1e3),
-    _Column("energy", "error", "J", "energy_residual", "{:.0e}"),
 )
+#: Of the row below an experiment whose latch closed.
+_UNTIL_LATCH = "  until latch"
 
 #: What the heads of the table mean.
 LEGEND = (
-    "n: touches. First contact: of the wall met first, until the tip has done with chattering.",
-    "Buffer: until the latch closes. To BE: smallest distance of the tip's centre to that of BE.",
-    "Energy error: of the ledger.",
+    "Loads are peak values of the whole run; a second row has those until the latch closed.",
+    "n: touches. First contact: with the wall met first, until the tip stops chattering.",
+    "Buffer: strokes inwards and outwards, torsion, axial force of spring, damper and stops.",
+    "To BE: closest approach of the tip's centre to that of BE, the inner edge of the cone.",
 )
 
 
@@ -223,13 +333,36 @@ def heads() -> list[tuple[str, str, str]]:
     return [(column.group, column.name, column.unit) for column in _COLUMNS]
 
 
-def rows(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """Return summaries as texts in the units of :func:`heads`, a row each; '-' for None."""
-    return [[_text(column, summary[column.key]) for column in _COLUMNS] for summary in summaries]
+def rows(
+    summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None
+) -> list[list[str]]:
+    """Return summaries as texts in the units of :func:`heads`; '-' for None.
+
+    A run whose latch closed has a second row below, of its loads until then.
+
+    Parameters
+    ----------
+    summaries
+        Of the runs.
+    names
+        One each for the first column; None takes the experiments'.
+    """
+    found = []
+    named = [summary["name"] for summary in summaries] if names is None else names
+    for name, summary in zip(named, summaries, strict=True):
+        found.append([name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])])
+        if summary["max_latch_force_time"] is not None:
+            earlier = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS)
+            cells = (
+                "" if value is None else _text(column, value)
+                for column, value in zip(_COLUMNS, earlier, strict=True)
+            )
+            found.append([_UNTIL_LATCH, *list(cells)[1:]])
+    return found
 
 
 def _text(column: _Column, value: Any) -> str:
-    if value is None or value == math.inf:
+    if value is None or (column.key == "max_latch_force" and not value):
         return "-"
     return column.form.format(value if column.factor == 1.0 else value * column.factor)
 
@@ -237,7 +370,7 @@ def _text(column: _Column, value: Any) -> str:
 def table(summaries: Sequence[dict[str, Any]]) -> str:
     """Return summaries as a table for people, with units in its head.
 
-    It fits 100 columns unless an experiment's name is longer than 14 letters.
+    It fits 100 columns unless an experiment's name is longer than 17 letters.
     """
     cells = [[c.name for c in _COLUMNS], [c.unit for c in _COLUMNS], *rows(summaries)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(_COLUMNS))]
@@ -261,10 +394,23 @@ def table(summaries: Sequence[dict[str, Any]]) -> str:
         )
         lines.append("".join(padded).rstrip())
     lines.insert(3, "-" * max(map(len, lines)))
-    lines += ["", *LEGEND]
+    lines += ["", *LEGEND, *notes(summaries)]
+    return "\n".join(lines)
+
+
+def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
+    """Return sentences on how exact and how fast the runs of a table are."""
+    lines = [
+        f"{s['name']}: loads of {s['loads_from']}; of touches the peaks are located."
+        for s in summaries
+        if s["loads_from"] != "integration"
+    ]
+    residuals = [s["energy_residual"] for s in summaries if s["energy_residual"] is not None]
+    if residuals:
+        lines.append(f"The energy ledger closes to {max(residuals):.0e} J.")
     factors = [s["real_time_factor"] for s in summaries if s["real_time_factor"]]
     if factors:
         low, high = (f"{f:.0f}" if f >= 10 else f"{f:.1f}" for f in (min(factors), max(factors)))
         span_text = low if low == high else f"{low} to {high}"
         lines.append(f"Run at {span_text} times real time.")
-    return "\n".join(lines)
+    return lines

@@ -169,18 +169,24 @@ TOUCH = np.dtype(
     ]
 )
 
-#: Extremes of a run: strokes inwards and outwards (m), torsion (rad), distance of the tip to the
-#: centre of BE (m), penetration (m) and normal force of a wall (N).
+#: Extremes of a run.  Magnitudes: strokes inwards and outwards (m), torsion (rad), force of the
+#: axial buffer with its damper and stops (N), torque of the torsional one (N m), normal force of
+#: each wall (N), force of the latch (N), penetration (m).  And the smallest distance of the tip's
+#: centre to that of BE (m).
 EXTREME_NAMES = (
-    "compression",
-    "extension",
+    "axial_stroke_in",
+    "axial_stroke_out",
     "torsion",
-    "tip_distance",
+    "buffer_force",
+    "buffer_torque",
+    "normal_force_plus_y",
+    "normal_force_minus_y",
+    "latch_force",
     "penetration",
-    "normal_force",
+    "tip_distance",
 )
 
-#: The extremes as magnitudes, the distance the smallest, each with its time (s).
+#: Each extreme with its time (s).
 EXTREMES = np.dtype([(f"{name}{end}", "f8") for name in EXTREME_NAMES for end in ("", "_time")])
 
 

@@ -22,7 +22,7 @@ from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import MissingPackageError, SceneError, SimulationError
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import change_scene, load_scene
-from capture_sim.results import heads, summarize
+from capture_sim.results import heads, loads_of, summarize
 from capture_sim.results import rows as rows_of
 from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, Extremes, columns_of
 from capture_sim.scene.files import Overrides
@@ -72,8 +72,9 @@ class Result:
     events : list of Event
         In order, each with time and state.
     extremes : Extremes
-        Largest strokes, torsion, penetration and force and the nearest approach, before and
+        Largest strokes, torsion, penetration and forces and the nearest approach, before and
         after the latch, from the integrator's own steps: the same whatever is sampled.
+        ``loads`` has them by name.
     watched : ndarray (k,) of dtype SAMPLE
         What the detector judges by: the run on the grid of ``run.state_rate``.
     statistics : Statistics
@@ -142,6 +143,15 @@ class Result:
         return self.statuses[-1].state
 
     @cached_property
+    def loads(self) -> dict[str, Any]:
+        """Loads of the whole run and until the latch closes, by name, SI units.
+
+        ``loads["max_torsion"]``, ``loads["max_torsion_before_latch"]``, and with ``_time`` at the
+        end of either when that was; :data:`capture_sim.results.LOADS` lists all names with units.
+        """
+        return loads_of(self.extremes, self.touches)
+
+    @cached_property
     def summary(self) -> dict[str, Any]:
         """The run in a few numbers, SI units; keys as in results.json."""
         return summarize(
@@ -166,12 +176,14 @@ class Result:
     def _repr_html_(self) -> str:
         """The summary as a table, for a notebook."""
         head = f"<caption>{html.escape(self.scene.title)}</caption>"
-        rows = (
-            f"<tr><th>{' '.join(filter(None, (group, name)))}</th><td>{html.escape(cell)}</td>"
-            f"<td>{unit}</td></tr>"
-            for (group, name, unit), cell in zip(heads(), *rows_of([self.summary]), strict=True)
+        # a second column of values where a latch closed
+        columns = rows_of([self.summary])
+        lines = (
+            f"<tr><th>{' '.join(filter(None, (group, name)))}</th>"
+            f"{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}<td>{unit}</td></tr>"
+            for (group, name, unit), *cells in zip(heads(), *columns, strict=True)
         )
-        return f"<table>{head}{''.join(rows)}</table>"
+        return f"<table>{head}{''.join(lines)}</table>"
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the samples as a table of pandas: a row for each, a column for each number.

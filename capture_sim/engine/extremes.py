@@ -1,4 +1,4 @@
-"""Largest forces, strokes and penetrations, nearest approach, inside the steps where they lie.
+"""Loads: largest forces, strokes and penetrations, and the closest approach, inside the steps.
 
 A quantity with its rate at both ends of a segment can hold a larger value in between only where
 the cubic through them has a maximum there; that place is then searched on the dense output.  So
@@ -16,7 +16,7 @@ import numpy as np
 from capture_sim.engine.steps import distances, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import normal_force
-from capture_sim.model.equations import IMPULSE, N_STATE, gap_and_rate, tip_in_cone
+from capture_sim.model.equations import IMPULSE, N_STATE, gap_and_rate, stop_force, tip_in_cone
 from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
@@ -40,14 +40,18 @@ class Quantity(IntEnum):
     NEARNESS = 2  # minus the distance of the tip to the centre of BE
     PENETRATION = 3  # of the wall on that side
     NORMAL_FORCE = 4
+    BUFFER_FORCE = 5  # of spring, damper and stop; -1 pulling, +1 pushing the probe out
+    BUFFER_TORQUE = 6  # either sense
+    LATCH_FORCE = 7
 
 
-COMPRESSION, EXTENSION, TORSION, TIP_DISTANCE, PENETRATION, NORMAL_FORCE = (
+STROKE_IN, STROKE_OUT, TORSION, BUFFER_FORCE, BUFFER_TORQUE = (
     np.int64(EXTREME_NAMES.index(name))
-    for name in (
-        *("compression", "extension", "torsion"),
-        *("tip_distance", "penetration", "normal_force"),
-    )
+    for name in ("axial_stroke_in", "axial_stroke_out", "torsion", "buffer_force", "buffer_torque")
+)
+NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
+    np.int64(EXTREME_NAMES.index(name))
+    for name in ("normal_force_plus_y", "latch_force", "penetration", "tip_distance")
 )
 
 
@@ -62,10 +66,44 @@ def force_at(y, system, i):
 
 
 @kernel
+def buffer_force_at(y, system):
+    """Return the force of the axial spring, its damper and a stop on the probe, N."""
+    par, stop = system.par, system.mode.stop
+    stroke, rate = y[4] - par.h_0, y[12]
+    force = -par.k_A * stroke - par.c_A * rate
+    if stop:
+        push, _ = stop_force(stroke, rate, stop, par)
+        force += push
+    return force
+
+
+@kernel
+def buffer_torque_at(y, par):
+    """Return the torque of the torsional spring and its damper on the cylinder, N m."""
+    return -par.k_T * (y[3] - y[2]) - par.c_T * (y[11] - y[10])
+
+
+@kernel
+def latch_force_at(y, system):
+    """Return the magnitude of the latch's force on the tip, N."""
+    par, mode = system.par, system.mode
+    px, py, wx, wy = tip_in_cone(y, par)
+    return math.hypot(
+        par.k_L * (px - mode.latch_x) + par.c_L * wx, par.k_L * (py - mode.latch_y) + par.c_L * wy
+    )
+
+
+@kernel
 def value_at(w, x, quantity, side):
     """Return a quantity at the fraction ``x`` of the present step."""
     state_inside(w, x)
     y, par = w.y_x, w.system.par
+    if quantity == Quantity.BUFFER_FORCE:
+        return side * buffer_force_at(y, w.system)
+    if quantity == Quantity.BUFFER_TORQUE:
+        return side * buffer_torque_at(y, par)
+    if quantity == Quantity.LATCH_FORCE:
+        return latch_force_at(y, w.system)
     if quantity == Quantity.STROKE:
         return side * (y[4] - par.h_0)
     if quantity == Quantity.TORSION:
@@ -150,7 +188,7 @@ def watch_extremes(w):
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
     for side in (-1.0, 1.0):
-        slot = COMPRESSION if side < 0.0 else EXTENSION
+        slot = STROKE_IN if side < 0.0 else STROKE_OUT
         s_a, s_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0)
         watch(w, Quantity.STROKE, side, slot, s_a, side * a[12], s_b, side * b[12])
         t_a, t_b = side * (a[3] - a[2]), side * (b[3] - b[2])
@@ -165,6 +203,45 @@ def watch_extremes(w):
             p_a, p_b = -start.gap[i], -end.gap[i]
             r_a, r_b = -start.gap_rate[i], -end.gap_rate[i]
             watch(w, Quantity.PENETRATION, 1.0 - 2.0 * i, PENETRATION, p_a, r_a, p_b, r_b)
+
+
+@kernel
+def watch_loads(w):
+    """Keep forces and torques of buffer and latch over the segment that ends."""
+    step, stepper, system = w.step, w.stepper, w.system
+    y_a, y_b, par, small = stepper.y, w.y_end, system.par, _SMALL_MOVE * step.h
+    # rates by small moves along the motion: they only decide where to look
+    near = stepper.y_stage
+    for k in range(N_STATE):
+        near[k] = y_a[k] + small * stepper.K[0, k]
+    force_a, torque_a = buffer_force_at(y_a, system), buffer_torque_at(y_a, par)
+    force_rate_a = (buffer_force_at(near, system) - force_a) / small
+    torque_rate_a = (buffer_torque_at(near, par) - torque_a) / small
+    latch_a = latch_rate_a = 0.0
+    if system.mode.latched:
+        latch_a = latch_force_at(y_a, system)
+        latch_rate_a = (latch_force_at(near, system) - latch_a) / small
+    if step.x_end == 1.0:
+        for k in range(N_STATE):
+            near[k] = y_b[k] - small * stepper.K[stepper.stages, k]
+    else:
+        state_inside(w, step.x_end - _SMALL_MOVE)
+        near = w.y_x
+    force_b, torque_b = buffer_force_at(y_b, system), buffer_torque_at(y_b, par)
+    force_rate_b = (force_b - buffer_force_at(near, system)) / small
+    torque_rate_b = (torque_b - buffer_torque_at(near, par)) / small
+    if system.mode.latched:
+        latch_b = latch_force_at(y_b, system)
+        latch_rate_b = (latch_b - latch_force_at(near, system)) / small
+        watch(
+            w, Quantity.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, latch_rate_a, latch_b, latch_rate_b
+        )
+    for side in (-1.0, 1.0):
+        a, d_a, b, d_b = side * force_a, side * force_rate_a, side * force_b, side * force_rate_b
+        watch(w, Quantity.BUFFER_FORCE, side, BUFFER_FORCE, a, d_a, b, d_b)
+        a, b = side * torque_a, side * torque_b
+        d_a, d_b = side * torque_rate_a, side * torque_rate_b
+        watch(w, Quantity.BUFFER_TORQUE, side, BUFFER_TORQUE, a, d_a, b, d_b)
 
 
 @kernel
@@ -184,9 +261,13 @@ def begin_extremes(w):
         totals.extreme[row, slot] = 0.0
         totals.extreme_time[row, slot] = w.step.t0
     stroke = y[4] - w.system.par.h_0
-    totals.extreme[row, COMPRESSION] = max(-stroke, 0.0)
-    totals.extreme[row, EXTENSION] = max(stroke, 0.0)
+    totals.extreme[row, STROKE_IN] = max(-stroke, 0.0)
+    totals.extreme[row, STROKE_OUT] = max(stroke, 0.0)
     totals.extreme[row, TORSION] = abs(y[3] - y[2])
+    totals.extreme[row, BUFFER_FORCE] = abs(buffer_force_at(y, w.system))
+    totals.extreme[row, BUFFER_TORQUE] = abs(buffer_torque_at(y, w.system.par))
+    if row:
+        totals.extreme[row, LATCH_FORCE] = latch_force_at(y, w.system)
     _, _, _, _, gap, _, _ = distances(y, w.system.par)
     totals.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
 
@@ -239,4 +320,5 @@ def watch_force(w):
             touch.peak_time = step.t1
         touch.force = force
         touch.force_rate = rate
-        keep(w.totals, system.mode.latched, NORMAL_FORCE, touch.peak_force, touch.peak_time)
+        slot = NORMAL_FORCE_PLUS_Y + i
+        keep(w.totals, system.mode.latched, slot, touch.peak_force, touch.peak_time)

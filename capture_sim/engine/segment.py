@@ -6,7 +6,7 @@ import math
 
 from capture_sim.engine.consequences import draw_consequences
 from capture_sim.engine.events import ratio_of_limit, search_step
-from capture_sim.engine.extremes import measure_force, watch_extremes, watch_force
+from capture_sim.engine.extremes import measure_force, watch_extremes, watch_force, watch_loads
 from capture_sim.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
@@ -169,6 +169,7 @@ def close_step(w, trace):
         if mode.touch[0].on or mode.touch[1].on:
             watch_force(w)
         watch_extremes(w)
+        watch_loads(w)
         for i in range(N_TOTAL):
             stepper.y[i] = w.y_end[i]
         if step.x_end < 1.0:

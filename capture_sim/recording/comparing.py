@@ -20,7 +20,7 @@ from capture_sim.recording.measured import (
     touches_of,
 )
 from capture_sim.recording.read import Run
-from capture_sim.results import first_cluster
+from capture_sim.results import LOADS, first_cluster, loads_of
 from capture_sim.studies.measurements import Measurements, Series, measured_in
 from capture_sim.studies.touches import Touches
 
@@ -47,6 +47,7 @@ class Comparable(NamedTuple):
     sources: Mapping[str, str]  # topic and rate of each
     touches: Touches | None  # one by one; None where they were not found
     touch_source: str  # what they were found in; why there are none
+    loads: Mapping[str, float | None]  # of the integration where both runs hold it, else empty
 
     @property
     def contact_may_be_late(self) -> bool:
@@ -83,6 +84,9 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
         _comparable(run, of, choice)
         for run, of, choice in zip((a, b), (mine, theirs), chosen, strict=True)
     )
+    if a.extremes is not None and b.extremes is not None:
+        first = first._replace(loads=loads_of(a.extremes, a.touches))
+        second = second._replace(loads=loads_of(b.extremes, b.touches))
     return _seen_as_well(first, second), _seen_as_well(second, first)
 
 
@@ -112,26 +116,33 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
         for name, value in (
             ("first contact lasts, ms", (first["end"].max() - first["start"].min()) * 1e3),
             ("peak force of first contact, N", first["peak_force"].max()),
-            ("largest force, N", touches["peak_force"].max()),
+            ("peak normal force, N", touches["peak_force"].max()),
             ("touches", touches.size),
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
             found[name] = Figure(float(value), topics.BENCH_EVENT.name)
     elif contact := of.run.columns(topics.CONTACT_STATE):
-        found["largest force, N"] = Figure(
+        found["peak normal force, N"] = Figure(
             float(contact["peak_force"].max()), topics.CONTACT_STATE.name
         )
     if sampled and "force" in of.series:
         largest = float(of.series["force"].values.max())
         found[SAMPLED_FORCE] = Figure(largest, of.sources["force"])
-    for quantity, name, value in (
-        ("stroke", "largest stroke inwards, mm", lambda x: -x.min() * 1e3),
-        ("stroke", "largest stroke outwards, mm", lambda x: x.max() * 1e3),
-        ("torsion", "largest torsion, mrad", lambda x: np.abs(x).max() * 1e3),
-        (DISTANCE, "nearest to BE, mm", lambda x: x.min() * 1e3),
-    ):
-        if quantity in of.series:
-            found[name] = Figure(float(value(of.series[quantity].values)), of.sources[quantity])
+    measured = {
+        "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
+        "max_axial_stroke_out": ("stroke", lambda x: x.max()),
+        "max_torsion": ("torsion", lambda x: np.abs(x).max()),
+        "nearest_distance": (DISTANCE, lambda x: x.min()),
+    }
+    for load in LOADS:
+        quantity, value_in = measured.get(load.key, ("", None))
+        name = f"{load.meaning}, {load.shown_in}"
+        for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
+            if (value := of.loads.get(key)) is not None:
+                found[name + when] = Figure(value * load.factor, "integration")
+        if not of.loads and value_in is not None and quantity in of.series:
+            value = float(value_in(of.series[quantity].values))
+            found[name] = Figure(value * load.factor, of.sources[quantity])
     return found
 
 
@@ -188,6 +199,7 @@ def _comparable(
         sources={name: f"{choice[name]}, {rate_of(series[name]):.4g} Hz" for name in series},
         touches=touches,
         touch_source=source,
+        loads={},
     )
 
 

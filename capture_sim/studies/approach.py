@@ -115,7 +115,7 @@ def captures(scene: Scene, spread: Spread, scale: float) -> bool:
         if off is None:
             return False
         outcome = run_to_verdict(off)
-        if outcome.failed or not outcome.captured:
+        if outcome.failure or not outcome.captured:
             return False
     return True
 

@@ -363,16 +363,18 @@ class _Flow:
                 return None
         buffer = (springs.k_A, springs.k_T, c_A)
         outcome = run_to_verdict(with_buffer(self.scene, *buffer))
-        result = (outcome.axial_stroke, outcome.torsion, outcome.peak_force, outcome.nearest)
+        loads = outcome.loads
+        strokes = loads["max_axial_stroke_in"], loads["max_torsion"]
+        result = *strokes, loads["max_normal_force"], loads["nearest_distance"]
         self._add(Trial(7, *buffer, *result, outcome.verdict, outcome.reason))
         return _Damper(c_A, springs, outcome)
 
     def good(self, damper: _Damper | None) -> bool:
         """Whether a damper captures within the limit of force."""
-        if damper is None or damper.outcome.failed or not damper.outcome.captured:
+        if damper is None or damper.outcome.failure or not damper.outcome.captured:
             return False
         limit = self.target.peak_force
-        return limit is None or damper.outcome.peak_force <= limit
+        return limit is None or damper.outcome.loads["max_normal_force"] <= limit
 
     def widest(self, tried: Sequence[_Damper | None]) -> slice | None:
         """Return where the longest run of good dampers is."""
@@ -389,7 +391,11 @@ class _Flow:
 
         def nearest(n: int) -> float:
             one = tried[n]
-            return math.inf if one is None or one.outcome.failed else one.outcome.nearest
+            return (
+                math.inf
+                if one is None or one.outcome.failure
+                else one.outcome.loads["nearest_distance"]
+            )
 
         promising = [n for n, one in enumerate(tried) if one is not None and one.outcome.captured]
         promising = promising or sorted(range(len(grid)), key=nearest)[:_PROMISING]
@@ -450,7 +456,7 @@ def design_buffer(
         interval = flow.widest(tried)
     judged = [one for one in tried if one is not None]
     if interval is None:
-        nearest = min(judged, key=lambda one: one.outcome.nearest, default=None)
+        nearest = min(judged, key=lambda one: one.outcome.loads["nearest_distance"], default=None)
         return _refused(flow, _no_damper(flow, judged, springs), springs, nearest)
     good = [one for one in tried[interval] if one is not None]
     low, high = good[0], good[-1]
@@ -528,17 +534,17 @@ def _no_damper(flow: _Flow, judged: Sequence[_Damper], springs: Springs) -> str:
     if not judged:
         return _no_springs(target, springs)
     top = max(one.c_A for one in judged)
-    captures = [one for one in judged if one.outcome.captured and not one.outcome.failed]
+    captures = [one for one in judged if one.outcome.captured and not one.outcome.failure]
     if captures:
-        least = min(captures, key=lambda one: one.outcome.peak_force)
+        least = min(captures, key=lambda one: one.outcome.loads["max_normal_force"])
         return (
             f"every damper up to {top:.4g} N s/m that captures pushes too hard: at least "
-            f"{least.outcome.peak_force:.4g} N (c_A = {least.c_A:.4g} N s/m), "
+            f"{least.outcome.loads['max_normal_force']:.4g} N (c_A = {least.c_A:.4g} N s/m), "
             f"{target.peak_force:.4g} N are allowed"
         )
-    best = min(judged, key=lambda one: one.outcome.nearest)
-    nearest = best.outcome.nearest * 1e3
-    if best.outcome.nearest > flow.scene.cone.L_c:
+    best = min(judged, key=lambda one: one.outcome.loads["nearest_distance"])
+    nearest = best.outcome.loads["nearest_distance"] * 1e3
+    if best.outcome.loads["nearest_distance"] > flow.scene.cone.L_c:
         return (
             "no damper captures: the tip is turned away at the cone's outer lip, and comes no "
             f"nearer than {nearest:.3g} mm ({_verdicts(judged)})"

@@ -246,8 +246,15 @@ def evaluate(plan: Plan, keys: Sequence[Key], rtol: float, *, check: bool = Fals
         row["verdict"] = row["finer_verdict"] = outcome.verdict
         touched = math.isfinite(outcome.first_touch)
         row["t"] = outcome.t - (outcome.first_touch if touched else 0.0)
-        for name in ("touches", "peak_force", "axial_stroke", "torsion", "nearest", "failed"):
-            row[name] = getattr(outcome, name)
+        row["failed"] = bool(outcome.failure)
+        for name, load in (
+            ("touches", "touches"),
+            ("peak_force", "max_normal_force_before_latch"),
+            ("axial_stroke", "max_axial_stroke_in_before_latch"),
+            ("torsion", "max_torsion_before_latch"),
+            ("nearest", "nearest_distance"),
+        ):
+            row[name] = outcome.loads[load]
     return rows
 
 

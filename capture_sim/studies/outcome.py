@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from capture_sim.bench import Bench, drive
 from capture_sim.detection.exact import CaptureState, ExactDetector
 from capture_sim.errors import SimulationError
-from capture_sim.results import first_cluster, first_contact_end
+from capture_sim.results import first_cluster, first_contact_end, loads_of
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 
@@ -28,43 +29,33 @@ _CONTACT_BLOCK = 200  # samples per call into the engine
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run up to its verdict; SI units.
-
-    Extremes are those of the motion, not of samples of it, up to the end of the last piece
-    that was run: at most 0.2 s of the detector's 100 Hz later than the verdict.
+    """What came of a run; SI units.
 
     Attributes
     ----------
     verdict : CaptureState
         As the detector gives it.
     t : float
-        Of the verdict, s since the release.
+        Time of the verdict, s since the release.
     reason : str
         The detector's, or why the run had to stop.
     first_touch : float
         s since the release; NaN without a touch.
-    touches : int
-        That had begun by then.
-    peak_force : float
-        Largest normal force on a wall, N.
-    axial_stroke, torsion : float
-        Largest magnitudes until the latch closes, if it does, m and rad.
-    nearest : float
-        Smallest distance of the tip's centre from the centre of BE, m.
-    failed : bool
-        The integration had to stop; the verdict is that of the run up to there.
+    loads : dict
+        By name, see :func:`capture_sim.results.loads_of`: of the motion, not of samples of it.
+    energy_residual : float
+        Largest residual of the energy ledger, J.
+    failure : str
+        Why the integration had to stop, if it did: the rest is of the run up to there.
     """
 
     verdict: CaptureState
     t: float
     reason: str
     first_touch: float
-    touches: int
-    peak_force: float
-    axial_stroke: float
-    torsion: float
-    nearest: float
-    failed: bool = False
+    loads: dict[str, Any]
+    energy_residual: float
+    failure: str = ""
 
     @property
     def captured(self) -> bool:
@@ -73,38 +64,53 @@ class Outcome:
 
 
 def run_to_verdict(scene: Scene) -> Outcome:
-    """Run a scene until the detector has come to its verdict.
+    """Run a scene until the detector has come to its verdict, or as far as ``run.t_end``.
 
-    ``run.t_end`` bounds the run, ``run.rate`` is the detector's.  A run that had to stop has an
-    outcome as well: see ``failed``.
+    ``run.rate`` is the detector's.  Loads are those up to the end of the last piece that was run:
+    at most 20 measurements of the detector later than the verdict.
 
     Raises
     ------
     SceneError
         If a value is out of its range.
     """
-    bench, detector, failure = Bench(scene), ExactDetector(scene), ""
+    return _run(scene, to_verdict=True)
+
+
+def run_to_end(scene: Scene) -> Outcome:
+    """Run a scene to its end, the verdict and what follows it included.
+
+    The verdict is that of :func:`run_to_verdict`, the loads are those of the whole run.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of its range.
+    """
+    return _run(scene, to_verdict=False)
+
+
+def _run(scene: Scene, *, to_verdict: bool) -> Outcome:
+    bench, detector, failure, residual = Bench(scene), ExactDetector(scene), "", 0.0
     times = np.arange(math.floor(scene.run.t_end * scene.run.rate) + 2) / scene.run.rate
-    for piece in drive(bench, times[times <= scene.run.t_end], block=_BLOCK):
-        detector.until_verdict(piece.samples)
+    times = times[times <= scene.run.t_end]
+    for piece in drive(bench, times, block=_BLOCK if to_verdict else times.size):
+        residual = np.abs(piece.samples["energy_residual"]).max(initial=residual)
+        if not detector.final:
+            detector.until_verdict(piece.samples)
         failure = str(piece.failure or "")
-        if detector.final:
+        if to_verdict and detector.final:
             break
-    status = detector.finish()
+    status = detector.finish(cut=bool(failure))
     began = bench.times_of(EventKind.TOUCH)
-    began = began[began <= status.t]
-    before, after = bench.extremes
     return Outcome(
         verdict=status.state,
         t=status.t,
         reason=failure or status.reason,
         first_touch=float(began[0]) if began.size else math.nan,
-        touches=began.size,
-        peak_force=float(before["normal_force"]),
-        axial_stroke=float(max(before["compression"], before["extension"])),
-        torsion=float(before["torsion"]),
-        nearest=float(min(each["tip_distance"] for each in (before, after) if each is not None)),
-        failed=bool(failure),
+        loads=loads_of(bench.extremes, bench.touches),
+        energy_residual=float(residual),
+        failure=failure,
     )
 
 
@@ -122,7 +128,7 @@ class FirstContact:
     peak_force : float
         Largest normal force, N.
     buffer_force : float
-        Largest axial force of the buffer among samples at 2 kHz, N: what the vehicles feel.
+        Largest axial force of the buffer, N: what the vehicles feel.
     touches : int
     failure : str
         Why the run had to stop, if it did; the rest is then of what was run.
@@ -172,11 +178,11 @@ def run_first_contact(scene: Scene) -> FirstContact:
         return max([sampled, *exact])
 
     return FirstContact(
-        axial_stroke=largest("axial_stroke", "compression", "extension"),
+        axial_stroke=largest("axial_stroke", "axial_stroke_in", "axial_stroke_out"),
         torsion=largest("torsion", "torsion"),
         duration=end - began,
         peak_force=float(touches["peak_force"].max(initial=0.0)),
-        buffer_force=float(np.abs(inside["axial_force"]).max(initial=0.0)),
+        buffer_force=largest("axial_force", "buffer_force"),
         touches=int(touches.size),
         failure=failure,
     )

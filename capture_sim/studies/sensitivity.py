@@ -222,7 +222,9 @@ def respond(task: tuple[Scene, tuple[Parameter, ...], tuple[float, ...]]) -> tup
     scene = changed(*task)
     contact, outcome = run_first_contact(scene), run_to_verdict(scene)
     values = [getattr(contact, quantity.name) for quantity in QUANTITIES[:4]]
-    return np.array([*values, outcome.nearest, float(outcome.captured)]), contact.touches
+    return np.array(
+        [*values, outcome.loads["nearest_distance"], float(outcome.captured)]
+    ), contact.touches
 
 
 def local_sensitivity(

@@ -1,6 +1,7 @@
 """What is drawn over time, as data: used by pictures, report and rerun alike.
 
-As in the paper, a line is solid while the tip touches the cone and dashed while it does not.
+As in the paper, a line is solid while the tip touches the cone and dashed while it does not; while
+a latch holds the tip it is dotted and dashed.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.samples import Phase
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import CHASER, TARGET
@@ -41,6 +43,8 @@ LAYERS = (
     ("stops", style.BLACK, ("dissipated_stop",)),
     ("landing of the mass", style.YELLOW, ("dissipated_landing",)),
 )
+#: What holds the tip; :data:`capture_sim.viewing.style.LINES` has the look of each.
+HOLDS = ("free", "in contact", "latched")
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out
 _POINTS = 600
 
@@ -53,6 +57,12 @@ class Shown(NamedTuple):
     colour: str
     origin: float  # s
     touching: np.ndarray  # (n,) bool, of its samples
+
+    @property
+    def holds(self) -> np.ndarray:
+        """What holds the tip right after each sample, (n,), numbers of :data:`HOLDS`."""
+        latched = self.run.samples["phase"] == Phase.LATCHED
+        return np.where(latched, HOLDS.index("latched"), self.touching.astype(int))
 
     @property
     def time(self) -> np.ndarray:
@@ -273,15 +283,17 @@ def time_label(shown: Sequence[Shown]) -> str:
     return f"time since the {words.pop() if len(words) == 1 else 'start'}"
 
 
-def split(values: np.ndarray, touching: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return values in contact and values out of it, (n, ...) each, NaN elsewhere.
+def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the values that belong to each of :data:`HOLDS`, (n, ...) each, NaN elsewhere.
 
     What lies between two samples belongs to the earlier of them.
     """
-    before = np.concatenate([touching[:1], touching[:-1]])
+    before = np.concatenate([holds[:1], holds[:-1]])
     shape = (-1,) + (1,) * (values.ndim - 1)
-    in_touch = np.where((touching | before).reshape(shape), values, np.nan)
-    return in_touch, np.where((touching & before).reshape(shape), np.nan, values)
+    return {
+        name: np.where(((holds == number) | (before == number)).reshape(shape), values, np.nan)
+        for number, name in enumerate(HOLDS)
+    }
 
 
 def has_ledger(run: ViewableRun) -> bool:

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes
-from capture_sim.viewing.curves import Quantity, Shown, Window, split
+from capture_sim.viewing.curves import HOLDS, Quantity, Shown, Window, split
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
 
 _MM = 1e3
-_FREE: Any = {"lw": 1.3, "ls": style.FREE_LINE}
+_PATH, _CURVE = 3.2, 2.1  # widths in contact, points
 
 
 def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
@@ -26,12 +26,14 @@ def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
     axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
     axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
     for one in shown:
-        draw_path(axes, one.run.scene, one.run.samples, one.touching, one.colour)
+        draw_path(axes, one.run.scene, one.run.samples, one.holds, one.colour)
         if several:
             axes.plot([], [], color=one.colour, lw=3.2, label=one.label)
     colour = style.GREY if several else shown[0].colour
-    axes.plot([], [], color=colour, label="centre, free", **_FREE)
-    axes.plot([], [], color=colour, lw=3.2, label="centre, in contact")
+    held = {int(number) for one in shown for number in np.unique(one.holds)}
+    for number, name in enumerate(HOLDS):
+        if number in held:
+            axes.plot([], [], color=colour, label=f"centre, {name}", **_look(name, _PATH))
     across, upwards = frame_bounds(scenes[0])
     axes.set(aspect="equal", xlim=across, ylim=upwards)
     axes.set_xlabel("x in the cone's frame, from BE  [mm]")
@@ -60,17 +62,22 @@ def _draw_cone(axes: Axes, scene: Scene) -> None:
 
 
 def draw_path(
-    axes: Axes, scene: Scene, samples: np.ndarray, touching: np.ndarray, colour: str
+    axes: Axes, scene: Scene, samples: np.ndarray, holds: np.ndarray, colour: str
 ) -> None:
-    """Draw the way of the tip's centre: solid while it touches, dashed while it does not."""
+    """Draw the path of the tip's centre; its line tells what holds the tip."""
     (left, right), (low, high) = frame_bounds(scene)
     way = tip_in_cone(samples) * _MM
     # what lies far outside of the frame needs no line
     near = (way > (left - 50.0, low - 50.0)).all(axis=1)
     near &= (way < (right + 50.0, high + 50.0)).all(axis=1)
-    in_touch, _ = split(way[near], touching[near])
-    axes.plot(*way[near].T, color=colour, zorder=5, **_FREE)
-    axes.plot(*in_touch.T, color=colour, lw=3.2, zorder=5)
+    for name, part in split(way[near], holds[near]).items():
+        axes.plot(*part.T, color=colour, zorder=5, **_look(name, _PATH))
+
+
+def _look(name: str, width: float) -> dict[str, Any]:
+    line = style.LINES[name]
+    cap = {"solid_capstyle": "butt"} if line.dashes == "solid" else {}
+    return {"ls": line.dashes, "lw": width * line.width, **cap}
 
 
 def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -98,9 +105,8 @@ def draw_quantity(axes: Axes, quantity: Quantity, shown: Sequence[Shown], window
         inside = (t - one.origin >= window[0]) & (t - one.origin <= window[1])
         t, values = t[inside] - one.origin, values[inside]
         if quantity.located is None:
-            touch, free = split(values, one.touching[inside])
-            axes.plot(t, free, color=one.colour, lw=1.4, ls=style.FREE_LINE)
-            axes.plot(t, touch, color=one.colour, lw=2.1, solid_capstyle="butt")
+            for name, part in split(values, one.holds[inside]).items():
+                axes.plot(t, part, color=one.colour, **_look(name, _CURVE))
         else:
             axes.plot(t, values, color=one.colour, lw=1.5)
     if quantity.from_zero:

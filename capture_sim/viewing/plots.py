@@ -112,23 +112,25 @@ def _draw_trajectory(axes: Axes, one: Shown, title: str) -> None:
 def _draw_over_time(all_axes: Sequence[Axes], one: Shown, quantities: Sequence[Quantity]) -> None:
     """Draw the contact force, quantities, and over all of them when the tip touches."""
     run, window = one.run, source.time_window(one.run)
+    loads = source.summary_of(run, None)
     titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
     _draw_force(all_axes[0], one)
-    inside = (one.time >= window[0]) & (one.time <= window[1])
     for axes, quantity in zip(all_axes[1:], quantities, strict=True):
-        # when it touches is shaded here: no dashes
-        draw_quantity(axes, quantity, [one._replace(touching=np.ones_like(inside))], window)
-        values = quantity.of(run.samples)
-        low, high = values[inside].min(), values[inside].max()
+        # when it touches is shaded here: dashes in the flights between would hide them
+        draw_quantity(axes, quantity, [one._replace(touching=np.ones_like(one.touching))], window)
+        axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
         if quantity is DISTANCE:
             [zone] = quantity.limits(run.scene)
-            titles.append(f"Tip to BE: nearest {values.min():.1f} mm (zone: {zone.value:g} mm)")
+            nearest = loads["nearest_distance"] * 1e3
+            titles.append(f"Tip to BE: nearest {nearest:.1f} mm (zone: {zone.value:g} mm)")
             _mark_verdict(axes, run, window)
             axes.set_ylabel("distance\n[mm]")
+        elif quantity is STROKE:
+            inwards, outwards = (loads[f"max_axial_stroke_{way}"] * 1e3 for way in ("in", "out"))
+            titles.append(f"Axial buffer: whole run {inwards:.2f} mm in, {outwards:.2f} mm out")
         else:
-            spread = f"{low:.3g} to {high:.3g} {quantity.unit}"
-            titles.append(f"{quantity.title} ({quantity.sign}): {spread}")
-            axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
+            largest = loads["max_torsion"] * 1e3
+            titles.append(f"Torsional buffer: whole run up to {largest:.2f} mrad")
     touches = source.every_touch(run)
     touching = [(start, end - start) for start, end in touches[["start", "end"]].tolist()]
     for axes, title in zip(all_axes, titles, strict=True):

@@ -19,7 +19,7 @@ from plotly.offline import get_plotlyjs
 import capture_sim
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.files import whole_file
-from capture_sim.results import LEGEND, first_cluster, heads, rows
+from capture_sim.results import LEGEND, first_cluster, heads, notes, rows
 from capture_sim.samples import ENERGIES, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
@@ -124,8 +124,8 @@ def report(opened: Sequence[Opened]) -> str:
         runs=list(map(_of_run, opened)),
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
         columns=[(name, unit) for _, name, unit in heads()],
-        results=[[name, *cells[1:]] for name, cells in zip(names, rows(summaries), strict=True)],
-        legend=" ".join(LEGEND),
+        results=rows(summaries, names),
+        legend=" ".join([*LEGEND, *notes(summaries)]),
         figures=drawn,
         pictures=[_strip(one, i) for i, one in enumerate(shown)],
         energies=[report_figures.energy(known)] if known else [],

@@ -94,12 +94,9 @@ def trajectories(shown: Sequence[Shown]) -> Drawn:
             "customdata": _some(one.run.samples["t"][near]),
             "hovertemplate": "%{x:.2f}, %{y:.2f} mm at %{customdata:.3f} s",
         }
-        in_touch, free = split(way[near], one.touching[near])
-        for part, word, dash, width in (
-            (in_touch, "in contact", "solid", 3.5),
-            (free, "free", "dash", 1.3),
-        ):
-            line = (one.colour, dash, width)
+        for word, part in split(way[near], one.holds[near]).items():
+            style_of_line = style.LINES[word]
+            line = (one.colour, style_of_line.plotly, 3.5 * style_of_line.width)
             name = f"{one.label}, {word}"
             _add_line(figure, _some(part).T, line, name=name, **look, **hidden)
         figure.update_yaxes(range=(-80, 80), scaleanchor=f"x{i}", row=1, col=i)
@@ -177,16 +174,16 @@ def _add_over_time(
                 t = t - one.origin
                 inside = (t >= window[0]) & (t <= window[1])
                 sampled = quantity.located is None
-                parts = split(values, one.touching) if sampled else (values,)
-                for part, dash in zip(parts, ("solid", "dash"), strict=False):
+                parts = split(values, one.holds) if sampled else {"in contact": values}
+                for word, part in parts.items():
                     seen = inside & np.isfinite(part).any()
                     _add_line(
                         figure,
                         (t[seen].astype(np.float32), part[seen].astype(np.float32)),
-                        (one.colour, dash, 1.8),
+                        (one.colour, style.LINES[word].plotly, 1.8),
                         name=one.label,
                         legendgroup=one.label,
-                        showlegend=row == col == 1 and dash == "solid",
+                        showlegend=row == col == 1 and word == "in contact",
                         **place,
                     )
             # each once, in order: the same report gives the same bytes

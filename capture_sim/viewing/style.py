@@ -77,6 +77,22 @@ DPI = 110
 FREE_LINE = (0, (4.0, 2.4))
 
 
+class Line(NamedTuple):
+    """How a curve is drawn: dashes of matplotlib and plotly, width where contact is 1."""
+
+    dashes: tuple[float, tuple[float, ...]] | str
+    plotly: str
+    width: float
+
+
+#: While the tip is free, in contact, latched.
+LINES = {
+    "free": Line(FREE_LINE, "dash", 0.6),
+    "in contact": Line("solid", "solid", 1.0),
+    "latched": Line((0, (5.0, 1.2, 1.0, 1.2)), "dashdot", 0.8),
+}
+
+
 def run_colour(i: int) -> str:
     """Return the colour of the i-th run."""
     return RUNS[i % len(RUNS)]

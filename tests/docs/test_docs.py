@@ -201,9 +201,11 @@ def test_the_table_of_the_readme_holds(recordings):
         values = (
             ("{:.3f}", r["first_contact_time"]),
             ("{:.1f} ({})", r["first_contact_duration"] * 1e3, r["first_contact_touches"]),
-            ("{:.1f} ({})", r["peak_force"], r["touches"]),
-            ("{:.2f}", r["max_axial_stroke"] * 1e3),
-            ("{:.2f}", r["max_torsion"] * 1e3),
+            ("{:.1f} ({})", r["max_normal_force"], r["touches"]),
+            *(
+                ("{:.2f} ({:.2f})", r[f"max_{load}"] * 1e3, r[f"max_{load}_before_latch"] * 1e3)
+                for load in ("axial_stroke_in", "axial_stroke_out", "torsion")
+            ),
             ("{:.2f}", r["nearest_distance"] * 1e3),
         )
         assert cells == [text.format(*numbers) for text, *numbers in values], head

@@ -37,24 +37,32 @@ def test_table_fits_a_hundred_columns_and_has_a_unit_over_every_number(results):
 
 
 def test_table_holds_the_runs_numbers(results):
-    for run, row in zip(results, rows([run.summary for run in results]), strict=True):
+    for run in results:
+        row, *until_latch = rows([run.summary])
         by_head = {(group, name): cell for (group, name, _), cell in zip(heads(), row, strict=True)}
         first = run.touches["start"].min()
-        assert float(by_head["first touch", "time"]) == pytest.approx(first, abs=5e-4)
-        assert int(by_head["all touches", "n"]) == len(run.touches)
+        assert float(by_head["first contact", "time"]) == pytest.approx(first, abs=5e-4)
+        assert int(by_head["touches", "n"]) == len(run.touches)
         peak = run.touches["peak_force"].max()
-        assert float(by_head["all touches", "peak"]) == pytest.approx(peak, abs=0.05)
+        assert float(by_head["touches", "peak"]) == pytest.approx(peak, abs=0.05)
         assert float(by_head["", "to BE"]) == pytest.approx(
             run.samples["tip_distance"].min() * 1e3, abs=0.005
         )
+        stroke = run.samples["axial_stroke"] * 1e3
+        assert float(by_head["buffer", "in"]) == pytest.approx(-stroke.min(), abs=0.01)
+        latch = next((e.t for e in run.events if e.kind.label == "latched"), None)
+        assert len(until_latch) == (latch is not None)
+        for earlier in until_latch:
+            inwards = float(earlier[row.index(by_head["buffer", "in"])])
+            assert inwards == pytest.approx(-stroke[run.t < latch].min(), abs=0.01)
 
 
 def test_run_without_a_touch_has_dashes():
     run = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=0.5)
     [row] = rows([run.summary])
     cells = dict(zip(heads(), row, strict=True))
-    assert cells["first touch", "time", "s"] == "-"
-    assert cells["first contact", "peak", "N"] == "-"
+    assert cells["first contact", "time", "s"] == "-"
+    assert cells["latch", "force", "N"] == "-"
     assert max(map(len, table([run.summary]).splitlines())) <= 100
 
 

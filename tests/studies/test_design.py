@@ -141,7 +141,7 @@ def test_a_limit_of_force_is_kept_or_refused(paper, design):
     own = run_first_contact(paper)
     kept = design_buffer(paper, DesignTarget(own.axial_stroke, own.torsion, peak_force=250.0))
     assert kept.met
-    assert kept.outcome.peak_force <= 250.0 < design.history[-1].peak_force + 100.0
+    assert kept.outcome.loads["max_normal_force"] <= 250.0 < design.history[-1].peak_force + 100.0
     refused = design_buffer(paper, DesignTarget(own.axial_stroke, own.torsion, peak_force=100.0))
     assert "pushes too hard" in refused.refusal
     # the first touch alone is harder than that, whatever the buffer

@@ -107,9 +107,8 @@ def test_figures_hold_the_runs_in_their_colours(page, runs):
 def test_page_tells_the_runs_numbers(page, runs):
     cells = Page(page.read_text(encoding="utf-8")).cells
     for run in runs:
-        expected = rows([run.summary])[0]
-        [shown] = [row for row in cells if row[:2] == expected[:2]]
-        assert shown == expected
+        for expected in rows([run.summary]):
+            assert list(filter(None, expected)) in [list(filter(None, row)) for row in cells]
     theta = next(row for row in cells if row and row[0] == "initial.target.theta")
     assert [float(cell) for cell in theta[2:5]] == pytest.approx(
         [run.scene.initial.target.theta for run in runs], abs=1e-6

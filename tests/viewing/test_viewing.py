@@ -277,7 +277,7 @@ def test_touch_that_was_broken_off_is_seen_to_its_end(runs, interrupted, drawn):
     assert (shaded.x0, shaded.x1) == pytest.approx((begun, last))
     # the extremes that the headings tell are in sight
     lowest = np.nanmin(np.concatenate([line.get_ydata() for line in stroke.get_lines()]))
-    assert f"{lowest:.3g} to " in stroke.get_title()
+    assert f"whole run {-lowest:.2f} mm in" in stroke.get_title()
     assert stroke.get_xlim()[1] == last
     count = (runs[0].touches["start"] < last).sum()
     assert f"+y wall: {count} touches" in [line.get_label() for line in force.get_lines()]
