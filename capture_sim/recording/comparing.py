@@ -138,7 +138,7 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
         quantity, value_in = measured.get(load.key, ("", None))
         name = f"{load.meaning}, {load.shown_in}"
         for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
-            if (value := of.loads.get(key)) is not None:
+            if value := of.loads.get(key):
                 found[name + when] = Figure(value * load.factor, "integration")
         if not of.loads and value_in is not None and quantity in of.series:
             value = float(value_in(of.series[quantity].values))

@@ -283,6 +283,12 @@ def time_label(shown: Sequence[Shown]) -> str:
     return f"time since the {words.pop() if len(words) == 1 else 'start'}"
 
 
+def held_by(shown: Iterable[Shown]) -> list[str]:
+    """Return which of :data:`HOLDS` occur in runs."""
+    numbers = {int(number) for one in shown for number in np.unique(one.holds)}
+    return [name for number, name in enumerate(HOLDS) if number in numbers]
+
+
 def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
     """Return the values that belong to each of :data:`HOLDS`, (n, ...) each, NaN elsewhere.
 

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes
-from capture_sim.viewing.curves import HOLDS, Quantity, Shown, Window, split
+from capture_sim.viewing.curves import Quantity, Shown, Window, held_by, split
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
 
 _MM = 1e3
-_PATH, _CURVE = 3.2, 2.1  # widths in contact, points
+_PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 
 def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
@@ -30,10 +30,8 @@ def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
         if several:
             axes.plot([], [], color=one.colour, lw=3.2, label=one.label)
     colour = style.GREY if several else shown[0].colour
-    held = {int(number) for one in shown for number in np.unique(one.holds)}
-    for number, name in enumerate(HOLDS):
-        if number in held:
-            axes.plot([], [], color=colour, label=f"centre, {name}", **_look(name, _PATH))
+    for name in held_by(shown):
+        axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
     across, upwards = frame_bounds(scenes[0])
     axes.set(aspect="equal", xlim=across, ylim=upwards)
     axes.set_xlabel("x in the cone's frame, from BE  [mm]")
@@ -71,10 +69,11 @@ def draw_path(
     near = (way > (left - 50.0, low - 50.0)).all(axis=1)
     near &= (way < (right + 50.0, high + 50.0)).all(axis=1)
     for name, part in split(way[near], holds[near]).items():
-        axes.plot(*part.T, color=colour, zorder=5, **_look(name, _PATH))
+        axes.plot(*part.T, color=colour, zorder=5, **line_look(name, _PATH))
 
 
-def _look(name: str, width: float) -> dict[str, Any]:
+def line_look(name: str, width: float = CURVE) -> dict[str, Any]:
+    """Return how matplotlib draws what one of HOLDS holds; ``width`` in points, in contact."""
     line = style.LINES[name]
     cap = {"solid_capstyle": "butt"} if line.dashes == "solid" else {}
     return {"ls": line.dashes, "lw": width * line.width, **cap}
@@ -106,7 +105,7 @@ def draw_quantity(axes: Axes, quantity: Quantity, shown: Sequence[Shown], window
         t, values = t[inside] - one.origin, values[inside]
         if quantity.located is None:
             for name, part in split(values, one.holds[inside]).items():
-                axes.plot(t, part, color=one.colour, **_look(name, _CURVE))
+                axes.plot(t, part, color=one.colour, **line_look(name))
         else:
             axes.plot(t, values, color=one.colour, lw=1.5)
     if quantity.from_zero:

@@ -40,9 +40,10 @@ from capture_sim.viewing.curves import (
     Window,
     as_shown,
     common_window,
+    held_by,
     time_label,
 )
-from capture_sim.viewing.drawing import draw_quantity, draw_trajectory
+from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, line_look
 from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes, tip_in_world
 from capture_sim.viewing.source import ViewableRun, first_touch, start_word, time_window
 
@@ -330,8 +331,8 @@ def _label_runs(
             axes.plot([], [], color=one.colour, lw=2.6, label=one.label)
     tone = shown[0].colour if len(shown) == 1 else style.GREY
     if contact:
-        axes.plot([], [], color=tone, lw=2.1, label="in contact")
-        axes.plot([], [], color=tone, lw=1.4, ls=style.FREE_LINE, label="free")
+        for name in held_by(shown):
+            axes.plot([], [], color=tone, label=name, **line_look(name))
     figure = axes.get_figure(root=True)
     if outside and figure is not None:
         found = dict[str, Artist]()
