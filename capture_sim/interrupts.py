@@ -1,24 +1,77 @@
-"""Work in a thread of its own, while the main thread waits for nothing but its end or Ctrl-C.
+"""Ctrl-C that is neither lost nor raised at a bad moment.
 
-Where Ctrl-C meets a compiler's callback, a destructor or a module's import, Python loses it there,
-or tells of it in a traceback.  Compiling and loading the kernels is little else than that.
+A command is ended by KeyboardInterrupt, as any Python program.  Where that meets a compiler's
+callback, a destructor or a module's import, Python loses it or prints a traceback; compiling and
+loading the kernels is little else, so it is done in a thread of its own.
+
+A node is ended by an event, :data:`STOP`, which its main thread looks at wherever it waits.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import signal
+import socket
 import struct
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import TypeVar
 
 T = TypeVar("T")
 
+#: Set when a node's process is asked to end.
+STOP = threading.Event()
 _NAME = "worker"
+#: A thread that waits for something else looks at :data:`STOP` this often, s.
+_POLL = 0.05
+
+
+def watch_signals(
+    stop: threading.Event, signals: Collection[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
+) -> Callable[[], None]:
+    """Set an event when one of the signals comes; return a function that restores the handlers.
+
+    Nothing is raised, so no cleanup is interrupted and no signal is lost in a destructor.  Does
+    nothing outside of the main thread, for which alone Python has handlers.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return lambda: None
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+
+    def watch() -> None:
+        with reader, writer:
+            while reader.recv(1):
+                stop.set()
+
+    threading.Thread(target=watch, name="signals", daemon=True).start()
+    earlier_fd = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    earlier = {signum: signal.signal(signum, lambda signum, frame: None) for signum in signals}
+
+    def restore() -> None:
+        for signum, handler in earlier.items():
+            signal.signal(signum, handler)
+        signal.set_wakeup_fd(earlier_fd)
+        writer.shutdown(socket.SHUT_WR)  # ends the thread
+
+    return restore
+
+
+def wait_for(event: threading.Event) -> None:
+    """Wait for an event.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        :data:`STOP` was set before.
+    """
+    while not event.wait(_POLL):
+        if STOP.is_set():
+            raise KeyboardInterrupt
 
 
 def in_worker(work: Callable[[], T]) -> T:
@@ -33,15 +86,18 @@ def in_worker(work: Callable[[], T]) -> T:
         return work()  # signals are not for this thread
     results: list[T] = []
     failures: list[BaseException] = []
+    done = threading.Event()
 
     def run() -> None:
         try:
             results.append(work())
         except BaseException as failure:
             failures.append(failure)
+        done.set()
 
     thread = threading.Thread(target=run, name=_NAME, daemon=True)
     thread.start()
+    wait_for(done)
     thread.join()
     if failures:
         raise failures[0]

@@ -125,7 +125,8 @@ class Pacer:
     @property
     def wall(self) -> float:
         """Wall time spent running, without pauses, s."""
-        return self._wall + (0.0 if self._origin is None else self._clock() - self._origin)
+        origin = self._origin  # another thread may hold time meanwhile
+        return self._wall + (0.0 if origin is None else self._clock() - origin)
 
     @property
     def achieved(self) -> float:

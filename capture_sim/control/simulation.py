@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import NamedTuple
 
 from capture_sim.control.pacing import Pacer
+from capture_sim.interrupts import STOP
 
 #: Why runs end that somebody asked to end.
 RESET, STOPPED, QUITTING = "reset", "stopped", "quitting"
@@ -104,6 +106,8 @@ class SimulationControl:
         Those that can be asked for.
     resets
         Whether a run can begin anew.
+    stop
+        Set when the process is to end: the running thread then gets KeyboardInterrupt.
 
     Attributes
     ----------
@@ -118,19 +122,21 @@ class SimulationControl:
         *,
         states: Sequence[State] = (State.STOPPED, State.PLAYING, State.PAUSED, State.QUITTING),
         resets: bool = True,
+        stop: threading.Event = STOP,
     ) -> None:
         self.pacer = pacer
         self.changed = threading.Condition(threading.RLock())
         self._states, self.resets = tuple(states), resets
+        self._stop = stop
         self._state = state
         self._cut: RunCut | None = None  # the run that is on is to end
         self._running = False  # a run is on
-        self._free = False  # unpaced ticks may pass without a look
-        self._settling: list[Request] = []  # to pause, answered when nothing passes any more
+        self._pausing: list[Request] = []  # answered when nothing passes any more
         self._resetting: list[Request] = []
         self._step: Request | None = None
         self._step_since = 0.0
         self._asked = self._left = 0  # ticks of the step
+        self._answers: list[tuple[Request, Answer]] = []  # given when the lock is free again
 
     # requests, from any thread
 
@@ -145,7 +151,7 @@ class SimulationControl:
         Pausing is done when no further tick will pass, stopping when the run has ended;
         quitting is answered while it can be.
         """
-        with self.changed:
+        with self._locked():
             if target not in self._states:
                 allowed = ", ".join(f"{state:d} {state.name.lower()}" for state in self._states)
                 return _answered(
@@ -163,15 +169,15 @@ class SimulationControl:
                 self._answer(self._resetting)
             if self._state is not State.PAUSED:
                 self._fail_step("the state was changed to " + self._state.name.lower())
-            self._notify()
+            self.changed.notify_all()
             if self._state in (State.PLAYING, State.QUITTING) or not self._running:
                 return _answered(Code.OK)
-            self._settling.append(Request())
-            return self._settling[-1]
+            self._pausing.append(Request())
+            return self._pausing[-1]
 
     def step(self, count: int) -> Request:
         """Ask for ``count`` ticks; done when they have passed and the run waits again."""
-        with self.changed:
+        with self._locked():
             if self._state is not State.PAUSED:
                 text = f"stepping needs a paused run; this one is {self._state.name.lower()}"
                 return _answered(Code.OPERATION_FAILED, text)
@@ -181,7 +187,7 @@ class SimulationControl:
                 return _answered(Code.OK)
             self._step, self._asked, self._left = Request(), count, count
             self._step_since = time.monotonic()
-            self._notify()
+            self.changed.notify_all()
             return self._step
 
     def reset(self, scope: int) -> Request:
@@ -189,7 +195,7 @@ class SimulationControl:
 
         A playing or paused run stays so; a stopped one is at its start already.
         """
-        with self.changed:
+        with self._locked():
             if not self.resets:
                 text = "there is no reset: start the replay again"
                 return _answered(Code.FEATURE_UNSUPPORTED, text)
@@ -205,45 +211,46 @@ class SimulationControl:
             if self._running:
                 self._cut = RunCut(RESET, again=True)
             self._fail_step("the simulation was reset")
-            self._notify()
+            self.changed.notify_all()
             return request
 
     def cut(self, reason: str) -> None:
         """End the run that is on, since something has gone wrong."""
-        with self.changed:
+        with self._locked():
             if self._running:
                 self._cut = RunCut(reason, asked_for=False)
-            self._notify()
+            self.changed.notify_all()
 
     def set_factor(self, factor: float) -> None:
         """Run faster or slower from now on, see :class:`Pacer`."""
-        with self.changed:
+        with self._locked():
             self.pacer.factor = factor
-            self._notify()
+            self.changed.notify_all()
 
-    # the thread that runs
+    # the thread that runs; all raise KeyboardInterrupt where they wait and ``stop`` is set
 
     def await_start(self) -> State:
         """Wait while stopped; return the state that ended it."""
-        with self.changed:
+        with self._locked():
             while self._state is State.STOPPED:
+                self._raise_if_stopping()
                 self.changed.wait(_POLL)
             return self._state
 
     def begin(self) -> None:
         """A run begins: from here on it can be cut."""
-        with self.changed:
+        with self._locked():
             self.pacer.reset()
             self._running, self._cut = True, None
             if self._state in (State.STOPPED, State.QUITTING):
                 self._end_run()
-            self._notify()
+            self.changed.notify_all()
 
     def ready(self) -> None:
         """The run could start now: resets are done."""
-        with self.changed:
+        with self._locked():
             self._answer(self._resetting)
-            self._answer(self._settling)
+            self._answer(self._pausing)
 
     def check(self) -> None:
         """Answer requests while the run waits for others.
@@ -253,10 +260,9 @@ class SimulationControl:
         RunCut
             The run is to end.
         """
-        with self.changed:
-            if self._cut is not None:
-                raise self._cut
-            self._answer(self._settling)
+        with self._locked():
+            self._raise_if_cut()
+            self._answer(self._pausing)
             if self._step and time.monotonic() - self._step_since > RELEASE_PATIENCE:
                 self._fail_step(f"the chaser is held: no release within {RELEASE_PATIENCE:g} s")
 
@@ -270,63 +276,87 @@ class SimulationControl:
         RunCut
             The run is to end.
         """
-        if self._free and self.pacer.factor == 0.0:
-            self.pacer.tick(t)
-            return
-        with self.changed:
-            while True:
-                if self._cut is not None:
-                    raise self._cut
-                if t == self.pacer.t:
-                    return
-                if self._state is State.PLAYING:
-                    delay = self.pacer.delay(t)
-                    if delay <= 0.0:
-                        self.pacer.tick(t)
-                        self._free = True
-                        return
-                    self.changed.wait(delay)
-                    continue
-                self.pacer.hold()
-                if self._step is not None and self._left > 0:
-                    self._left -= 1
-                    self.pacer.skip(t)
-                    return
-                self._finish_step()
-                self._answer(self._settling)
-                self.changed.wait(_POLL)
+        while not self._try_tick(t):
+            pass
 
     def end(self, failure: str = "") -> None:
         """The run is over, for ``failure`` or as it should be."""
-        with self.changed:
+        with self._locked():
             self._running = False
             self.pacer.hold()
-            self._answer(self._settling)
+            self._answer(self._pausing)
             if self._left == 0:
                 self._finish_step()
             self._fail_step(failure or "the run is over")
             if failure and not (self._cut is not None and self._cut.again):
                 self._answer(self._resetting, Answer(Code.OPERATION_FAILED, failure))
-            self._notify()
+            self.changed.notify_all()
 
     def finish(self) -> None:
         """Nothing is left to run: stop, unless something else was asked for meanwhile."""
-        with self.changed:
+        with self._locked():
             if self._state is not State.QUITTING:
                 self._state = State.STOPPED
             self._answer(self._resetting)
-            self._notify()
+            self.changed.notify_all()
 
     def close(self) -> None:
         """Nothing will be done any more: answer all that wait."""
-        with self.changed:
+        with self._locked():
             self._state = State.QUITTING
             self._fail_step("the simulation has ended")
             self._answer(self._resetting, Answer(Code.OPERATION_FAILED, "the simulation has ended"))
-            self._answer(self._settling)
-            self._notify()
+            self._answer(self._pausing)
+            self.changed.notify_all()
 
     # under the lock
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Hold the lock; answer requests after it, as their callbacks may make requests."""
+        answers: list[tuple[Request, Answer]] = []
+        try:
+            with self.changed:
+                try:
+                    yield
+                finally:
+                    answers, self._answers = self._answers, []
+        finally:
+            for request, answer in answers:
+                request.set_result(answer)
+
+    def _try_tick(self, t: float) -> bool:
+        """Return whether time ``t`` may pass; wait a little if not."""
+        with self._locked():
+            self._raise_if_cut()
+            if t == self.pacer.t:
+                return True
+            if self._state is State.PLAYING:
+                delay = self.pacer.delay(t)
+                if delay <= 0.0:
+                    self.pacer.tick(t)
+                    return True
+                self.changed.wait(min(delay, _POLL))
+                return False
+            self.pacer.hold()
+            if self._step is not None and self._left > 0:
+                self._left -= 1
+                self.pacer.skip(t)
+                return True
+            self._finish_step()
+            self._answer(self._pausing)
+            if not self._answers:
+                self.changed.wait(_POLL)
+            return False
+
+    def _raise_if_cut(self) -> None:
+        self._raise_if_stopping()
+        if self._cut is not None:
+            raise self._cut
+
+    def _raise_if_stopping(self) -> None:
+        if self._stop.is_set():
+            raise KeyboardInterrupt
 
     def _end_run(self) -> None:
         if self._running:
@@ -334,21 +364,15 @@ class SimulationControl:
 
     def _finish_step(self) -> None:
         if self._step is not None:
-            self._step.set_result(Answer(Code.OK))
+            self._answers.append((self._step, Answer(Code.OK)))
             self._step = None
 
     def _fail_step(self, why: str) -> None:
         if self._step is not None:
             text = f"{why} after {self._asked - self._left} of {self._asked} steps"
-            self._step.set_result(Answer(Code.OPERATION_FAILED, text))
+            self._answers.append((self._step, Answer(Code.OPERATION_FAILED, text)))
             self._step = None
 
-    def _notify(self) -> None:
-        self._free = False  # until the running thread has looked
-        self.changed.notify_all()
-
-    @staticmethod
-    def _answer(requests: list[Request], answer: Answer = Answer(Code.OK)) -> None:  # noqa: B008
-        for request in requests:
-            request.set_result(answer)
+    def _answer(self, requests: list[Request], answer: Answer = Answer(Code.OK)) -> None:  # noqa: B008
+        self._answers += [(request, answer) for request in requests]
         requests.clear()

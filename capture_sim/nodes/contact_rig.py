@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from functools import partial
 from typing import Any
@@ -10,9 +9,11 @@ from typing import Any
 from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
 from capture_sim.hardware.loop_messages import tip_of, wrench_message
 from capture_sim.hardware.walls import TipState, WallLaw, contact_rig
+from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.process import run
+from capture_sim.nodes.start import OK
 
 
 class ContactRigNode(BenchNode):
@@ -42,8 +43,8 @@ class ContactRigNode(BenchNode):
     def work(self) -> int:
         """Answer until Ctrl-C."""
         self.get_logger().info("ready")
-        threading.Event().wait()
-        return 0
+        STOP.wait()
+        return OK
 
     def _answer(self, message: Any) -> None:
         self._places.append(tip_of(message))

@@ -23,6 +23,7 @@ from capture_sim.hardware.in_the_loop import (
 )
 from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
 from capture_sim.hardware.walls import WallLaw
+from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.process import run
@@ -130,8 +131,8 @@ class LoopSimulatorNode(BenchNode):
             for k in range(steps):
                 due = began + k * self._stage.step / self._rtf
                 delay = due - time.monotonic()
-                if delay > 0.0:
-                    time.sleep(delay)
+                if STOP.wait(max(0.0, delay)):
+                    raise KeyboardInterrupt
                 late += delay < -self._stage.step / self._rtf
                 with self._lock:
                     stamp, wrench = self._hold.at(self._now)
@@ -158,7 +159,8 @@ class LoopSimulatorNode(BenchNode):
             if time.monotonic() > deadline:
                 raise CaptureSimError(f"no wrench came for {self._patience:g} s")
             self.send(TIP, tip_message(self.messages, self._stage.tip))
-            time.sleep(KNOCK)
+            if STOP.wait(KNOCK):
+                raise KeyboardInterrupt
 
     def _report_result(self, stopped: str, late: int) -> None:
         """Say what was measured, and write it where that is asked for."""

@@ -25,6 +25,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
 from capture_sim.errors import CaptureSimError, MessageError, one_line
+from capture_sim.interrupts import STOP
 from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import Rate, Topic
@@ -34,6 +35,8 @@ from capture_sim.nodes.parameters import ParameterNode
 UNTAKEN = 100
 #: A latched message waits this long for what was sent before it, s (wall).
 IN_ORDER = 1.0
+#: Messages still on their way when the process is asked to end get this long to arrive, s (wall).
+LAST_DRAIN = 0.5
 #: Of messages of a topic that are refused one is named in so many s (wall), the others counted.
 REFUSING = 5.0
 #: The last message, for those who come later.
@@ -95,11 +98,11 @@ class BenchNode(ParameterNode):
         """Do the node's work in the main thread; return the exit status."""
         raise NotImplementedError
 
-    def farewell(self) -> None:
-        """Wait after Ctrl-C for what is on its way; callbacks still run, no signal comes."""
+    def await_run_end(self) -> None:
+        """Wait after Ctrl-C for messages that are on their way; callbacks still run."""
 
     def interrupted(self) -> None:
-        """End in order after Ctrl-C; no callback runs any more, sending still works."""
+        """End the run after Ctrl-C; no callback runs any more, sending still works."""
 
     # topics
 
@@ -170,35 +173,31 @@ class BenchNode(ParameterNode):
         self.failure = error
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    def send(self, topic: Topic, message: Any, *, latch: bool = False) -> None:
+    def send(self, topic: Topic, message: Any, *, latch: bool = False) -> bool:
         """Publish a message on one of the open topics; wait while a reader's queue is full.
 
-        Parameters
-        ----------
-        topic, message
-            What is sent.
-        latch
-            Whether subscribers that come later get this message of a stream too.
+        ``latch``: subscribers that come later get this message of a stream too.  Return False if
+        the process was asked to end while it waited; the message is not sent then.
         """
         if latch and topic in self._latches:
             # in order with the stream, which another publisher sends
             acknowledged(self._senders[topic], IN_ORDER)
             self._latches[topic].publish(message)
             acknowledged(self._latches[topic], IN_ORDER)
-            return
+            return True
         try:
             self._senders[topic].publish(message)
         except RuntimeError:  # rclpy's RCLError: the history is full of what a reader has not taken
-            self._send_when_read(topic, message)
+            return self._send_when_read(topic, message)
+        return True
 
     def publish(self, sent: Sent, *, latch: bool = False) -> None:
         """Publish what a telemetry has made."""
         self.send(sent.topic, sent.data, latch=latch)
 
-    def _send_when_read(self, topic: Topic, message: Any) -> None:
+    def _send_when_read(self, topic: Topic, message: Any) -> bool:
         deadline = time.monotonic() + self.reader_timeout
-        while True:
-            time.sleep(0.002)
+        while not STOP.wait(0.002):
             try:
                 self._senders[topic].publish(message)
             except RuntimeError:
@@ -206,7 +205,8 @@ class BenchNode(ParameterNode):
                     self._leave_behind(topic)
                     deadline = math.inf
             else:
-                return
+                return True
+        return False
 
     def _leave_behind(self, topic: Topic) -> None:
         """Send to all but who stands still: DDS then keeps no more than 1000 messages."""
@@ -275,11 +275,18 @@ def full_name(end: Any) -> str:
 
 
 def acknowledged(publisher: Any, limit: float) -> bool:
-    """Wait until all readers have what a publisher has sent, ``limit`` s at most; tell whether."""
+    """Wait until all readers have what a publisher has sent; return whether they have.
+
+    Wait ``limit`` s (wall) at most, and :data:`LAST_DRAIN` once the process was asked to end.
+    """
     deadline = time.monotonic() + limit
+    shutdown_deadline = math.inf
     # in slices: rclpy holds Python's lock while it waits
     while not publisher.wait_for_all_acked(Duration(nanoseconds=200_000)):
-        if time.monotonic() > deadline:
+        now = time.monotonic()
+        if STOP.is_set():
+            shutdown_deadline = min(shutdown_deadline, now + LAST_DRAIN)
+        if now > min(deadline, shutdown_deadline):
             return False
         time.sleep(0.001)
     return True

@@ -30,6 +30,7 @@ from std_srvs.srv import Trigger
 
 from capture_sim.control.simulation import QUITTING, RESET, STOPPED
 from capture_sim.errors import CaptureSimError, MessageError, one_line
+from capture_sim.interrupts import wait_for
 from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import (
@@ -86,7 +87,7 @@ GRACE = 0.5
 LONGEST = 60.0
 #: Ctrl-C mostly ends all nodes at once: a participant waits this long for the word on how the run
 #: has ended, s (wall).
-FAREWELL = 3.0
+RUN_END_TIMEOUT = 3.0
 
 
 def readers(topic: Topic, roles: Collection[str]) -> int:
@@ -250,15 +251,15 @@ class Participant(BenchNode):
         # what is there now is left out of all later sweeps: over it one takes longer than a tick
         gc.collect()
         gc.freeze()
-        self._ready.wait()
+        wait_for(self._ready)
         self.get_logger().info("ready, waiting for a run")
-        self._over.wait()
+        wait_for(self._over)
         return self._status
 
-    def farewell(self) -> None:
+    def await_run_end(self) -> None:
         """Let the run that is on end as its announcer says, if that is ended too."""
         self._leaving = True
-        deadline = time.monotonic() + FAREWELL
+        deadline = time.monotonic() + RUN_END_TIMEOUT
         while self.run is not None and time.monotonic() < deadline:
             if self._alone and self._counts is None:
                 break  # nobody is left to say it; after the counts others may still send

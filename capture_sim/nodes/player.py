@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ from std_srvs.srv import Trigger
 from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import Request, SimulationControl, State
 from capture_sim.errors import CaptureSimError
+from capture_sim.interrupts import STOP
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
     LAUNCHER,
@@ -104,7 +104,7 @@ class PlayerNode(BenchNode):
             states=(State.PLAYING, State.PAUSED),
             resets=False,
         )
-        self._outlets: dict[str, Callable[..., None]] = {}
+        self._outlets: dict[str, Callable[..., object]] = {}
         for name in self._played:
             self._open(name, self._playback.types[name])
         own = [topic for topic in map(topic_named, self._outlets) if topic in self._senders]
@@ -194,7 +194,7 @@ class PlayerNode(BenchNode):
         if self._consumers:
             self._barrier.wait(name, self._barrier.all_there, self._patience)
         else:
-            time.sleep(self._delay)
+            STOP.wait(self._delay)
         self._control.pacer.reset()
         for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
             self._control.tick((stamp - self._playback.start) / 1e9)

@@ -1,13 +1,13 @@
-"""A node as a process: callbacks in a thread, Ctrl-C, an end in order, an exit status.
+"""A node as a process: callbacks in a thread, Ctrl-C, shutdown in order, an exit status.
 
-The main thread does the node's work, so that Ctrl-C reaches it at any moment; callbacks run in a
-thread of their own.
+The main thread does the node's work, callbacks run in a thread of their own.  SIGINT and SIGTERM
+set :data:`capture_sim.interrupts.STOP`; the main thread raises KeyboardInterrupt where it waits
+next.
 """
 
 from __future__ import annotations
 
 import inspect
-import math
 import os
 import signal
 import sys
@@ -15,8 +15,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -25,7 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.interrupts import end_within, leave_if_busy
+from capture_sim.interrupts import STOP, end_within, leave_if_busy, watch_signals
 from capture_sim.nodes import dds
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
@@ -39,8 +37,10 @@ except ImportError:
 
 #: Last messages are given this long to arrive before a node ends, s (wall).
 LINGER = 0.3
-#: DDS gets this long to end, s (wall).
-ENDING = 5
+#: DDS gets this long to shut down, s (wall).
+DDS_SHUTDOWN_TIMEOUT = 5
+#: A process that was asked to end is ended after this long, s (wall): a disk may be stalled.
+SHUTDOWN_TIMEOUT = 10.0
 
 
 class _Spinner:
@@ -77,60 +77,13 @@ class _Spinner:
         self._executor.shutdown()
 
 
-class _Interrupt:
-    """Ends the node's work by KeyboardInterrupt, once for signals that come together.
-
-    Ctrl-C on a launch reaches a node twice, from the terminal and from `ros2 launch`; the second
-    would tear the end that the first has begun, before that can ignore it.  Raised within a
-    destructor it is lost, so it comes again until the node has taken it.  While ``is_held`` it is
-    put off.
-    """
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
-    TOGETHER = 1.0  # s
-    AGAIN = 1.2  # s
-    SOON = 0.05  # s
-
-    def __init__(self) -> None:
-        self._last = -math.inf
-        self.is_held = False
-
-    def __call__(self, signum: int, frame: FrameType | None) -> None:
-        if self.is_held:
-            signal.setitimer(signal.ITIMER_REAL, self.SOON)
-            return
-        now = time.monotonic()
-        if now - self._last > self.TOGETHER:
-            self._last = now
-            signal.setitimer(signal.ITIMER_REAL, self.AGAIN)
-            raise KeyboardInterrupt
-
-    def install(self) -> None:
-        """Take the signals from here on."""
-        for signum in self.SIGNALS:
-            signal.signal(signum, self)
-        sys.unraisablehook = self._lost
-
-    @classmethod
-    def ignore(cls) -> None:
-        """Let no signal tear what comes now."""
-        for signum in cls.SIGNALS:
-            signal.signal(signum, signal.SIG_IGN)
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-    @staticmethod
-    def _lost(unraisable: Any) -> None:
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            sys.__unraisablehook__(unraisable)
-
-
 def run(
     make: Callable[[], BenchNode],
     args: Sequence[str] | None = None,
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
-    The process is then to end: where DDS does not, it is ended after :data:`ENDING`.
+    The process is then to end: where DDS does not, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
 
     Parameters
     ----------
@@ -148,40 +101,47 @@ def run(
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         print(_usage(make), flush=True)
         return OK
-    # rclpy's own handlers shut DDS down at once; ours leaves time to say good-bye
-    interrupt = _Interrupt()
-    interrupt.install()
+    watch_signals(STOP)
+    # blocked until here, where it can no longer interrupt an import
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+    threading.Thread(target=_limit_shutdown, name="shutdown", daemon=True).start()
     try:
-        # held back until here, where it can no longer hit an import
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
         hidden = dds.configure(os.environ)
+        # rclpy's own handlers shut DDS down at once; ours leave time for the last messages
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            status = _live(make, hidden, interrupt)
+            status = _live(make, hidden)
         finally:
             rclpy.try_shutdown()
-        leave_if_busy(status)  # compiling goes on behind a Ctrl-C
+        leave_if_busy(status)  # compiling goes on after Ctrl-C
         return status
     except CaptureSimError as error:
         return _refuse(str(error))
     # arguments that rclpy cannot parse (RCLError), parameters of every node, names
     except (RuntimeError, ParameterException, NameValidationException) as error:
         return _refuse(str(error).splitlines()[0])
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # while the node was made
         leave_if_busy(OK)
-        end_within(ENDING, OK)
+        end_within(DDS_SHUTDOWN_TIMEOUT, OK)
         return OK
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _limit_shutdown() -> None:
+    """End the process if it has not ended :data:`SHUTDOWN_TIMEOUT` after it was asked to."""
+    STOP.wait()
+    time.sleep(SHUTDOWN_TIMEOUT)
+    text = f"no shutdown within {SHUTDOWN_TIMEOUT:g} s, e.g. of a stalled disk: process ended"
+    print(f"{REFUSAL}{text}", file=sys.stderr, flush=True)
+    os._exit(FAILED)
 
 
 def _refuse(reason: str) -> int:
     print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
-    end_within(ENDING, REFUSED)
+    end_within(DDS_SHUTDOWN_TIMEOUT, REFUSED)
     return REFUSED
 
 
-def _live(make: Callable[[], BenchNode], hidden: bool, interrupt: _Interrupt) -> int:
+def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
     node = make()
     log = node.get_logger()
     if hidden:
@@ -191,9 +151,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool, interrupt: _Interrupt) ->
     interrupted = False
     try:
         node.warn_of_unknown_parameters()
-        interrupt.is_held = True  # a thread that nobody knows of here would end in SIGABRT
         callbacks = _Spinner(node)
-        interrupt.is_held = False
         status = node.work()
     except KeyboardInterrupt:
         interrupted = True
@@ -201,11 +159,9 @@ def _live(make: Callable[[], BenchNode], hidden: bool, interrupt: _Interrupt) ->
     except CaptureSimError as error:
         log.error(str(error))
     finally:
-        # the end is bounded in time: a second Ctrl-C would only tear it
-        _Interrupt.ignore()
         if callbacks is not None:
             if interrupted and node.failure is None:
-                node.farewell()
+                node.await_run_end()
             callbacks.stop()
         if node.failure is not None:
             log.error(_one_line(node.failure))
@@ -213,7 +169,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool, interrupt: _Interrupt) ->
         elif interrupted:
             node.interrupted()
         node.drain(LINGER)
-        end_within(ENDING, status)
+        end_within(DDS_SHUTDOWN_TIMEOUT, status)
         node.destroy_node()
     return status
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import re
 import sys
 import time
 import uuid
@@ -26,6 +27,7 @@ from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import (
+    BENCH_STATE,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
     LAUNCH_COMMAND,
@@ -62,11 +64,12 @@ IN_TIME = 1.0
 #: Python hands over between threads this often, s; its own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
 #: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
-#: (wall): longer than DDS needs to see that (config/fast_dds*.xml, leaseDuration).
-RIVAL_PATIENCE = 8.0
+#: (wall): longer than DDS needs to notice (config/fast_dds*.xml, leaseDuration).
+SECOND_SIMULATOR_TIMEOUT = 8.0
 #: Others are found within this long after a node was created, or asked, s (wall), before it is
 #: said that nobody is there.
 DISCOVERY = 0.3
+_RUN_ID = re.compile("[0-9a-f]{32}")
 
 
 @dataclass
@@ -143,8 +146,8 @@ class SimulatorNode(BenchNode):
         self.control = SimulationControl(State[state.upper()], Pacer(factor))
         streams = topics_of(SIMULATOR)
         self._barrier = Barrier(self, consumers, streams, (SIMULATOR,), self.control.check)
-        # run ids of one simulator begin alike
-        self._session = uuid.uuid4().hex[:24]
+        # run ids begin with it: those of an older simulator are smaller
+        self._session = f"{time.time_ns():016x}{uuid.uuid4().hex[:8]}"
         self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
@@ -153,6 +156,7 @@ class SimulatorNode(BenchNode):
         self._diagnostics = SimulatorDiagnostics(self, self.control)
         self._served = SimulationServices(self, self.control, INFO)
         self.listen(LAUNCH_COMMAND, self._commanded)
+        self.listen(RUN_INFO, self._run_announced)
         self.add_on_set_parameters_callback(self._may_set)
         self.add_post_set_parameters_callback(self._parameters_set)
 
@@ -174,6 +178,16 @@ class SimulatorNode(BenchNode):
                 self.control.cut("aborted by the launcher")
             else:
                 raise MessageError(f"action = {command.action}: must be 1 to 3")
+
+    def _run_announced(self, info: Any) -> None:
+        """End if an older simulator publishes here: with two on a topic no stream is complete."""
+        simulated = SIMULATOR in info.publishers and _RUN_ID.fullmatch(info.run_id)
+        if simulated and info.run_id[: len(self._session)] < self._session:
+            self.fail(CaptureSimError(self._second_simulator()))
+
+    def _second_simulator(self) -> str:
+        topic = self.resolve_topic_name(BENCH_STATE.name)
+        return f"another simulator publishes {topic}: use another ROS_DOMAIN_ID or namespace"
 
     def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
@@ -212,7 +226,7 @@ class SimulatorNode(BenchNode):
         gc.collect()
         gc.freeze()  # out of all later sweeps: over it one takes longer than a tick
         time.sleep(max(0.0, self.created + DISCOVERY - time.monotonic()))
-        self._refuse_rival()
+        self._check_only_simulator()
         status = OK
         try:
             while self.control.await_start() is not State.QUITTING:
@@ -226,11 +240,6 @@ class SimulatorNode(BenchNode):
         finally:
             self._served.close()
         return status
-
-    def interrupted(self) -> None:
-        """Say that the run has ended early."""
-        if self._telemetry is not None:
-            self._end_run(INTERRUPTED)
 
     def standing_still(self, topic: Topic) -> list[str]:
         """Return the nodes that read a topic and do not answer."""
@@ -250,16 +259,13 @@ class SimulatorNode(BenchNode):
             self.destroy_client(client)
         return silent or list(clients)
 
-    def _refuse_rival(self) -> None:
-        """End if another simulator publishes here: with two on a topic no stream is whole."""
-
-        def lacking() -> str:
-            if self.publishers_of(RUN_INFO) < 2:
-                return ""
-            topic = self.resolve_topic_name(RUN_INFO.name)
-            return f"another simulator publishes {topic}: use another ROS_DOMAIN_ID or namespace"
-
-        self._barrier.wait("start", lacking, RIVAL_PATIENCE)
+    def _check_only_simulator(self) -> None:
+        """End if another simulator publishes here; give it time to leave."""
+        self._barrier.wait(
+            "start",
+            lambda: self._second_simulator() if self.publishers_of(BENCH_STATE) > 1 else "",
+            SECOND_SIMULATOR_TIMEOUT,
+        )
 
     def _go_through_all(self) -> tuple[bool, bool]:
         """Run the scenes in turn; return whether they are through, and whether one failed."""
@@ -303,6 +309,10 @@ class SimulatorNode(BenchNode):
                 failure = str(asked)
         except CaptureSimError as error:
             failure = str(error)
+        except KeyboardInterrupt:
+            if self._telemetry is not None:
+                self._end_run(INTERRUPTED)
+            raise
         if failure:
             self.get_logger().error(f"{name}: {failure}")
         if self._telemetry is not None:
@@ -348,7 +358,7 @@ class SimulatorNode(BenchNode):
         assert self._telemetry is not None
         for sent in self._telemetry.rest():
             self.publish(sent)
-        whole = self.drain(0.5 if reason == INTERRUPTED else self.reader_timeout)
+        whole = self.drain(self.reader_timeout)
         if not whole and not reason and not self.left_behind:
             self.left_behind = ["a subscriber"]
             self.get_logger().error("a subscriber has not acknowledged all that was sent")

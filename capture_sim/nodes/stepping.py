@@ -48,13 +48,13 @@ class Stepping:
         self._telemetry = telemetry
         self._control = control
 
-    def run(self, send: Callable[[Topic, Any], None], show: Callable[[np.void], None]) -> str:
+    def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
         """Send the whole run; return why it failed, or nothing.
 
         Parameters
         ----------
         send
-            Called with every topic and serialised message.
+            Called with every topic and serialised message; returns whether it was sent.
         show
             Called with every sample that periodic messages were made of, after them.
 
@@ -71,14 +71,11 @@ class Stepping:
                 for sample, due in zip(piece.samples, _by_sample(block), strict=True):
                     self._control.tick(float(sample["t"]))
                     for topic, _, data in due:
-                        try:
-                            send(topic, data)
-                        finally:
-                            sent[topic] += 1  # Ctrl-C during it is raised when it has been sent
+                        sent[topic] += send(topic, data)
                     self.count += 1
                     self.t = float(sample["t"])
                     self.residual = float(sample["energy_residual"])
-                    if due[-1][0] is BenchTelemetry.LAST_PERIODIC:
+                    if any(topic is BenchTelemetry.LAST_PERIODIC for topic, *_ in due):
                         show(sample)
                 failure = str(piece.failure or "")
         except (RunCut, KeyboardInterrupt):

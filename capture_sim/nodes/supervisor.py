@@ -13,16 +13,15 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 import yaml
 
 from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
+from capture_sim.interrupts import watch_signals
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
@@ -157,11 +156,14 @@ def _run_nodes(
         arguments += ["-r", "/clock:=clock"]  # another suite's time must not mix with this one's
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
     _print(f"starting {', '.join(parameters)} {where}")
-    with (
-        _answered(_ENDING[1:], _interrupt),
-        _Processes(list(parameters), arguments, environment) as processes,
-    ):
-        status = processes.supervise(announcer, limit)
+    stop = threading.Event()
+    ignored = (signal.SIG_IGN, None)  # by nohup, or for a job in the background: stays so
+    restore = watch_signals(stop, [s for s in _ENDING if signal.getsignal(s) not in ignored])
+    try:
+        with _Processes(list(parameters), arguments, environment) as processes:
+            status = processes.supervise(announcer, limit, stop)
+    finally:
+        restore()
     return status, processes.refusals
 
 
@@ -178,47 +180,6 @@ def _print(text: str, who: str = "suite") -> None:
         print(f"[{who}] {text}", flush=True)
 
 
-@contextmanager
-def _answered(
-    signals: Sequence[signal.Signals], handler: Callable[[int, FrameType | None], None]
-) -> Iterator[None]:
-    """Answer signals that are not ignored by a handler, where this thread gets them."""
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for signum in signals:
-            if signal.getsignal(signum) not in (signal.SIG_IGN, None):
-                before[signum] = signal.signal(signum, handler)
-    try:
-        yield
-    finally:
-        for signum, earlier in before.items():
-            signal.signal(signum, earlier)
-
-
-def _interrupt(signum: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-@contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Put off what would end this process; raise KeyboardInterrupt afterwards if it came.
-
-    Processes started within inherit a blocked SIGINT, to open it once they can end in order.
-    For this process blocking is not enough: a thread of some library that has not blocked it
-    takes the signal, and Python raises in the main thread, perhaps before a process that has
-    been started is noted.
-    """
-    came: list[int] = []
-    with _answered(_ENDING, lambda signum, frame: came.append(signum)):
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-    if came:
-        raise KeyboardInterrupt
-
-
 class _Processes:
     """The nodes' processes; leaving the context ends what still runs."""
 
@@ -233,23 +194,31 @@ class _Processes:
         self.refusals: list[str] = []  # why nodes have refused their parameters
 
     def __enter__(self) -> _Processes:
+        # a node inherits the blocked signals, and opens them once it can end in order
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
         try:
-            with signals_deferred():
-                for name in self._names:
-                    self._start(name)
+            for name in self._names:
+                self._start(name)
         except BaseException:
             self._end()
             raise
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         return self
 
     def __exit__(self, *error: object) -> None:
         self._end()
 
-    def supervise(self, announcer: str, limit: float) -> int:
+    def supervise(self, announcer: str, limit: float, stop: threading.Event) -> int:
         """Wait until all have ended, ``limit`` s at most; return the exit status.
 
-        When a node dies the others get some time to notice, to say so and to close their
+        When a node dies the others get some time to notice, to report it and to close their
         files, then they are ended too.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            ``stop`` was set.
         """
         began = time.monotonic()
         deadline = began + limit
@@ -265,7 +234,8 @@ class _Processes:
             if self._running and time.monotonic() > deadline:
                 _print(f"ending {', '.join(self._running)}")
                 return max(status, FAILED)
-            time.sleep(0.02)
+            if stop.wait(0.02):
+                raise KeyboardInterrupt
         _print(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
         return status
 
@@ -296,20 +266,19 @@ class _Processes:
 
     def _end(self) -> None:
         """End what still runs: by SIGINT, and by SIGKILL what does not follow."""
-        with signals_deferred():
-            for process in self._running.values():
-                process.send_signal(signal.SIGINT)
-            deadline = time.monotonic() + LAST_GRACE
-            for name, process in self._running.items():
-                try:
-                    process.wait(max(0.0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    _print(f"{name} does not end on SIGINT: killed")
-                    process.kill()
-                    process.wait()
-            self._running.clear()
-            for reader in self._readers:
-                reader.join(1.0)
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + LAST_GRACE
+        for name, process in self._running.items():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                _print(f"{name} does not end on SIGINT: killed")
+                process.kill()
+                process.wait()
+        self._running.clear()
+        for reader in self._readers:
+            reader.join(1.0)
 
     def _forward(self, name: str, stream: Any) -> None:
         for line in stream:

@@ -1,6 +1,7 @@
 """Pacing and control, without ROS."""
 
 import itertools
+import sys
 import threading
 import time
 
@@ -268,3 +269,62 @@ def test_a_player_has_neither_stop_nor_reset():
     assert control.reset(0).result(0.0).code is Code.FEATURE_UNSUPPORTED
     assert control.set_state(State.PLAYING).result(0.0).code is Code.ALREADY_IN_TARGET_STATE
     assert control.step(1).result(0.0).message == "stepping needs a paused run; this one is playing"
+
+
+def test_answers_are_given_outside_of_the_lock():
+    """A callback of an answer may wait for a thread that makes a request of its own."""
+    control = SimulationControl(State.PAUSED, Pacer(0.0))
+    _, _, thread = stepping(control)
+    done = []
+
+    def ask_from_another_thread(_):
+        other = threading.Thread(target=control.set_factor, args=(0.0,), daemon=True)
+        other.start()
+        other.join(5.0)
+        done.append(not other.is_alive())
+
+    for ask in (lambda: control.step(3), lambda: control.set_state(State.STOPPED)):
+        request = ask()
+        request.add_done_callback(ask_from_another_thread)
+        assert request.result(5.0).code is Code.OK
+    thread.join(5.0)
+    wait_for = time.monotonic() + 5.0
+    while len(done) < 2 and time.monotonic() < wait_for:
+        time.sleep(0.01)
+    assert done == [True, True]
+
+
+def test_factor_changes_at_any_moment_of_a_tick():
+    control = SimulationControl(State.PLAYING, Pacer(0.0))
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        passed, cuts, thread = stepping(control)
+        end = time.monotonic() + 1.0
+        for factor in itertools.cycle((1000.0, 0.0)):
+            control.set_factor(factor)
+            control.pacer.wall  # noqa: B018  # as the diagnostics read it
+            if time.monotonic() > end or not thread.is_alive():
+                break
+        assert thread.is_alive()
+    finally:
+        sys.setswitchinterval(interval)
+    control.set_state(State.STOPPED).result(5.0)
+    thread.join(5.0)
+    assert len(passed) > 100
+    assert len(cuts) == 1
+
+
+def test_whoever_waits_is_interrupted_when_the_process_is_to_end():
+    for state, wait in (
+        (State.STOPPED, lambda control: control.await_start()),
+        (State.PAUSED, lambda control: control.tick(1.0)),
+        (State.PLAYING, lambda control: [control.tick(t) for t in (0.0, 1e6)]),
+        (State.PLAYING, lambda control: control.check()),
+    ):
+        stop = threading.Event()
+        control = SimulationControl(state, Pacer(1.0), stop=stop)
+        threading.Timer(0.2, stop.set).start()
+        with pytest.raises(KeyboardInterrupt):
+            while True:
+                wait(control)

@@ -13,9 +13,8 @@ from bench_processes import wait_until
 
 import capture_sim
 from capture_sim import load_scene
-from capture_sim.interrupts import in_worker
-from capture_sim.nodes.process import _Interrupt
-from capture_sim.nodes.supervisor import run_suite, signals_deferred
+from capture_sim.interrupts import in_worker, watch_signals
+from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
@@ -52,20 +51,26 @@ def test_interrupt_while_the_callbacks_begin(start):
     assert node.status() == 0, node.text
 
 
-def test_signals_that_come_together_interrupt_once():
-    interrupt = _Interrupt()
-    before = signal.signal(signal.SIGALRM, signal.SIG_IGN)
+def test_signals_set_an_event_and_raise_nothing():
+    stop, over = threading.Event(), threading.Event()
+    other = threading.Thread(target=over.wait, daemon=True)  # may be the one that gets the signal
+    other.start()
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        restore = watch_signals(stop, (signal.SIGINT, signal.SIGTERM))
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            for _ in range(100):
+                os.kill(os.getpid(), signum)
+            assert stop.wait(5.0)
+            stop.clear()
+            time.sleep(0.1)
+        restore()
         with pytest.raises(KeyboardInterrupt):
-            interrupt(signal.SIGINT, None)
-        interrupt(signal.SIGINT, None)
-        interrupt(signal.SIGTERM, None)
-        time.sleep(_Interrupt.TOGETHER)
-        with pytest.raises(KeyboardInterrupt):
-            interrupt(signal.SIGINT, None)
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1.0)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGTERM, before)
+        over.set()
 
 
 def ended(program, tmp_path, *, words="", after=0.0):
@@ -96,10 +101,11 @@ def ended(program, tmp_path, *, words="", after=0.0):
             process.communicate()
 
 
-def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
+def test_interrupt_within_a_destructor_is_not_lost(tmp_path):
     status, said = ended(
         """
         import os, signal, threading
+        from capture_sim.interrupts import wait_for
         from capture_sim.nodes.node import BenchNode
         from capture_sim.nodes.process import run
 
@@ -108,7 +114,7 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
                 os.kill(os.getpid(), signal.SIGINT)
                 for _ in range(1000):
                     pass
-                print("not raised")
+                print("cleaned up")
 
         class Bench(BenchNode):
             def __init__(self):
@@ -116,15 +122,14 @@ def test_interrupt_lost_in_a_destructor_comes_again(tmp_path):
 
             def work(self):
                 Loses()
-                print("gone on")
-                threading.Event().wait(50.0)
+                wait_for(threading.Event())
                 return 1
 
         raise SystemExit(run(Bench))
         """,
         tmp_path,
     )
-    assert (status, said) == (0, "gone on\n")
+    assert (status, said) == (0, "cleaned up\n")
 
 
 @pytest.mark.parametrize("status", [0, 1])
@@ -147,12 +152,38 @@ def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status
                 print("never ends")
                 ctypes.PyDLL(None).sleep(50)
 
-        process.ENDING = 1
+        process.DDS_SHUTDOWN_TIMEOUT = 1
         raise SystemExit(process.run(Bench))
         """,
         tmp_path,
     )
     assert (ended_with, said) == (status, "at work\nnever ends\n")
+
+
+def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
+    """The callback that writes does not come back, and the node still follows Ctrl-C."""
+    stalled = """
+        import threading
+        from capture_sim.nodes import process
+        process.SHUTDOWN_TIMEOUT = 2.0
+        take = node.RecorderNode._take
+        def stall(self, topic, data):
+            take(self, topic, data)
+            if self.run is not None:
+                print("stalled", flush=True)
+                threading.Event().wait()
+        node.RecorderNode._take = stall
+    """
+    recorder = start("recorder", stalled, out=tmp_path)
+    simulator = start("simulator", consumers="[recorder]", consumer_timeout=1.0)
+    recorder.wait_for("stalled")
+    began = time.monotonic()
+    recorder.process.send_signal(signal.SIGTERM)
+    assert recorder.status() == 1
+    assert time.monotonic() - began < 10.0
+    assert "no shutdown within 2 s, e.g. of a stalled disk" in recorder.text
+    simulator.process.send_signal(signal.SIGINT)
+    assert simulator.status() == 0, simulator.text
 
 
 # At any moment of loading the compiler and of compiling; where that is over, in what comes then
@@ -275,23 +306,6 @@ def test_interrupted_replay_says_so_by_its_status(tmp_path):
         if replay.poll() is None:
             replay.kill()
             replay.wait()
-
-
-def test_interrupt_waits_for_what_must_not_be_torn():
-    released = threading.Event()
-    other = threading.Thread(target=released.wait, daemon=True)  # one that has blocked nothing
-    other.start()
-    done = False
-    try:
-        with pytest.raises(KeyboardInterrupt), signals_deferred():
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.05)
-            done = True
-    finally:
-        released.set()
-    assert done
-    with signals_deferred():
-        pass  # what came before is forgotten
 
 
 def test_interrupt_while_nodes_are_started_ends_them_too(tmp_path, monkeypatch, capfd):

@@ -182,12 +182,34 @@ def agree(one, other):
 def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
     first = start("simulator", rtf="0.1")
     first.wait_for("released")
-    second = start("simulator", "node.RIVAL_PATIENCE = 1.0")  # the first will not leave
-    assert second.status() == 1
-    assert "another simulator publishes /bench/run_info: use another" in second.text
-    assert "Traceback" not in second.text
+    impatient = "node.SECOND_SIMULATOR_TIMEOUT = 1.0"  # the first will not leave
+    not_found_at_the_start = "node.SimulatorNode._check_only_simulator = lambda self: None"
+    for change in (impatient, not_found_at_the_start):
+        second = start("simulator", change, rtf="0.1", exit_when_done="false")
+        assert second.status() == 1
+        assert "another simulator publishes /bench/state: use another" in second.text
+        assert "Traceback" not in second.text
     first.process.send_signal(signal.SIGINT)
     assert first.status() == 0
+    assert "another simulator" not in first.text
+
+
+def test_younger_simulator_ends_when_the_older_one_begins_a_run_later(start):
+    """As both were stopped, nothing told them of each other before."""
+    unchecked = "node.SimulatorNode._check_only_simulator = lambda self: None"
+    with Client() as client:
+        older = start("simulator", initial_state="stopped", exit_when_done="false", __node="older")
+        simulation = Simulation(client, "older")
+        assert simulation.state is State.STOPPED
+        younger = start("simulator", unchecked, rtf="0.1", __node="younger")
+        younger.wait_for("released")
+        assert older.process.poll() is None
+        simulation.set(State.PLAYING)
+        assert younger.status() == 1
+        assert "another simulator publishes /bench/state: use another" in younger.text
+        older.wait_for("all runs")
+        simulation.set(State.QUITTING)
+        assert older.status() == 0, older.text
 
 
 # each node alone
