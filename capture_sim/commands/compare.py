@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from itertools import zip_longest
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import add_out, not_negative, open_run, prepare_folder
+from capture_sim.commands.inputs import add_out, add_remaps, not_negative, open_run, prepare_folder
 from capture_sim.commands.output import drawing, echo, print_table
 from capture_sim.errors import RecordingError
 from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
@@ -38,13 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="time after the first contact that is compared (default: 1)",
     )
+    add_remaps(parser)
     add_out(parser, ".", "folder of the diagram")
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     prepare_folder(options.out)
-    a, b = comparable(open_run(options.a), open_run(options.b))
+    a, b = comparable(*(open_run(path, options.remaps) for path in (options.a, options.b)))
     measured = (a.measured(), b.measured())
     ended = _check_window(a, b, options.window)
     labels = [f"A {options.a}", f"B {options.b}"]

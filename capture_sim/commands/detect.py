@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from capture_sim.commands import FAILED, OK
-from capture_sim.commands.inputs import add_geometry, open_run, scene_of
+from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scene_of
 from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError
@@ -32,6 +32,7 @@ EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.capture_radius=0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
+    add_remaps(parser)
     add_geometry(parser)
     parser.add_argument(
         "--set",
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
     changed = _limits_changed(options.overrides)
-    recorded = open_run(options.recording)
+    recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, options.scene, options.overrides)
     judged_by = with_limits(scene, recorded.criteria, changed)
     for limit in fields(Detector):

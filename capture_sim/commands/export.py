@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import open_run, prepare_folder
+from capture_sim.commands.inputs import add_remaps, open_run, prepare_folder
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError
 from capture_sim.recording.export import KINDS, exported, save_tables
@@ -21,6 +21,7 @@ EXAMPLE = "  capture-sim export runs/tilt_0.mcap --to npz"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
+    add_remaps(parser)
     parser.add_argument("--to", choices=KINDS, default="csv", help="default: csv")
     parser.add_argument(
         "--out", type=Path, help="folder of the files (default: RUN, beside the recording)"
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    recorded = open_run(options.recording, several=True)
+    recorded = open_run(options.recording, options.remaps, several=True)
     topics, problems = exported(recorded)
     for problem in problems:
         warn(problem)

@@ -11,6 +11,7 @@ from capture_sim.commands.inputs import (
     add_geometry,
     add_overrides,
     add_release,
+    add_remaps,
     not_negative,
     open_run,
     scene_of,
@@ -41,6 +42,7 @@ EXAMPLE = "  capture-sim identify measured.mcap c_rr e mu c_A --scene tilt_0"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
+    add_remaps(parser)
     parser.add_argument("parameters", nargs="+", metavar="PARAMETER")
     add_geometry(parser)
     parser.add_argument(
@@ -79,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    recorded = open_run(options.recording)
+    recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
     names = list(options.parameters)

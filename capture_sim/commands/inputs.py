@@ -177,6 +177,7 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     )
     add_geometry(parser)
     add_release(parser)
+    add_remaps(parser)
 
 
 def add_geometry(parser: argparse.ArgumentParser) -> None:
@@ -196,6 +197,19 @@ def add_release(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="when a bench released the chaser, s after the recording's first pose (default: by "
         "launcher/command, else the first pose)",
+    )
+
+
+def add_remaps(parser: argparse.ArgumentParser) -> None:
+    """Add ``--remap TOPIC:=RECORDED_TOPIC``."""
+    parser.add_argument(
+        "--remap",
+        action="append",
+        default=[],
+        dest="remaps",
+        metavar="TOPIC:=RECORDED_TOPIC",
+        help="read a topic of the bench under the name that it was recorded by, e.g. "
+        "chaser/odom:=/mocap/rb1/odom; may be repeated (default: as the recorder noted)",
     )
 
 
@@ -251,13 +265,17 @@ def prepare_folder(folder: Path) -> None:
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
 
-def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:
+def open_run(
+    path: str, remaps: Sequence[str], *, several: bool = False, quiet: bool = False
+) -> Run:
     """Read a recording, and say what is wrong with it.
 
     Parameters
     ----------
     path
         A file, or a bag's folder.
+    remaps
+        From :func:`add_remaps`.
     several
         Whether it may hold several runs.
     quiet
@@ -268,9 +286,9 @@ def open_run(path: str, *, several: bool = False, quiet: bool = False) -> Run:
     RecordingError
         It cannot be read, or holds several runs where that is not allowed.
     """
-    from capture_sim.recording.read import read_run
+    from capture_sim.recording.read import read_run, remap_of
 
-    run = read_run(path)
+    run = read_run(path, remaps=dict(map(remap_of, remaps)))
     if len(run.run_ids) > 1 and not several:
         raise RecordingError(
             f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
@@ -293,7 +311,10 @@ def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
 
 
 def open_runs(
-    sources: Sequence[str], scene: str | None, release: float | None = None
+    sources: Sequence[str],
+    scene: str | None,
+    release: float | None = None,
+    remaps: Sequence[str] = (),
 ) -> list[Opened]:
     """Open recordings, or run experiments given by name; say what is wrong with a recording.
 
@@ -305,6 +326,8 @@ def open_runs(
         Whose geometry the bench of a recording has that holds no scene; None for none.
     release
         When a bench released the chaser, s after the first pose; None to take it from the bag.
+    remaps
+        From :func:`add_remaps`.
 
     Raises
     ------
@@ -314,7 +337,9 @@ def open_runs(
         There is no such experiment.
     """
     opened = [
-        _open_recording(source, scene, release) if is_recording(source) else _run_now(source)
+        _open_recording(source, scene, release, remaps)
+        if is_recording(source)
+        else _run_now(source)
         for source in sources
     ]
     opened = [
@@ -343,10 +368,12 @@ def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
     )
 
 
-def _open_recording(path: str, scene: str | None, release: float | None) -> Opened:
+def _open_recording(
+    path: str, scene: str | None, release: float | None, remaps: Sequence[str]
+) -> Opened:
     from capture_sim.recording.measured_run import run_from_bag
 
-    recorded = open_run(path, quiet=True)
+    recorded = open_run(path, remaps, quiet=True)
     place = Path(path).resolve()  # the path may be . or end in ..
     label = place.stem if path.endswith(".mcap") else place.name
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))

@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.inputs import add_out, number, prepare_folder
+from capture_sim.commands.inputs import add_out, add_remaps, number, prepare_folder
 from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
 from capture_sim.recording.playback import Playback
+from capture_sim.recording.read import remap_of
 from capture_sim.scene.quantities import Range
 
 DESCRIPTION = (
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=FOLLOWERS,
         help="start these nodes beside it; what they publish is not played",
     )
+    add_remaps(parser)
     add_out(parser, "replayed", "folder of --with recorder")
 
 
@@ -57,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if not Path(options.recording).exists():
         raise RecordingError(f"{options.recording}: no such file or folder")
-    Playback(Path(options.recording))  # what cannot be played is refused before a node starts
+    # what cannot be played is rejected before a node starts
+    Playback(Path(options.recording), dict(map(remap_of, options.remaps)))
     parameters: dict[str, Any] = {
         "bag": str(options.recording),
         "rtf": options.rtf,
@@ -67,6 +70,8 @@ def run(options: argparse.Namespace) -> int:
     # an empty list has no type in ROS
     if options.topics:
         parameters["topics"] = options.topics
+    if options.remaps:
+        parameters["remaps"] = options.remaps
     if options.followers:
         parameters["consumers"] = options.followers
     if "recorder" in options.followers:

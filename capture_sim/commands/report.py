@@ -33,6 +33,6 @@ def run(options: argparse.Namespace) -> int:
     from capture_sim.viewing.report import save_report  # needs the extra view
 
     prepare_folder(options.out.parent)
-    opened = open_runs(options.runs, options.scene, options.release)
+    opened = open_runs(options.runs, options.scene, options.release, options.remaps)
     echo(f"report in {save_report(opened, options.out)}")
     return OK

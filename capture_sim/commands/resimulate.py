@@ -6,7 +6,7 @@ import argparse
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import not_negative, open_run, scene_of
+from capture_sim.commands.inputs import add_remaps, not_negative, open_run, scene_of
 from capture_sim.commands.output import echo
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import software_versions
@@ -24,6 +24,7 @@ EXAMPLE = "  capture-sim resimulate runs/tilt_0.mcap"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("recording", metavar="RUN.mcap")
+    add_remaps(parser)
     parser.add_argument(
         "--tolerance",
         type=not_negative,
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it; return the exit status."""
-    recorded = open_run(options.recording)
+    recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, None, ())
     if not recorded.samples.size:
         raise RecordingError(f"{options.recording}: holds no bench/state to compare with")

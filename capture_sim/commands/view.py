@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     if options.save is not None:
         prepare_folder(options.save.parent)
-    opened = open_runs(options.runs, options.scene, options.release)
+    opened = open_runs(options.runs, options.scene, options.release, options.remaps)
     if window is not None:
         opened = [_within(one, window) for one in opened]
     runs = [one.run for one in opened]

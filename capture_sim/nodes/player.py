@@ -31,6 +31,7 @@ from capture_sim.nodes.process import run
 from capture_sim.nodes.services import SimulationServices
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.playback import Playback, Rewritten, run_id_of
+from capture_sim.recording.read import remap_of
 
 PLAYER = "player"
 #: Nodes that can take part.
@@ -69,6 +70,14 @@ class PlayerNode(BenchNode):
         self._offset = self.declare(
             "start", 0.0, "s after the recording's start, to begin at", low=0.0, high=1e9
         )
+        remaps = self.declare(
+            "remaps",
+            list,
+            "topics of the bench that were recorded under other names, e.g. "
+            "chaser/odom:=/mocap/rb1/odom",
+            allowed="TOPIC:=RECORDED_TOPIC each",
+            check=lambda texts: dict(map(remap_of, texts)),
+        )
         wanted = self.declare("topics", list, "those that are played; all unless given")
         paused = self.declare("paused", False, "start paused")
         self._consumers = self.declare(
@@ -83,7 +92,7 @@ class PlayerNode(BenchNode):
         self._delay = self.declare(
             "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
         )
-        self._playback = Playback(path)
+        self._playback = Playback(path, dict(map(remap_of, remaps)))
         length = (self._playback.end - self._playback.start) / 1e9
         if self._offset > length:
             raise ParameterError(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import time
+from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,8 +26,9 @@ from capture_sim.nodes.process import run
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.scene.parts import Scene
 
-#: Messages of others that come before a run is announced here are kept for it, at most so many.
-_EARLY = 1000
+#: Messages that came so shortly before the announcement of a run belong to it, ns (wall): those of
+#: other publishers may overtake it.
+OVERTAKING = 500_000_000
 
 
 class RecorderNode(Participant):
@@ -48,13 +51,16 @@ class RecorderNode(Participant):
             "those that are recorded, of the bench or others, whose types are found when they are "
             "published; the bench's unless given",
         )
-        known = {topic.absolute_name: topic for topic in TOPICS}
-        names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(known)
+        bench_names = {topic.absolute_name: topic for topic in TOPICS}
+        self._remaps = self._remapped()
+        known = bench_names | {name: topic for topic, name in self._remaps.items()}
+        names = [name if name.startswith("/") else f"/{name}" for name in wanted]
+        names = names or list(bench_names)
         self._topics = [known[name] for name in names if name in known]
         self._sought = {name for name in names if name not in known}
         self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder: LiveRecorder | None = None  # of the run that is on
-        self._early: list[tuple[Topic, bytes]] = []
+        self._early: deque[tuple[int, Topic, bytes]] = deque()  # the first: arrival, ns (wall)
         self.open((STREAM_COUNTS,))
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))
@@ -71,15 +77,16 @@ class RecorderNode(Participant):
         del scene
         for name in sorted(self._sought):
             self.get_logger().warning(f"{info.name}: {name} is not recorded: nobody publishes it")
-        self._recorder = LiveRecorder(self._out, topics=self._topics)
+        self._recorder = LiveRecorder(self._out, topics=self._topics, remaps=self._remaps)
         self._recorder.paused = self._paused
         self._recorder.take(RUN_INFO, serialize_message(info))
-        early, self._early = self._early, []
-        for topic, data in early:
+        self._forget_early()
+        for arrival, topic, data in self._early:
             try:
-                self._recorder.take(topic, data)
+                self._recorder.take(topic, data, arrival)
             except MessageError as error:
                 self.refuse(topic, error)
+        self._early.clear()
         self.get_logger().info(f"{info.name}: recording in {self._out}")
 
     def complete(self) -> bool:
@@ -131,12 +138,27 @@ class RecorderNode(Participant):
 
     def _take(self, topic: Topic, data: bytes) -> None:
         if self._recorder is None or self.run is None:
-            # of another publisher than the announcer, whose message has overtaken the RunInfo
-            if len(self._early) < _EARLY:
-                self._early.append((topic, data))
+            self._early.append((time.time_ns(), topic, data))
+            self._forget_early()
             return
         self._recorder.take(topic, data)
         self.end_if_complete()
+
+    def _forget_early(self) -> None:
+        """Drop messages that came too long ago to have overtaken an announcement."""
+        oldest = time.time_ns() - OVERTAKING
+        while self._early and self._early[0][0] < oldest:
+            self._early.popleft()
+
+    def _remapped(self) -> dict[Topic, str]:
+        """Return the names of the bench's topics that this node was remapped to."""
+        namespace = self.get_namespace().rstrip("/")
+        names = {topic: self.resolve_topic_name(topic.name) for topic in TOPICS}
+        return {
+            topic: name
+            for topic, name in names.items()
+            if name not in (f"{namespace}/{topic.name}", topic.absolute_name)
+        }
 
     def _counted(self, data: bytes) -> None:
         publisher = from_bytes(STREAM_COUNTS, data).publisher

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -81,6 +82,29 @@ def bag_files(path: Path) -> list[Path]:
     if not files:
         raise RecordingError(f"{path}: contains no .mcap file")
     return files
+
+
+def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None:
+    """Give topics the bench's names; ``recorded_names`` are those in the file, by the bench's.
+
+    RecordingError if a topic is in the file under neither name, or under both.
+    """
+    for name, recorded_name in recorded_names.items():
+        is_there = bool(contents.messages.get(name))
+        if recorded_name == name or (is_there and recorded_name not in contents.types):
+            continue
+        if recorded_name not in contents.types:
+            available = ", ".join(sorted(contents.types)) or "none"
+            raise RecordingError(
+                f"remap {name}:={recorded_name}: {recorded_name} is not recorded; "
+                f"available topics: {available}"
+            )
+        if is_there:
+            raise RecordingError(f"remap {name}:={recorded_name}: both topics are recorded")
+        contents.types[name] = contents.types.pop(recorded_name)
+        contents.qos[name] = contents.qos.pop(recorded_name)
+        contents.messages[name] = contents.messages.pop(recorded_name)
+        contents.log_times[name] = contents.log_times.pop(recorded_name)
 
 
 def why_unreadable(channel: Channel, schema: Schema | None) -> str:

@@ -40,7 +40,11 @@ STALL_LIMIT = 10.0
 
 
 def open_new(
-    directory: Path, run: RunDescription, metadata: Mapping[str, str], topics: Sequence[Topic]
+    directory: Path,
+    run: RunDescription,
+    metadata: Mapping[str, str],
+    topics: Sequence[Topic],
+    remaps: Mapping[Topic, str],
 ) -> RunWriter:
     """Open ``<directory>/<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
 
@@ -50,7 +54,7 @@ def open_new(
     while True:
         path = free_path(directory / f"{file_name(run.name)}.mcap")
         try:
-            return RunWriter(path, run, metadata, topics=topics)
+            return RunWriter(path, run, metadata, topics=topics, remaps=remaps)
         except RecordingError as error:
             if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
                 raise
@@ -90,6 +94,8 @@ class LiveRecorder:
     topics
         Those that are recorded, of the bench's or others; what is not among them is ignored.
         RunInfo and StreamCounts always are.
+    remaps
+        Names in the file of topics that do not have the bench's.
 
     Attributes
     ----------
@@ -113,12 +119,14 @@ class LiveRecorder:
         queue_bytes: int = QUEUE_BYTES,
         *,
         topics: Sequence[Topic] = TOPICS,
+        remaps: Mapping[Topic, str] | None = None,
     ) -> None:
         self._directory = Path(directory)
         self._metadata = {"origin": LIVE, **(metadata or {})}
         chosen = {*topics, RUN_INFO, STREAM_COUNTS}
         others = [topic for topic in topics if topic not in TOPICS]
         self._topics = (*(topic for topic in TOPICS if topic in chosen), *others)
+        self._remaps = remaps or {}
         self._completeness = Completeness(topics=self._topics)
         self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
@@ -137,8 +145,11 @@ class LiveRecorder:
         """Whether all publishers have ended the run and all their messages have come."""
         return self.run is not None and self._completeness.satisfied
 
-    def take(self, topic: Topic, data: bytes) -> None:
-        """Take in one serialised message; MessageError where the bytes are none."""
+    def take(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
+        """Record a serialised message; MessageError where the bytes are none.
+
+        ``arrival`` is when it arrived, ns of the wall clock; now unless given.
+        """
         if self._report is not None:
             raise RecordingError(f"{topic.name}: message after the recording was closed")
         self._last_message = time.monotonic()
@@ -149,7 +160,7 @@ class LiveRecorder:
         elif topic is STREAM_COUNTS:
             self._take_counts(data)
         elif topic in self._topics:
-            stamp, paused = self._log_time(topic, data), self.paused
+            stamp, paused = self._log_time(topic, data, arrival), self.paused
             self._completeness.add(topic, sequence_of(topic, data), written=not paused)
             if not paused:
                 self._queue.put(topic, data, stamp)
@@ -180,8 +191,8 @@ class LiveRecorder:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _log_time(self, topic: Topic, data: bytes) -> int | None:
-        stamp = stamp_of(topic, data) if self._simulated else time.time_ns()
+    def _log_time(self, topic: Topic, data: bytes, arrival: int | None = None) -> int | None:
+        stamp = stamp_of(topic, data) if self._simulated else arrival or time.time_ns()
         if stamp is not None and stamp < 0:
             raise MessageError(f"stamp = {stamp / 1e9:g} s: must be >= 0")
         return stamp
@@ -192,7 +203,7 @@ class LiveRecorder:
             run = RunDescription.of_message(info)
             self._simulated = SIMULATOR in run.publishers
             first = (RUN_INFO, data, self._log_time(RUN_INFO, data))
-            where = (self._directory, run, self._metadata, self._topics)
+            where = (self._directory, run, self._metadata, self._topics, self._remaps)
             self.path = self._queue.begin(first, *where)
             self._completeness.add(RUN_INFO, None)
             self.run = run

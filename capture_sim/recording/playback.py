@@ -14,6 +14,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import decoded, typestore
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
 from capture_sim.recording.contents import read_contents
+from capture_sim.recording.read import remap
 
 
 class Playback:
@@ -23,6 +24,8 @@ class Playback:
     ----------
     path
         A file, or a bag's folder.
+    remaps
+        Of :func:`capture_sim.recording.read.read_run`.
 
     Attributes
     ----------
@@ -43,9 +46,10 @@ class Playback:
         It cannot be read, or contains no message.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, remaps: Mapping[str, str] | None = None) -> None:
         self.path = Path(path)
         self._contents = contents = read_contents(self.path)
+        remap(contents, remaps or {})
         self.types = contents.types
         self.damage, self.left_out = contents.damage, contents.left_out
         self.counts = {name: len(messages) for name, messages in contents.messages.items()}

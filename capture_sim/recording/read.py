@@ -33,11 +33,12 @@ from capture_sim.messages.topics import (
     topic_named,
 )
 from capture_sim.recording.completeness import Completeness
-from capture_sim.recording.contents import Contents, read_contents
+from capture_sim.recording.contents import Contents, read_contents, rename_topics
 from capture_sim.recording.scan import UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
     RECOVERY_METADATA,
+    REMAPS,
     RUN_METADATA,
     SCENE_ATTACHMENT,
     describing,
@@ -56,7 +57,9 @@ _T = TypeVar("_T")
 _ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
-def read_run(path: Path | str, ratio: float = UNPACKED_RATIO) -> Run:
+def read_run(
+    path: Path | str, ratio: float = UNPACKED_RATIO, *, remaps: Mapping[str, str] | None = None
+) -> Run:
     """Read a recorded run, a file or a bag's folder; checksums are checked.
 
     It may be a bag of a real bench with the same topics: what is not in it is empty.
@@ -69,14 +72,41 @@ def read_run(path: Path | str, ratio: float = UNPACKED_RATIO) -> Run:
         The file or folder.
     ratio
         How many times a file's size it may unpack to.
+    remaps
+        Names in the file of topics that do not have the bench's, by the bench's
+        (``{"chaser/odom": "/mocap/rb1/odom"}``), beside those that the recorder has noted.
 
     Raises
     ------
     RecordingError
-        The file cannot be read or is not an MCAP file.
+        The file cannot be read or is not an MCAP file, or a topic of ``remaps`` is not in it.
     """
     path = Path(path)
-    return Run(path, read_contents(path, ratio))
+    contents = read_contents(path, ratio)
+    try:
+        remap(contents, remaps or {})
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    return Run(path, contents)
+
+
+def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
+    """Give topics the bench's names, by the recorder's notes and ``remaps``."""
+    noted = contents.metadata.get(RUN_METADATA, {}).get(REMAPS, "").splitlines()
+    pairs = [line.partition(":=")[::2] for line in noted]
+    rename_topics(contents, {name: topic for name, topic in pairs if topic in contents.types})
+    names = {f"/{n.lstrip('/')}": f"/{topic.lstrip('/')}" for n, topic in remaps.items()}
+    rename_topics(contents, names)
+
+
+def remap_of(text: str) -> tuple[str, str]:
+    """Return the bench's name and the recorded one of ``TOPIC:=RECORDED_TOPIC``."""
+    name, separator, recorded_name = text.partition(":=")
+    if not separator or not recorded_name.strip("/") or topic_named(name) is None:
+        raise RecordingError(
+            f"remap {text!r}: must be TOPIC:=RECORDED_TOPIC, e.g. chaser/odom:=/mocap/rb1/odom"
+        )
+    return name, recorded_name
 
 
 class Run:

@@ -20,6 +20,8 @@ from capture_sim.recording.bag_file import BagFile, TopicEntry, dump, qos_profil
 SCENE_ATTACHMENT = "scene.yaml"
 #: Name of the metadata record that says how the run was made.
 RUN_METADATA = "capture_sim"
+#: Its entry of topics that were recorded under other names: a line NAME:=RECORDED_NAME for each.
+REMAPS = "remaps"
 #: Name of the metadata record that is written last, with what is known at the end only.
 END_METADATA = "capture_sim_end"
 #: Name of the metadata record that says what a recovered file lacks.
@@ -43,6 +45,8 @@ class RunWriter:
         Those that may be written; they stand in the file even without a message.
     name
         That the file will have; of the path unless given.
+    remaps
+        Names in the file of topics that do not have the bench's; the metadata record lists them.
 
     Attributes
     ----------
@@ -63,6 +67,7 @@ class RunWriter:
         *,
         topics: Sequence[Topic] = TOPICS,
         name: str = "",
+        remaps: Mapping[Topic, str] | None = None,
     ) -> None:
         self.path = path
         self._run = run
@@ -74,10 +79,16 @@ class RunWriter:
             self._file = path.open("wb" if is_device(path) else "xb")
             self.bag = BagFile(self._file, name or path.name)
             self._writer = self.bag.writer
-            self._writer.add_metadata(RUN_METADATA, {**describing(run), **(metadata or {})})
+            names = {topic.absolute_name: name for topic, name in (remaps or {}).items()}
+            entries = {REMAPS: "\n".join(map(":=".join, names.items()))} if names else {}
+            entries |= {**describing(run), **(metadata or {})}
+            self._writer.add_metadata(RUN_METADATA, entries)
             scene = (SCENE_ATTACHMENT, "application/yaml", run.scene.encode())
             self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *scene)
-            self._channels = {topic: _add(topic, self.bag) for topic in topics}
+            self._channels = {
+                topic: _add(topic, names.get(topic.absolute_name, topic.absolute_name), self.bag)
+                for topic in topics
+            }
             self._file.flush()
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
@@ -160,10 +171,10 @@ def describing(run: RunDescription) -> dict[str, str]:
     }
 
 
-def _add(topic: Topic, bag: BagFile) -> int:
-    """Write a topic of the bench; return the channel's id."""
+def _add(topic: Topic, topic_name: str, bag: BagFile) -> int:
+    """Write a topic of the bench under a name; return the channel's id."""
     name, digest = topic.type_name, type_hash(topic.type_name)
-    entry = TopicEntry(topic.absolute_name, name, [qos_profile(topic)], digest, 0)
+    entry = TopicEntry(topic_name, name, [qos_profile(topic)], digest, 0)
     metadata = {"offered_qos_profiles": _offered(topic), "topic_type_hash": digest}
     return bag.add_topic(entry, "cdr", (name, "ros2msg", schema_text(name).encode()), metadata)
 

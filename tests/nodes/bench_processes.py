@@ -80,7 +80,8 @@ def processes(begin=fresh):
     def start(name, change="", **parameters):
         arguments = ["--ros-args"]
         for key, value in {"exit_when_done": "true", **parameters}.items():
-            arguments += ["-r" if key.startswith("__") else "-p", f"{key}:={value}"]
+            remaps = key.startswith(("__", "motion_capture/"))
+            arguments += ["-r" if remaps else "-p", f"{key}:={value}"]
         program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
         program += "raise SystemExit(node.main())"
         started.append(Started(begin(program, arguments)))
