@@ -7,13 +7,17 @@ rerun.
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich import box
@@ -171,29 +175,63 @@ def draw(
     """
     if not runs:
         return
+    jobs: list[_Job] = []
     if pictures:
         with drawing("no pictures: {error}"):
-            _draw_pictures(runs, labels, folder)
-    # an ordinary workstation's ROS bears no rerun: the recording is what counts there
-    with drawing("no rerun file: {error}; capture-sim view makes it where rerun is installed"):
-        from capture_sim.viewing.rerun_view import save_rrd
+            jobs += _picture_jobs(runs, labels, folder)
+    path = folder / RRD if rrd is None else rrd
+    jobs.append(_Job("for rerun in", _save_rrd, (runs, path, labels)))
+    # forked, so that each process shares what is loaded and loads what only its job needs
+    fork = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(
+        min(len(jobs), os.cpu_count() or 1),
+        mp_context=fork,
+        initializer=signal.signal,  # Ctrl-C ends the command, not a file half drawn
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    ) as pool:
+        # the file for rerun first, as it takes longest to begin
+        drawn = [pool.submit(job.draw, *job.arguments) for job in reversed(jobs)][::-1]
+        for job, file in zip(jobs, drawn, strict=True):
+            # the system's ROS of a workstation has no rerun: the recording is what counts there
+            with drawing("no rerun file: {error}; install it and call capture-sim view"):
+                echo(f"{job.title} {file.result()}")
+    if pictures and len(runs) == 1:
+        remove_earlier([folder / OVERVIEW])
 
-        path = folder / RRD if rrd is None else rrd
-        echo(f"for rerun in {save_rrd(runs, path, labels)}")
+
+class _Job(NamedTuple):
+    """A file to be drawn: the line that names it, and the call that draws it and returns it."""
+
+    title: str
+    draw: Callable[..., Path]
+    arguments: tuple[Any, ...]
 
 
-def _draw_pictures(runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path) -> None:
-    from capture_sim.viewing.canvas import save
+def _picture_jobs(
+    runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path
+) -> Iterator[_Job]:
     from capture_sim.viewing.plots import draw_overview, draw_run
 
     for run, label in zip(runs, labels, strict=True):
-        # that name is taken
+        # the overview's name is taken
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        echo(f"picture in {save(draw_run(run, label), folder / name)}")
+        yield _Job("picture in", _save_picture, (draw_run, run, label, folder / name))
     if len(runs) > 1:
-        echo(f"side by side in {save(draw_overview(runs, labels), folder / OVERVIEW)}")
-    else:
-        remove_earlier([folder / OVERVIEW])
+        yield _Job(
+            "side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
+        )
+
+
+def _save_picture(draw: Callable[..., Any], runs: Any, labels: Any, path: Path) -> Path:
+    from capture_sim.viewing.canvas import save
+
+    return save(draw(runs, labels), path)
+
+
+def _save_rrd(runs: Sequence[ViewableRun], path: Path, labels: Sequence[str]) -> Path:
+    from capture_sim.viewing.rerun_view import save_rrd
+
+    return save_rrd(runs, path, labels)
 
 
 def remove_earlier(paths: Iterable[Path]) -> None:
