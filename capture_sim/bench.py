@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from capture_sim.engine import loop
 from capture_sim.engine.state import N_WATCHED, WORKSPACE, Status
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.interrupts import in_worker
-from capture_sim.kernels import records
+from capture_sim.kernels import is_compiled, records
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
 from capture_sim.model.parameters import pack
@@ -53,17 +54,28 @@ _AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP
 
 
 @functools.cache
-def compile_kernels() -> None:
-    """Load the compiled kernels, or compile them where this source has not run before.
+def compile_kernels(*, announce: bool = True) -> None:
+    """Load the compiled kernels; compile them first if this version of the source never was.
 
-    Takes some ten seconds the first time; called on its own it keeps that out of timings.
+    Compiling takes about half a minute of one core, once. Call it on its own to keep that out of
+    timings. Unless ``announce`` is false, lines on stderr say when it begins and how long it took.
     """
 
     def use() -> None:
         bench = Bench(load_scene("paper_designed"))
         bench.advance(bench.times(0, 2))
 
+    if is_compiled() or not announce:
+        in_worker(use)
+        return
+    print(
+        "capture_sim: compiling the kernels, once for this version: about 30 s of one core",
+        file=sys.stderr,
+        flush=True,
+    )
+    start = time.perf_counter()
     in_worker(use)
+    print(f"capture_sim: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
 
 
 class Statistics(NamedTuple):

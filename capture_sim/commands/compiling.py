@@ -24,7 +24,7 @@ def compile_first() -> None:
         Progress("kernels") as progress,
         event.install_listener("numba:compile", _Compiling(progress)),
     ):
-        compile_kernels()
+        compile_kernels(announce=False)
     echo(f"compiled in {time.perf_counter() - began:.1f} s")
 
 

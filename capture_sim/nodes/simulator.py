@@ -221,7 +221,7 @@ class SimulatorNode(BenchNode):
         """Run all scenes, as often as is asked for; return the exit status."""
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once: some ten seconds")
-        compile_kernels()
+        compile_kernels(announce=False)
         sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()  # out of all later sweeps: over it one takes longer than a tick
