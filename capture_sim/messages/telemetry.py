@@ -33,9 +33,7 @@ from capture_sim.samples import SAMPLE, Event, EventKind
 from capture_sim.sensors import SimulatedSensors
 
 if TYPE_CHECKING:
-    from capture_sim.detection.exact import CaptureStatus
     from capture_sim.launch.plan import LaunchPlan
-    from capture_sim.launch.watch import LauncherStatus
     from capture_sim.scene.parts import Detector, Scene
 
 
@@ -156,14 +154,41 @@ class _Stream:
         serialised = self._messages.many(topic.type_name, columns, **fixed)
         return map(Sent._make, zip(repeat(topic), stamps.tolist(), serialised))
 
-    def _by_reason(
-        self, topic: Topic, frame: str, known: Iterable[tuple[float, Any]], *names: str
-    ) -> Iterator[Sent]:
-        """Yield a message for each time and status, many at once while the reason is one."""
-        for reason, group in groupby(known, key=lambda entry: entry[1].reason):
+
+class _StatusStream(_Stream):
+    """A stream of statuses, and a latched topic for those that change the state."""
+
+    stream: Topic
+    latched: Topic
+    frame: str
+    names: tuple[str, ...]  # fields of a status, as the message calls them
+    _last_state: Any = None
+
+    def status(self, t: float, status: Any) -> list[Sent]:
+        """Return the messages of one status, see :meth:`statuses`."""
+        return next(self.statuses([(t, status)]))
+
+    def statuses(self, known: Iterable[tuple[float, Any]]) -> Iterator[list[Sent]]:
+        """Yield the messages of each status, at times since the release, s.
+
+        One of the stream, and one of the latched topic where the state has changed.
+        """
+        for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
             times, some = zip(*group, strict=True)
-            columns = convert.statuses(some, *names)
-            yield from self._many(topic, np.array(times), frame, columns, reason=reason)
+            columns = convert.statuses(some, *self.names)
+            sent = self._many(self.stream, np.array(times), self.frame, columns, reason=reason)
+            messages = [[message] for message in sent]
+            if state != self._last_state:
+                self._last_state = state
+                first = {name: values[:1] for name, values in columns.items()}
+                t = np.array(times[:1])
+                messages[0] += self._many(self.latched, t, self.frame, first, reason=reason)
+            yield from messages
+
+    @staticmethod
+    def _text(status: Any) -> tuple[Any, str]:
+        """Return a status's state, whether it is final where it says so, and its reason."""
+        return (status.state, getattr(status, "final", None)), status.reason
 
 
 class BenchTelemetry(_Stream):
@@ -346,42 +371,33 @@ class BenchTelemetry(_Stream):
             yield [next(stream) for due, stream in streams if i in due]
 
 
-class LauncherTelemetry(_Stream):
+class LauncherTelemetry(_StatusStream):
     """What the launcher sends: commands and its state."""
 
     publisher = topics.LAUNCHER
+    stream, latched, frame = topics.LAUNCHER_STATE, topics.LAUNCHER_PHASE, WORLD
+    names = (
+        *("state", "hanging_mass", "drop_height", "wanted_speed", "landing_speed"),
+        "measured_speed",
+    )
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
         """Return a command that follows the plan, at a time since the release, s."""
         fields = convert.launch_command(self._run_id, action, plan)
         return self._one(topics.LAUNCH_COMMAND, t, WORLD, fields)
 
-    def state(self, t: float, status: LauncherStatus) -> Sent:
-        """Return the launcher's state at a time since the release, s."""
-        return next(self.states([(t, status)]))
 
-    def states(self, known: Iterable[tuple[float, LauncherStatus]]) -> Iterator[Sent]:
-        """Yield the launcher's states at times since the release, s."""
-        names = ("state", "hanging_mass", "drop_height", "wanted_speed", "landing_speed")
-        return self._by_reason(topics.LAUNCHER_STATE, WORLD, known, *names, "measured_speed")
-
-
-class DetectorTelemetry(_Stream):
-    """What the capture detector sends: its limits, then its status at every instant."""
+class DetectorTelemetry(_StatusStream):
+    """What the capture detector sends: its criteria, then its status at every instant."""
 
     publisher = topics.CAPTURE_DETECTOR
+    stream, latched, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME
+    names = (
+        *("state", "final", "distance", "axial_offset", "lateral_offset", "relative_attitude"),
+        *("relative_speed", "nearest_distance", "time_in_state"),
+    )
 
-    def begin(self, limits: Detector) -> Sent:
-        """Return the detector's limits."""
-        fields = convert.capture_criteria(self._run_id, limits)
+    def begin(self, criteria: Detector) -> Sent:
+        """Return the detector's criteria."""
+        fields = convert.capture_criteria(self._run_id, criteria)
         return self._one(topics.CAPTURE_CRITERIA, 0.0, CONE_FRAME, fields)
-
-    def status(self, t: float, status: CaptureStatus) -> Sent:
-        """Return the status of the sample at a time since the release, s."""
-        return next(self.statuses([(t, status)]))
-
-    def statuses(self, known: Iterable[tuple[float, CaptureStatus]]) -> Iterator[Sent]:
-        """Yield the statuses of the samples at times since the release, s."""
-        names = ("state", "final", "distance", "axial_offset", "lateral_offset")
-        more = ("relative_attitude", "relative_speed", "nearest_distance", "time_in_state")
-        return self._by_reason(topics.CAPTURE_STATUS, CONE_FRAME, known, *names, *more)

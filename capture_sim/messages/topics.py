@@ -41,9 +41,7 @@ class Topic:
     publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
     depth: int = 1000  # messages that are kept of a latched topic
-    # transient local: late subscribers get the last ``depth`` messages; of a periodic topic the
-    # last change of its state
-    latched: bool = False
+    latched: bool = False  # transient local: late subscribers get the last ``depth`` messages
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
 
@@ -88,11 +86,18 @@ LOAD_CELL = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULA
 LAUNCH_COMMAND = _ours(
     "launcher/command", "LaunchCommand", LAUNCHER, Rate.EVENT, depth=10, latched=True
 )
-LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_KEPT, **_NUMBERED)
+LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_NUMBERED)
+# the messages of a stream that change its state, for late subscribers
+LAUNCHER_PHASE = _ours(
+    "launcher/phase", "LauncherState", LAUNCHER, Rate.EVENT, **_KEPT, **_NUMBERED
+)
 CAPTURE_CRITERIA = _ours(
     "capture/criteria", "CaptureCriteria", CAPTURE_DETECTOR, Rate.ONCE, **_KEPT
 )
-CAPTURE_STATUS = _ours("capture/status", "CaptureStatus", CAPTURE_DETECTOR, **_KEPT, **_NUMBERED)
+CAPTURE_STATUS = _ours("capture/status", "CaptureStatus", CAPTURE_DETECTOR, **_NUMBERED)
+CAPTURE_VERDICT = _ours(
+    "capture/verdict", "CaptureStatus", CAPTURE_DETECTOR, Rate.EVENT, **_KEPT, **_NUMBERED
+)
 STREAM_COUNTS = Topic(
     "bench/stream_counts",
     "capture_sim/msg/StreamCounts",
@@ -122,8 +127,10 @@ TOPICS: tuple[Topic, ...] = (
     TARGET_POSE,
     LOAD_CELL,
     LAUNCHER_STATE,
+    LAUNCHER_PHASE,
     CAPTURE_CRITERIA,
     CAPTURE_STATUS,
+    CAPTURE_VERDICT,
     STREAM_COUNTS,
 )
 

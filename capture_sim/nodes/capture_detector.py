@@ -40,7 +40,6 @@ class CaptureDetectorNode(Participant):
     _sources: dict[Topic, Source]
     _telemetry: DetectorTelemetry
     _zero: int | None  # ns, stamp of t = 0: the release, or a bench's first measurement
-    _state: Any
 
     def __init__(self) -> None:
         super().__init__(CAPTURE_DETECTOR)
@@ -69,7 +68,6 @@ class CaptureDetectorNode(Participant):
         self._sources = detector_sources(scene) if self.simulated else dict(OF_A_BENCH)
         self._zero = EPOCH_NS if self.simulated else None
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
-        self._state = None
         self.publish(self._telemetry.begin(scene.detector))
         if criteria:
             given = ", ".join(
@@ -139,9 +137,7 @@ class CaptureDetectorNode(Participant):
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         for status in statuses:
-            changed = (status.state, status.final) != self._state
-            self._state = status.state, status.final
-            self.publish(self._telemetry.status(self._own_time(status.t), status), latch=changed)
+            self.publish(*self._telemetry.status(self._own_time(status.t), status))
 
     def _own_time(self, t: float) -> float:
         """Return the time that is stamped: a bench's own clock goes back into the message."""

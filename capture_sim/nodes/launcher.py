@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
+from capture_sim.launch.watch import Launcher, LauncherPhase
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.definitions import typestore
@@ -115,7 +115,7 @@ class LauncherNode(Participant):
         plan = launcher.plan
         self._hold(True)
         self.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
-        self._publish_state(0.0, launcher.status, latch=True)
+        self.publish(*self._telemetry.status(0.0, launcher.status))
         how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
         if plan.hanging_mass > 0.0:
             how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
@@ -131,9 +131,6 @@ class LauncherNode(Participant):
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
 
-    def _publish_state(self, t: float, status: LauncherStatus, *, latch: bool) -> None:
-        self.publish(self._telemetry.state(t, status), latch=latch)
-
     def _hold(self, hold: bool) -> None:
         if self._hold_output is not None and hold != self._held:
             self._held = hold
@@ -142,13 +139,13 @@ class LauncherNode(Participant):
     def _release(self, launcher: Launcher) -> None:
         self.publish(self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
         self._hold(False)
-        self._publish_state(0.0, launcher.release(), latch=True)
+        self.publish(*self._telemetry.status(0.0, launcher.release()))
 
     def _abort(self, launcher: Launcher, t: float) -> None:
         """Tell everybody that the launch is given up."""
         self._hold(True)
         self.publish(self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
-        self._publish_state(t, launcher.status, latch=True)
+        self.publish(*self._telemetry.status(t, launcher.status))
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
     def _take(self, topic: Topic, data: bytes) -> None:
@@ -183,7 +180,7 @@ class LauncherNode(Participant):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(launcher, own)
         else:
-            self._publish_state(own, status, latch=status.state is not before)
+            self.publish(*self._telemetry.status(own, status))
 
     def _collect(self, topic: Topic, stamp: int, numbers: list[Any]) -> None:
         parts = self._parts.setdefault(stamp, {})
@@ -208,7 +205,7 @@ class LauncherNode(Participant):
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(self._launcher, t)
         else:
-            self._publish_state(t, status, latch=status.state is not before)
+            self.publish(*self._telemetry.status(t, status))
 
     def _asked_to_launch(self, _: Any, response: Any) -> Any:
         launcher = self._launcher

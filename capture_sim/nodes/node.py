@@ -26,15 +26,15 @@ from rclpy.serialization import deserialize_message
 
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import STOP
-from capture_sim.messages.convert import Messages
+from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import Rate, Topic
+from capture_sim.messages.topics import RUN_INFO, Topic
 from capture_sim.nodes.parameters import ParameterNode
 
 #: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
 UNTAKEN = 100
-#: A latched message waits this long for what was sent before it, s (wall).
-IN_ORDER = 1.0
+#: A new publisher waits this long for the readers of the one it replaces, s (wall).
+MATCHING_TIMEOUT = 1.0
 #: Messages still on their way when the process is asked to end get this long to arrive, s (wall).
 LAST_DRAIN = 0.5
 #: Of messages of a topic that are refused one is named in so many s (wall), the others counted.
@@ -91,7 +91,6 @@ class BenchNode(ParameterNode):
         self.left_behind: list[str] = []  # nodes whose reading stood still
         self._senders: dict[Topic, Any] = {}
         self._retired: list[Any] = []
-        self._latches: dict[Topic, Any] = {}  # of streams whose last state is kept
         self._refused: dict[Topic, tuple[float, int]] = {}  # when last said, and how many since
 
     def work(self) -> int:
@@ -109,16 +108,12 @@ class BenchNode(ParameterNode):
     def open(self, topics: Sequence[Topic]) -> None:
         """Make the publishers of these topics."""
         for topic in topics:
-            kind = message_class(topic.type_name)
-            stream = topic.latched and topic.rate is Rate.PERIODIC
             self._senders[topic] = self.create_publisher(
-                kind,
+                message_class(topic.type_name),
                 topic.name,
-                qos_of(topic, latched=False if stream else None),
+                qos_of(topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
-            if stream:
-                self._latches[topic] = self.create_publisher(kind, topic.name, LATCHED)
 
     def listen(
         self,
@@ -173,27 +168,25 @@ class BenchNode(ParameterNode):
         self.failure = error
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    def send(self, topic: Topic, message: Any, *, latch: bool = False) -> bool:
+    def send(self, topic: Topic, message: Any) -> bool:
         """Publish a message on one of the open topics; wait while a reader's queue is full.
 
-        ``latch``: subscribers that come later get this message of a stream too.  Return False if
-        the process was asked to end while it waited; the message is not sent then.
+        Return False if the process was asked to end meanwhile; the message is not sent then.
         """
-        if latch and topic in self._latches:
-            # in order with the stream, which another publisher sends
-            acknowledged(self._senders[topic], IN_ORDER)
-            self._latches[topic].publish(message)
-            acknowledged(self._latches[topic], IN_ORDER)
-            return True
         try:
             self._senders[topic].publish(message)
         except RuntimeError:  # rclpy's RCLError: the history is full of what a reader has not taken
             return self._send_when_read(topic, message)
         return True
 
-    def publish(self, sent: Sent, *, latch: bool = False) -> None:
-        """Publish what a telemetry has made."""
-        self.send(sent.topic, sent.data, latch=latch)
+    def publish(self, *messages: Sent) -> None:
+        """Publish messages of a telemetry."""
+        for message in messages:
+            self.send(message.topic, message.data)
+
+    def send_run_info(self, description: RunDescription) -> None:
+        """Announce a run; one without ``run_id`` says that no run is on and which was the last."""
+        self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(description)))
 
     def _send_when_read(self, topic: Topic, message: Any) -> bool:
         deadline = time.monotonic() + self.reader_timeout
@@ -223,7 +216,7 @@ class BenchNode(ParameterNode):
                 kind = message_class(stream.type_name)
                 fresh = self.create_publisher(kind, stream.name, QoSProfile(depth=1000))
                 self._senders[stream] = fresh
-                deadline = time.monotonic() + IN_ORDER
+                deadline = time.monotonic() + MATCHING_TIMEOUT
                 while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
                     time.sleep(0.001)
 

@@ -134,7 +134,7 @@ class Participant(BenchNode):
         self._leaving = False  # after Ctrl-C
         self._over = threading.Event()
         self._status = OK
-        self._announcer: Any = None  # a publisher, once a trial was begun here
+        self._announced_run: RunDescription | None = None  # the last trial that was begun here
         watch = SubscriptionEventCallbacks(matched=self._announcers_changed)
         # the first subscription: an executor without order of arrival goes by this one
         super().listen(RUN_INFO, self._announced, event_callbacks=watch)
@@ -229,8 +229,7 @@ class Participant(BenchNode):
 
     def announce(self, name: str, scene: Scene) -> None:
         """Begin a trial for all participants."""
-        if self._announcer is None:
-            self._announcer = True
+        if self._announced_run is None:
             self.open((RUN_INFO,))
         publishers = [
             role
@@ -238,11 +237,13 @@ class Participant(BenchNode):
             if self.publishers_of(topic)
         ]
         run = replace(RunDescription.of(scene, uuid.uuid4().hex, publishers), name=name)
-        self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(run)))
+        self._announced_run = run
+        self.send_run_info(run)
 
     def end_trial(self) -> None:
         """End the trial that was begun here, for all participants."""
-        self.send(RUN_INFO, message_class(RUN_INFO.type_name)())
+        assert self._announced_run is not None
+        self.send_run_info(replace(self._announced_run, run_id=""))
 
     # the life of a run
 
@@ -382,7 +383,7 @@ class Participant(BenchNode):
         return response
 
     def _asked_to_end(self, _: Any, response: Any) -> Any:
-        if self._announcer is None or self.run is None:
+        if self._announced_run is None or self.run is None:
             response.message = "no trial is on that was begun here"
         else:
             self.end_trial()

@@ -155,10 +155,10 @@ class PlayerNode(BenchNode):
         topic = topic_named(name)
         if topic is not None and topic.type_name == type_name:
             self.open((topic,))
-            self._outlets[name] = lambda data, last, t=topic: self.send(t, data, latch=last)
+            self._outlets[name] = partial(self.send, topic)
             return
         publisher = self.create_publisher(kind, name.lstrip("/"), QoSProfile(depth=1000))
-        self._outlets[name] = lambda data, last: publisher.publish(data)
+        self._outlets[name] = publisher.publish
 
     def _serving(self, ask: Callable[[], Request]) -> Any:
         def serve(_: Any, response: Any) -> Any:
@@ -197,7 +197,7 @@ class PlayerNode(BenchNode):
         skipped = self._playback.skipped(self._offset, self._outlets)
         rewrite = Rewritten(self._consumers, skipped)
         name = self._playback.path.name
-        count: Counter[str] = Counter(skipped)
+        count: Counter[str] = Counter()
         stamp = self._playback.start
         self._control.begin()
         if self._consumers:
@@ -211,7 +211,7 @@ class PlayerNode(BenchNode):
             if sent is None:
                 continue
             count[topic] += 1
-            self._outlets[topic](sent, count[topic] == self._playback.counts[topic])
+            self._outlets[topic](sent)
             if topic_named(topic) is RUN_INFO:
                 self._barrier.begin(run_id_of(sent))
                 self.drain(self.reader_timeout, [RUN_INFO])
@@ -222,7 +222,7 @@ class PlayerNode(BenchNode):
         if self._consumers:
             self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
         played = (stamp - self._playback.start) / 1e9 - self._offset
-        messages = count.total() - sum(skipped.values())
+        messages = count.total()
         self.get_logger().info(
             f"{messages} messages, {played:.2f} s played in {spent:.2f} s "
             f"({played / spent:.2f} x real time)"

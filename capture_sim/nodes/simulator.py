@@ -40,7 +40,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.barrier import Barrier
 from capture_sim.nodes.diagnostics import SimulatorDiagnostics
-from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import INTERRUPTED, RECORDER
 from capture_sim.nodes.process import run
@@ -151,6 +151,7 @@ class SimulatorNode(BenchNode):
         self._numbers = itertools.count(1)
         self._run = _Run(self._scenes[0])
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
+        self._description: RunDescription  # of the last run that was announced
         self.open(topics_of(SIMULATOR))
         self._model = RobotModel(self)
         self._diagnostics = SimulatorDiagnostics(self, self.control)
@@ -328,7 +329,9 @@ class SimulatorNode(BenchNode):
         reporting = [SIMULATOR, *[LAUNCHER] * launcher]
         if self.publishers_of(CAPTURE_STATUS):
             reporting.append(CAPTURE_DETECTOR)
-        description = RunDescription.of(scene, self._run.id, reporting, consumers=self._consumers)
+        self._description = description = RunDescription.of(
+            scene, self._run.id, reporting, consumers=self._consumers
+        )
         self._barrier.begin(self._run.id)
         self._telemetry = BenchTelemetry(self.messages, scene, description)
         self._model.begin(scene)
@@ -376,7 +379,7 @@ class SimulatorNode(BenchNode):
             self.get_logger().error(f"{name}: {error}")
             return str(error)
         finally:
-            self.send(RUN_INFO, message_class(RUN_INFO.type_name)())  # no run is on
+            self.send_run_info(replace(self._description, run_id=""))  # no run is on
         return ""
 
 

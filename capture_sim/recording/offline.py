@@ -127,12 +127,12 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
 
     yield bench.begin()
     yield follower.command(0.0, LaunchAction.ARM, launcher.plan)
-    yield follower.state(0.0, launcher.status)
+    yield from follower.status(0.0, launcher.status)
     yield follower.command(0.0, LaunchAction.RELEASE, launcher.plan)
-    yield follower.state(0.0, launcher.release())
+    yield from follower.status(0.0, launcher.release())
     yield detector.begin(scene.detector)
     periodic = samples[:: samples_per_message(run.state_rate, run.rate)]
-    launched = follower.states(_launched(launcher, scene, periodic))
+    launched = follower.statuses(_launched(launcher, scene, periodic))
     times = deque(periodic["t"].tolist())
     *decided, verdict = result.statuses
     statuses = detector.statuses((status.t, status) for status in decided)
@@ -143,17 +143,18 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
         for sent in bench.block(block, next(events, ()), next(trace, None)):
             yield sent
             if sent.topic is bench.LAST_PERIODIC:
-                yield next(launched)
+                yield from next(launched)
                 t = times.popleft()
                 while waiting and waiting[0] <= t:
                     waiting.popleft()
-                    yield next(statuses)
+                    yield from next(statuses)
     complete, reason = not result.failure, result.failure
     yield from bench.rest()
     yield bench.end(complete=complete, reason=reason)
     yield follower.end(complete=complete, reason=reason)
-    yield from statuses
-    yield detector.status(verdict.t, verdict)
+    for undelivered in statuses:
+        yield from undelivered
+    yield from detector.status(verdict.t, verdict)
     yield detector.end(complete=complete, reason=reason)
 
 

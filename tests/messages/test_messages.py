@@ -331,9 +331,10 @@ def test_rclpy_reads_what_was_sent(result, run):
         yield bench.begin()
         yield from bench.block(result.samples, result.events, result.trace)
         yield launcher.command(0.0, LaunchAction.ARM, plan)
-        yield from launcher.states((0.1 * k, Launcher(result.scene).status) for k in range(3))
+        yield from launcher.status(0.1, Launcher(result.scene).status)
         yield detector.begin(result.scene.detector)
-        yield from detector.statuses((status.t, status) for status in result.statuses[::50])
+        for messages in detector.statuses((s.t, s) for s in result.statuses[::50]):
+            yield from messages
         yield detector.end(complete=False, reason="é")
 
     seen = Counter()

@@ -25,6 +25,7 @@ from capture_sim.messages.topics import (
     CAPTURE_CRITERIA,
     CAPTURE_DETECTOR,
     CAPTURE_STATUS,
+    CAPTURE_VERDICT,
     CHASER_POSE,
     RUN_INFO,
     SIMULATOR,
@@ -213,13 +214,13 @@ def test_changes_of_state_are_kept_for_a_busy_subscriber():
     """A publisher keeps the last for latecomers; who was there in time gets all of them."""
     join_dds()
     sender, reader = BenchNode("sender"), BenchNode("reader")
-    sender.open((CAPTURE_STATUS,))
+    sender.open((CAPTURE_VERDICT,))
     came = []
-    reader.listen(CAPTURE_STATUS, lambda status: came.append(status.state))
+    reader.listen(CAPTURE_VERDICT, lambda status: came.append(status.state))
 
     def send(state):
-        message = sender.messages.new(CAPTURE_STATUS.type_name, state=state)
-        sender.send(CAPTURE_STATUS, sender.messages.serialise(message), latch=True)
+        message = sender.messages.new(CAPTURE_VERDICT.type_name, state=state)
+        sender.send(CAPTURE_VERDICT, sender.messages.serialise(message))
 
     def take(count):
         deadline = time.monotonic() + PATIENCE

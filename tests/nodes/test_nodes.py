@@ -11,15 +11,25 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from bench_processes import Client, Simulation, Started, fresh, wait_until
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from recorded import values_of
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.control.simulation import Code, State
 from capture_sim.detection.exact import CaptureState
+from capture_sim.launch.scenes import load_scene_text
 from capture_sim.launch.watch import LauncherPhase
-from capture_sim.messages.topics import CAPTURE_STATUS, LAUNCHER_STATE, SIMULATOR, topics_of
+from capture_sim.messages.topics import (
+    CAPTURE_STATUS,
+    CAPTURE_VERDICT,
+    LAUNCHER_PHASE,
+    LAUNCHER_STATE,
+    RUN_INFO,
+    SIMULATOR,
+    topics_of,
+)
 from capture_sim.nodes.node import message_class
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.detect import detect_again
@@ -31,7 +41,7 @@ SENSED = "tilt_m10"
 AWAITED = {"rtf": "0.0", "consumers": "[launcher, capture_detector, recorder]"}
 # These carry the run's id, or what was computed from odometry instead of the state.
 OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/stream_counts"}
-JUDGED = {"capture/status"}
+JUDGED = {"capture/status", "capture/verdict"}
 
 
 @pytest.fixture(scope="module")
@@ -245,13 +255,52 @@ def test_run_waits_for_its_release_and_a_latecomer_gets_how_it_ended(start_all):
     with Client() as client:
         assert client.set("launcher", auto_release=True) == (True, "")
         nodes["simulator"].wait_for("all runs are over")
-        statuses, states = client.listen(CAPTURE_STATUS), client.listen(LAUNCHER_STATE)
-        wait_until(lambda: statuses and states)
+        topics = CAPTURE_VERDICT, LAUNCHER_PHASE, RUN_INFO
+        verdicts, phases, infos = (client.listen(topic) for topic in topics)
+        wait_until(lambda: verdicts and phases and infos)
         time.sleep(0.5)
-        assert [(m.state, m.final) for m in statuses] == [(CaptureState.CAPTURED, True)]
-        assert [m.state for m in states] == [LauncherPhase.DELIVERED]
+        assert [(m.state, m.final) for m in verdicts] == [(CaptureState.CAPTURED, True)]
+        assert [m.state for m in phases] == [LauncherPhase.DELIVERED]
+        # no run is on any more, and its scene is still there
+        assert [(m.run_id, m.name) for m in infos] == [("", "tilt_0")]
+        assert load_scene_text(infos[0].scene) == load_scene("tilt_0")
     nodes["simulator"].process.send_signal(signal.SIGINT)
     assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+
+
+def echo_once(client, topic):
+    """Subscribe as `ros2 topic echo` does; return its messages and the warnings about QoS."""
+    name = topic.absolute_name
+    wait_until(lambda: client.node.count_publishers(name))
+    offered = [p.qos_profile for p in client.node.get_publishers_info_by_topic(name)]
+    assert len(offered) == 1, name
+    kept = offered[0].durability is DurabilityPolicy.TRANSIENT_LOCAL
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE
+    messages, warnings = [], []
+    client.node.create_subscription(
+        message_class(topic.type_name),
+        name,
+        messages.append,
+        QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=warnings.append),
+    )
+    return messages, warnings
+
+
+def test_streams_and_their_last_state_are_echoed_without_a_warning(start_all):
+    nodes = start_all(rtf=1.0, exit_when_done="false")
+    with Client() as client:
+        nodes["simulator"].wait_for("released")
+        echoed = [echo_once(client, topic) for topic in (CAPTURE_STATUS, LAUNCHER_STATE)]
+        wait_until(lambda: all(messages for messages, _ in echoed))
+        nodes["simulator"].wait_for("all runs")
+        echoed += [echo_once(client, topic) for topic in (CAPTURE_VERDICT, LAUNCHER_PHASE)]
+        wait_until(lambda: all(messages for messages, _ in echoed))
+        assert not any(warnings for _, warnings in echoed)
+    for node in nodes.values():
+        node.process.send_signal(signal.SIGINT)
+    assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+    assert not any("incompatible" in node.text for node in nodes.values())
 
 
 @pytest.mark.parametrize("when", [{"initial_state": "stopped"}, {"consumers": "[recorder]"}])

@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
-from capture_sim.messages.topics import LAUNCH_COMMAND, LAUNCHER_STATE
+from capture_sim.messages.topics import LAUNCH_COMMAND, LAUNCHER_PHASE
 from capture_sim.nodes.node import message_class
 from capture_sim.nodes.services import FEATURES
 
@@ -215,7 +215,7 @@ def test_launch_without_a_run_is_refused(stopped):
 
 
 def test_abort_ends_the_run_and_stays(stopped):
-    commands, states = (stopped.client.listen(t) for t in (LAUNCH_COMMAND, LAUNCHER_STATE))
+    commands, states = (stopped.client.listen(t) for t in (LAUNCH_COMMAND, LAUNCHER_PHASE))
     stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: len(stopped.states) > 20)
