@@ -26,6 +26,7 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.node import LATCHED, message_class
 from capture_sim.nodes.participant import READ, Participant
 from capture_sim.nodes.process import run
+from capture_sim.nodes.run_state import Stage
 from capture_sim.scene.parts import Scene
 
 #: Output for a real release, such as a magnet's relay: std_msgs/Bool, true holds.
@@ -87,6 +88,7 @@ class LauncherNode(Participant):
         self._asked = False  # to launch the trial that is begun
         self._place: tuple[float, float] | None = None  # s and m, of a bench's chaser before
         self._zero: int | None = None  # ns, a bench's stamp when the chaser was let go
+        self._now = 0.0  # s since the release, of the last state
         self.open(topics_of(LAUNCHER))
         self._hold_output: Any = None
         self._held: bool | None = None  # as last published
@@ -112,6 +114,7 @@ class LauncherNode(Participant):
         self._parts = {}
         self._touched = False
         self._place = self._zero = None
+        self._now = 0.0
         plan = launcher.plan
         self._hold(True)
         self.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
@@ -176,7 +179,7 @@ class LauncherNode(Participant):
         before = launcher.status.state
         slack, touched = t > launcher.plan.landing_time, travel > launcher.plan.travel
         status = launcher.observe(speed, slack, touched, t=t, travel=middle)
-        own = t + (self._zero - EPOCH_NS) / 1e9
+        self._now = own = t + (self._zero - EPOCH_NS) / 1e9
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
             self._abort(launcher, own)
         else:
@@ -193,7 +196,7 @@ class LauncherNode(Participant):
         self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
         (speed, phase), (in_touch, touches), (x, y) = (parts[topic] for topic in SIMULATED)
         self._touched = self._touched or in_touch or touches > 0
-        t = stamp_seconds(stamp)
+        self._now = t = stamp_seconds(stamp)
         before = self._launcher.status.state
         status = self._launcher.observe(
             speed,
@@ -209,11 +212,14 @@ class LauncherNode(Participant):
 
     def _asked_to_launch(self, _: Any, response: Any) -> Any:
         launcher = self._launcher
-        if self.run is None and self._scene is not None:
+        stage = self.state.stage
+        if stage is Stage.NONE and self._scene is not None:
             self._asked = True
             self.announce(self._scene.name, self._scene)
             response.success, response.message = True, f"{self._scene.name}: trial begun"
-        elif self.run is None or launcher is None:
+        elif stage in (Stage.REQUESTED, Stage.ANNOUNCED):
+            response.message = "a trial is being begun already"
+        elif stage is Stage.NONE or launcher is None:
             response.message = "no run is announced: play or reset the simulation first"
         elif launcher.status.state is not LauncherPhase.ARMED:
             state = launcher.status.state.name.lower()
@@ -225,12 +231,12 @@ class LauncherNode(Participant):
 
     def _asked_to_abort(self, _: Any, response: Any) -> Any:
         launcher = self._launcher
-        if self.run is None or launcher is None:
+        if not self.is_on or launcher is None:
             response.message = "no run is on"
         elif launcher.abort("asked for").reason != "asked for":
             response.message = f"{self.run.name} is {launcher.status.state.name.lower()} already"
         else:
-            self._abort(launcher, 0.0)
+            self._abort(launcher, self._now)
             response.success, response.message = True, f"{self.run.name}: aborted"
         return response
 
@@ -244,7 +250,7 @@ class LauncherNode(Participant):
                 self._auto_release = parameter.value
                 launcher = self._launcher
                 armed = launcher is not None and launcher.status.state is LauncherPhase.ARMED
-                if self._auto_release and self.run is not None and launcher is not None and armed:
+                if self._auto_release and self.is_on and launcher is not None and armed:
                     self._release(launcher)
 
 

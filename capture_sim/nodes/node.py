@@ -13,6 +13,7 @@ from functools import cache
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -103,6 +104,9 @@ class BenchNode(ParameterNode):
     def interrupted(self) -> None:
         """End the run after Ctrl-C; no callback runs any more, sending still works."""
 
+    def readers_changed(self) -> None:
+        """Take note that readers of an open topic have come or gone."""
+
     # topics
 
     def open(self, topics: Sequence[Topic]) -> None:
@@ -113,6 +117,9 @@ class BenchNode(ParameterNode):
                 topic.name,
                 qos_of(topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                event_callbacks=PublisherEventCallbacks(
+                    matched=lambda event: self.readers_changed()
+                ),
             )
 
     def listen(

@@ -17,7 +17,6 @@ import math
 import threading
 import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
@@ -56,6 +55,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.node import BenchNode, from_bytes, message_class
 from capture_sim.nodes.parameters import ParameterError
+from capture_sim.nodes.run_state import RunState, Stage
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import shown
@@ -79,14 +79,10 @@ _EARLY = "ended early: "
 _AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
 #: Characters of a run's name that are taken.
 LONGEST_NAME = 200
-#: What a participant waits for its own readers to be matched at most, s (wall).
-MATCHING = 5.0
-#: Messages that were on their way when the announcer went are waited for this long, s (wall).
-GRACE = 0.5
-#: Messages that still come after a run was ended are waited for this long, s (wall).
-LONGEST = 60.0
-#: Ctrl-C mostly ends all nodes at once: a participant waits this long for the word on how the run
-#: has ended, s (wall).
+#: A run begins without readers that are expected and not there after this long, s (wall).
+MATCHING_TIMEOUT = 5.0
+#: Ctrl-C mostly ends all nodes at once: a participant waits this long for the message on how the
+#: run has ended, s (wall).
 RUN_END_TIMEOUT = 3.0
 
 
@@ -113,24 +109,20 @@ class Participant(BenchNode):
         self._exit_when_done = self.declare(
             "exit_when_done", False, "end this process when the announcer has left after a run"
         )
-        self._patience = self.declare(
+        drain_timeout = self.declare(
             "drain_timeout",
             5.0,
             "s (wall) without a message, after which a run that was ended is given up",
             low=0.1,
             high=600.0,
         )
-        self.run: Any = None  # RunInfo of the run that is on
-        self._came: Counter[str] = Counter()  # messages of the run, by topic
+        self.state = RunState(drain_timeout)
+        self._scene_of_run: Scene
         self._followed: list[Topic] = []
+        self._held_back: list[Callable[[], None]] = []  # messages of a run that is not begun yet
+        self._begin_deadline = math.inf  # wall, when a run begins without all of its readers
         self._waiting: list[Callable[[], None]] = []  # subscriptions, for the executor's start
         self._ready = threading.Event()
-        self._counts: Any = None  # what the announcer says it has sent in the run
-        self._ended: Any = None  # StreamCounts of the last run that an announcer has ended
-        self._deadline = math.inf  # wall, when a run that has ended is given up
-        self._latest = math.inf  # ... even though messages still come
-        self._runs = 0  # that have ended
-        self._alone = True  # no announcer is there
         self._leaving = False  # after Ctrl-C
         self._over = threading.Event()
         self._status = OK
@@ -176,23 +168,29 @@ class Participant(BenchNode):
         return load_scene(name, overrides) if name else None
 
     @property
+    def run(self) -> Any:
+        """RunInfo of the run that is announced or on; None without one."""
+        return self.state.info
+
+    @property
+    def is_on(self) -> bool:
+        """Whether this node has begun a run."""
+        return self.state.stage in (Stage.ON, Stage.ENDED)
+
+    @property
     def simulated(self) -> bool:
         """Whether the run that is on is one of a simulator, live or played."""
         return SIMULATOR in self.run.publishers
 
     @property
     def cut(self) -> bool:
-        """Whether the run that is on does not come to the end that its simulator had in mind."""
-        return self.simulated and (self._counts is None or not self._counts.complete)
+        """Whether the simulator has not reported the current run as complete."""
+        counts = self.state.counts
+        return self.simulated and (counts is None or not counts.complete)
 
     def missing(self) -> list[str]:
         """Return which of the followed streams lack messages that were sent."""
-        sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
-        return [
-            f"{topic.name}: {self._came[topic.name]} of {sent[topic.name]} messages came"
-            for topic in self._followed
-            if self._came[topic.name] < sent.get(topic.name, 0)
-        ]
+        return self.state.missing(topic.name for topic in self._followed)
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], **options: Any) -> None:
         """Subscribe to a topic once callbacks run."""
@@ -209,8 +207,10 @@ class Participant(BenchNode):
         """
 
         def take(message: Any) -> None:
-            if self.run is not None:
-                self._came[topic.name] += 1
+            if self.state.stage is Stage.ANNOUNCED:
+                self._held_back.append(partial(take, message))
+            elif self.run is not None:
+                self.state.receive(topic.name)
                 callback(message)
                 self.end_if_complete()
 
@@ -219,16 +219,22 @@ class Participant(BenchNode):
 
     def end_if_complete(self) -> None:
         """End the run if its announcer has ended it and nothing is missing."""
-        if self.run is None or self._counts is None:
-            return
-        if self.complete():
-            counts = self._counts
+        if self.state.stage is Stage.ENDED and self.complete():
+            counts = self.state.counts
             self._finish("" if counts.complete else f"{_EARLY}{counts.reason}")
-        else:  # messages still come
-            self._deadline = min(time.monotonic() + self._patience, self._latest)
 
     def announce(self, name: str, scene: Scene) -> None:
-        """Begin a trial for all participants."""
+        """Begin a trial for all participants.
+
+        Raises
+        ------
+        CaptureSimError
+            A run is on, or its announcement is on its way.
+        """
+        if self.state.stage is Stage.REQUESTED:
+            raise CaptureSimError("a trial is being announced already")
+        if self.run is not None:
+            raise CaptureSimError(f"{self.run.name} is on: end it first")
         if self._announced_run is None:
             self.open((RUN_INFO,))
         publishers = [
@@ -238,6 +244,7 @@ class Participant(BenchNode):
         ]
         run = replace(RunDescription.of(scene, uuid.uuid4().hex, publishers), name=name)
         self._announced_run = run
+        self.state.request(run.run_id)
         self.send_run_info(run)
 
     def end_trial(self) -> None:
@@ -262,83 +269,82 @@ class Participant(BenchNode):
         self._leaving = True
         deadline = time.monotonic() + RUN_END_TIMEOUT
         while self.run is not None and time.monotonic() < deadline:
-            if self._alone and self._counts is None:
-                break  # nobody is left to say it; after the counts others may still send
+            if not self.state.has_announcer and self.state.counts is None:
+                break  # no node is left to end it; after the counts others may still send
             time.sleep(0.02)
 
     def interrupted(self) -> None:
         """End the run that is on."""
-        if self.run is not None:
+        if self.is_on:
             self._finish(INTERRUPTED)
 
+    def readers_changed(self) -> None:
+        """Begin the run that is announced when its readers are there."""
+        if self.state.stage is Stage.ANNOUNCED and not self._expected_readers():
+            self._begin()
+
     def _announced(self, info: Any) -> None:
-        if self.run is not None:
-            if info.run_id == self.run.run_id:
-                return
-            if not info.run_id:
-                if not self.simulated:  # of which the counts say how it has ended
-                    self._end_with(message_class(STREAM_COUNTS.type_name)(complete=True))
-                return
-        over = self._ended is not None and self._ended.run_id == info.run_id
-        if not info.run_id or over:
+        if not info.run_id and self.run is not None and not self.simulated:
+            # of a simulated run the counts report how it has ended
+            kind = message_class(STREAM_COUNTS.type_name)
+            self._end(kind(run_id=self.run.run_id, complete=True))
+        if not self.state.is_new(info.run_id):
             return
         try:
-            scene = load_scene_text(info.scene)
-            described = RunDescription.of_message(info)
-        except CaptureSimError as error:
-            raise MessageError(str(error)) from None
-        if described.rate > described.state_rate:
-            raise MessageError(f"rate = {info.rate:g} Hz: must be <= {info.state_rate:g}")
-        if not info.name.isprintable() or len(info.name) > LONGEST_NAME:
-            raise MessageError(
-                f"name = {shown(info.name)}: must be at most {LONGEST_NAME} printable characters"
-            )
+            scene = _scene_of(info)
+        except MessageError:
+            self.state.reject(info.run_id)
+            raise
+        if self.state.stage is Stage.ANNOUNCED:
+            self._begin()
         if self.run is not None:
             self._finish(f"another run, {info.name}, was announced meanwhile")
-        self._wait_for_readers(info)
-        self._came.clear()
-        self._counts, self._deadline = None, math.inf
-        self.run = info
-        try:
-            self.begin(info, scene)
-        except Exception:
-            self.run = None
-            raise
+        self.state.announce(info)
+        self._scene_of_run = scene
+        self._begin_deadline = time.monotonic() + MATCHING_TIMEOUT
+        self.readers_changed()
 
-    def _wait_for_readers(self, info: Any) -> None:
-        """Wait until those read this node that take part; callbacks come in order afterwards."""
-        deadline = time.monotonic() + MATCHING
-        for topic in topics_of(self.role):
-            commands = topic is LAUNCH_COMMAND and SIMULATOR in info.publishers
-            wanted = readers(topic, set(info.consumers)) + commands
-            while self.matched(topic) < wanted and time.monotonic() < deadline:
-                time.sleep(0.002)
+    def _expected_readers(self) -> list[str]:
+        """Return the topics of this node that not all nodes read yet which the run waits for."""
+        of_simulator = SIMULATOR in self.run.publishers
+        return [
+            topic.name
+            for topic in topics_of(self.role)
+            if self.matched(topic)
+            < readers(topic, set(self.run.consumers)) + (topic is LAUNCH_COMMAND and of_simulator)
+        ]
+
+    def _begin(self) -> None:
+        self.state.begin()
+        self._begin_deadline = math.inf
+        early, self._held_back = self._held_back, []
+        try:
+            self.begin(self.run, self._scene_of_run)
+        except Exception:
+            self.state.drop()
+            raise
+        for take in early:
+            take()
+        self.end_if_complete()
 
     def _counted(self, data: bytes) -> None:
         counts = from_bytes(STREAM_COUNTS, data)
         if len(counts.topics) != len(counts.counts):
             raise MessageError(f"{len(counts.counts)} counts of {len(counts.topics)} topics")
-        if counts.publisher != SIMULATOR:
-            return
-        self._ended = counts
-        if self.run is not None and counts.run_id == self.run.run_id:
-            self._end_with(counts)
+        if counts.publisher == SIMULATOR:
+            self._end(counts)
 
-    def _end_with(self, counts: Any) -> None:
-        self._counts = counts
-        self._latest = time.monotonic() + max(LONGEST, self._patience)
+    def _end(self, counts: Any) -> None:
+        self.state.end(counts)
         self.end_if_complete()
 
     def _announcers_changed(self, event: Any) -> None:
-        self._alone = event.current_count == 0
-        if self._alone and self._counts is None:
-            self._deadline = time.monotonic() + GRACE
-        elif self._counts is None:
-            self._deadline = math.inf
+        self.state.set_announcers(event.current_count)
         self._leave_if_alone()
 
     def _leave_if_alone(self) -> None:
-        if self._exit_when_done and self._alone and self._runs > 0 and self.run is None:
+        alone = self.run is None and not self.state.has_announcer
+        if self._exit_when_done and alone and self.state.finished:
             self._over.set()
 
     def _look_at_clock(self) -> None:
@@ -346,12 +352,20 @@ class Participant(BenchNode):
             for subscribe in self._waiting:
                 subscribe()
             self._ready.set()
-        if self.run is None or self.failure or time.monotonic() < self._deadline:
+        if self.failure is not None:
             return
-        if self._counts is None:
-            self._finish("the simulator has gone without ending the run")
-        else:
-            self._finish("; ".join(["ended with messages missing", *self.missing()]))
+        if self.state.stage is Stage.ANNOUNCED and time.monotonic() > self._begin_deadline:
+            unread = ", ".join(self._expected_readers())
+            self.get_logger().warning(
+                f"{self.run.name}: not all nodes that the run waits for read {unread}: "
+                "begun without them"
+            )
+            self._begin()
+        elif self.state.is_overdue:
+            if self.state.stage is Stage.ON:
+                self._finish("the simulator has gone without ending the run")
+            else:
+                self._finish("; ".join(["ended with messages missing", *self.missing()]))
 
     def _finish(self, reason: str) -> None:
         problems = self.end(reason)
@@ -363,9 +377,7 @@ class Participant(BenchNode):
         for problem in problems:
             self._status = FAILED
             self.get_logger().error(one_line(f"{self.run.name}: {problem}"))
-        self.run = None
-        self._deadline = math.inf
-        self._runs += 1
+        self.state.finish()
         gc.collect()
         self._leave_if_alone()
 
@@ -373,8 +385,6 @@ class Participant(BenchNode):
 
     def _asked_to_begin(self, request: Any, response: Any) -> Any:
         try:
-            if self.run is not None:
-                raise CaptureSimError(f"{self.run.name} is on: end it first")
             scene = load_scene(request.scene, list(request.overrides))
             self.announce(request.name or scene.name, scene)
             response.success = True
@@ -383,9 +393,32 @@ class Participant(BenchNode):
         return response
 
     def _asked_to_end(self, _: Any, response: Any) -> Any:
-        if self._announced_run is None or self.run is None:
+        begun_here = self._announced_run is not None and self._announced_run.run_id
+        if self.run is None or self.run.run_id != begun_here:
             response.message = "no trial is on that was begun here"
         else:
             self.end_trial()
             response.success = True
         return response
+
+
+def _scene_of(info: Any) -> Scene:
+    """Return the scene of a run that is announced.
+
+    Raises
+    ------
+    MessageError
+        A node cannot take part in the run.
+    """
+    try:
+        scene = load_scene_text(info.scene)
+        described = RunDescription.of_message(info)
+    except CaptureSimError as error:
+        raise MessageError(str(error)) from None
+    if described.rate > described.state_rate:
+        raise MessageError(f"rate = {info.rate:g} Hz: must be <= {info.state_rate:g}")
+    if not info.name.isprintable() or len(info.name) > LONGEST_NAME:
+        raise MessageError(
+            f"name = {shown(info.name)}: must be at most {LONGEST_NAME} printable characters"
+        )
+    return scene

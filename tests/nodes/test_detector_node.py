@@ -289,7 +289,7 @@ def test_played_as_any_bag_the_run_of_a_suite_is_judged_from_its_start(tmp_path,
                     message.consumers = ["recorder", "capture_detector", "launcher"]
                     data = store.serialize_cdr(message, c.msgtype)
                 writer.write(copies[c.id], when, data)
-    patience = "from capture_sim.nodes import participant\nparticipant.MATCHING = 2.0"
+    patience = "from capture_sim.nodes import participant\nparticipant.MATCHING_TIMEOUT = 2.0"
     detector = start("capture_detector", patience)
     detector.wait_for("ready")
     player = start("player", bag=folder, rtf=4.0)

@@ -11,9 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from bench_processes import Client, Simulation, Started, fresh, wait_until
+from rcl_interfaces.srv import ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from recorded import values_of
+from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
@@ -30,7 +32,7 @@ from capture_sim.messages.topics import (
     SIMULATOR,
     topics_of,
 )
-from capture_sim.nodes.node import message_class
+from capture_sim.nodes.node import message_class, qos_of
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.offline import write_run
@@ -339,12 +341,12 @@ def test_dropped_messages_are_named(start_all):
         from capture_sim.messages.topics import BENCH_STATE, TARGET_ODOMETRY
         left = {BENCH_STATE: 1234, TARGET_ODOMETRY: 56}
         send = node.SimulatorNode.send
-        def leaky(self, topic, message, **options):
+        def leaky(self, topic, message):
             if topic in left:
                 left[topic] -= 1
                 if left[topic] == -1:
-                    return
-            send(self, topic, message, **options)
+                    return True
+            return send(self, topic, message)
         node.SimulatorNode.send = leaky
     """
     nodes = start_all(drop, drain_timeout=2.0)
@@ -353,7 +355,7 @@ def test_dropped_messages_are_named(start_all):
     assert re.search(r"bench/state: 1 messages? missing \(seq 1234\)", said), said
     assert re.search(r"target/odom: 1 messages? missing", said), said
     assert nodes["capture_detector"].status() == 1
-    assert re.search(r"target/odom: \d+ of \d+ messages came", nodes["capture_detector"].text)
+    assert re.search(r"target/odom: \d+ of \d+ messages received", nodes["capture_detector"].text)
     assert nodes["launcher"].status() == 0  # it needs neither
     assert nodes["simulator"].status() == 0
 
@@ -491,6 +493,49 @@ def test_launcher_aborts_a_launch_that_goes_wrong(start):
         # held, let go at the release, held again
         wait_until(lambda: len(holds) >= 3)
         assert [m.data for m in holds][-3:] == [True, False, True]
+
+
+def test_launch_pressed_twice_begins_one_trial(start):
+    with Client() as client:
+        launcher = start("launcher", scene="tilt_0", actuator="output")
+        launcher.wait_for("ready")
+        runs = client.listen(RUN_INFO, lambda info: info.run_id)
+        client.ask(ListParameters, "/launcher/list_parameters")
+        presses = [client.begin(Trigger, "/launcher/launch") for _ in range(3)]
+        assert sorted(press().success for press in presses) == [False, False, True]
+        wait_until(lambda: runs)
+        launcher.wait_for("armed")
+        time.sleep(0.5)
+        assert len(runs) == 1
+        assert client.ask(Trigger, "/launcher/end_trial").success
+        launcher.process.send_signal(signal.SIGINT)
+        assert launcher.status() == 0, launcher.text
+        assert launcher.text.count("armed") == 1
+
+
+def test_missing_reader_is_named_and_delays_no_callback(start):
+    """The run waits for a recorder that is not there: its detector answers meanwhile."""
+    with Client() as client:
+        detector = start("capture_detector", exit_when_done="false")
+        detector.wait_for("ready")
+        kind = message_class(RUN_INFO.type_name)
+        publisher = client.node.create_publisher(kind, RUN_INFO.name, qos_of(RUN_INFO))
+        wait_until(lambda: publisher.get_subscription_count() > 0)
+        client.ask(ListParameters, "/capture_detector/list_parameters")
+        scene = load_scene("tilt_0").to_yaml()
+        run = kind(run_id="x", name="tilt_0", scene=scene, state_rate=1000.0, rate=100.0)
+        run.publishers, run.consumers = ["simulator"], ["recorder"]
+        publisher.publish(run)
+        answers = 0
+        while "begun without them" not in detector.text:
+            began = time.monotonic()
+            client.ask(ListParameters, "/capture_detector/list_parameters")
+            answers += time.monotonic() - began < 1.0
+        assert answers > 20
+        named = "not all nodes that the run waits for read capture/criteria, capture/status"
+        assert named in detector.text
+        detector.process.send_signal(signal.SIGINT)
+        assert detector.status() == 0
 
 
 COUNTED = """

@@ -224,6 +224,10 @@ def test_abort_ends_the_run_and_stays(stopped):
     wait_until(lambda: commands and commands[-1].action == 3)
     wait_until(lambda: states and states[-1].state == 5)
     assert states[-1].reason == "asked for"
+    # stamped when it was asked for, not at the release, where 1 s of simulated time begins
+    for message in (commands[-1], states[-1]):
+        t = message.header.stamp.sec - 1 + 1e-9 * message.header.stamp.nanosec
+        assert 0.01 < t <= stopped.states[-1].t
 
 
 def test_diagnostics_say_how_it_goes(stopped):
