@@ -167,9 +167,16 @@ class Bench:
 
         Empty unless asked for.  A touch's own start, with no force yet, is an event.
         """
-        if len(self._traced) != 1:
-            self._traced = [np.concatenate([np.zeros(0, SAMPLE), *self._traced])]
-        return self._traced[0]
+        return self.trace_since(0)
+
+    def trace_since(self, piece: int) -> np.ndarray:
+        """Return the trace from a piece on, (n,) of dtype SAMPLE; see :attr:`trace_pieces`."""
+        return np.concatenate([np.zeros(0, SAMPLE), *self._traced[piece:]])
+
+    @property
+    def trace_pieces(self) -> int:
+        """Pieces that the trace has come in so far."""
+        return len(self._traced)
 
     @property
     def events(self) -> list[Event]:
@@ -377,7 +384,7 @@ def drive(
             samples, failure = error.partial, error
         served += size
         first, seen = seen, bench.event_count
-        trace, traced = bench.trace[traced:], len(bench.trace)
+        trace, traced = bench.trace_since(traced), bench.trace_pieces
         yield Block(samples, trace, failure, bench, slice(first, seen))
         if failure is not None:
             return

@@ -51,15 +51,14 @@ def run(options: argparse.Namespace) -> int:
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()
-    before = set(options.out.glob("*.mcap"))
-    status = run_suite(scenes, options.out, rtf=options.rtf, namespace=options.namespace or "")
-    # an earlier recording is never overwritten: what is new may have a number behind its name
-    fresh = sorted(set(options.out.glob("*.mcap")) - before, key=lambda path: path.stat().st_mtime)
-    runs = [run for run in map(read_run, fresh) if run.samples.size]
+    status, recordings = run_suite(
+        scenes, options.out, rtf=options.rtf, namespace=options.namespace or ""
+    )
+    runs = [run for run in map(read_run, recordings) if run.samples.size]
     report([summary_of(run, run.wall_time) for run in runs], options.out)
     draw(runs, [run.path.stem for run in runs], options.out)
-    lacking = {scene.name for scene in scenes} - {run.name for run in runs}
-    if lacking:
-        warn(f"no result of {', '.join(sorted(lacking))}")
+    missing = {scene.name for scene in scenes} - {run.name for run in runs}
+    if missing:
+        warn(f"no result of {', '.join(sorted(missing))}")
         return int(status) or FAILED
     return int(status)

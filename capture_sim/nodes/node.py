@@ -8,7 +8,7 @@ import signal
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from typing import Any
 
@@ -29,7 +29,7 @@ from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import STOP
 from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import RUN_INFO, Topic
+from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, Topic
 from capture_sim.nodes.parameters import ParameterNode
 
 #: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
@@ -88,8 +88,8 @@ class BenchNode(ParameterNode):
         self.created = time.monotonic()  # others are discovered from here on
         self.messages = Messages()
         self.failure: Exception | None = None  # that ended the callbacks
-        self.reader_timeout = 10.0  # s (wall), then a reader that takes nothing is left behind
-        self.left_behind: list[str] = []  # nodes whose reading stood still
+        self.reader_timeout = 10.0  # s (wall), then a reader that reads nothing is dropped
+        self.dropped_readers: list[str] = []  # nodes that had stopped reading
         self._senders: dict[Topic, Any] = {}
         self._retired: list[Any] = []
         self._refused: dict[Topic, tuple[float, int]] = {}  # when last said, and how many since
@@ -202,20 +202,15 @@ class BenchNode(ParameterNode):
                 self._senders[topic].publish(message)
             except RuntimeError:
                 if time.monotonic() > deadline:
-                    self._leave_behind(topic)
+                    self._drop_stalled_readers(topic)
                     deadline = math.inf
             else:
                 return True
         return False
 
-    def _leave_behind(self, topic: Topic) -> None:
-        """Send to all but who stands still: DDS then keeps no more than 1000 messages."""
-        names = self.standing_still(topic)
-        self.left_behind += names
-        self.get_logger().error(
-            f"{', '.join(names)}: has read nothing of {topic.name} for {self.reader_timeout:g} s "
-            "and is left behind"
-        )
+    def _drop_stalled_readers(self, topic: Topic) -> None:
+        """Go on without the readers that do not read: DDS keeps the last 1000 messages for them."""
+        self.dropped_readers += self.report_stalled_readers(topic)
         for stream, sender in list(self._senders.items()):
             if not stream.latched:
                 readers = sender.get_subscription_count()
@@ -227,9 +222,26 @@ class BenchNode(ParameterNode):
                 while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
                     time.sleep(0.001)
 
-    def standing_still(self, topic: Topic) -> list[str]:
-        """Return the nodes that may be those that take nothing of a topic."""
+    def report_stalled_readers(self, topic: Topic) -> list[str]:
+        """Name the nodes that have not read a topic for too long; return them."""
+        names = self.stalled_readers(topic)
+        # those that take part report themselves what they lack; for the others nothing has failed
+        log = self.get_logger().error if self.participants(names) else self.get_logger().warning
+        log(
+            f"{', '.join(names)}: no message read from {topic.name} for {self.reader_timeout:g} s "
+            "(consumer_timeout); continuing without it"
+        )
+        return names
+
+    def stalled_readers(self, topic: Topic) -> list[str]:
+        """Return the nodes that may be those that do not read a topic."""
         return sorted({*self.readers(topic)} - {self.get_fully_qualified_name()})
+
+    def participants(self, names: Collection[str]) -> list[str]:
+        """Return those of these nodes that take part in runs: they report their counts."""
+        counts = self.resolve_topic_name(STREAM_COUNTS.name)
+        reporting = {full_name(end) for end in self.get_publishers_info_by_topic(counts)}
+        return [name for name in names if name in reporting]
 
     def readers(self, topic: Topic) -> list[str]:
         """Return the full names of the nodes that an open topic serves, for each subscription."""
@@ -249,10 +261,14 @@ class BenchNode(ParameterNode):
         return int(self.count_publishers(self.resolve_topic_name(topic.name)))
 
     def drain(self, limit: float, topics: Sequence[Topic] = ()) -> bool:
-        """Wait until all that was sent has arrived, ``limit`` s (wall) at most; tell whether."""
+        """Wait until all that was sent has arrived, ``limit`` s (wall) at most; return whether."""
         deadline = time.monotonic() + limit
         senders = [self._senders[topic] for topic in topics] if topics else self._senders.values()
         return all(acknowledged(s, max(0.0, deadline - time.monotonic())) for s in senders)
+
+    def unread(self) -> list[Topic]:
+        """Return the topics of which not all that was sent has arrived."""
+        return [topic for topic, sender in self._senders.items() if not acknowledged(sender, 0.0)]
 
 
 def from_bytes(topic: Topic, data: bytes) -> Any:

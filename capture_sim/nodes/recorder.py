@@ -23,6 +23,7 @@ from capture_sim.nodes.node import from_bytes
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.nodes.process import run
+from capture_sim.nodes.start import RECORDING_IN
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.scene.parts import Scene
 
@@ -87,7 +88,7 @@ class RecorderNode(Participant):
             except MessageError as error:
                 self.refuse(topic, error)
         self._early.clear()
-        self.get_logger().info(f"{info.name}: recording in {self._out}")
+        self.get_logger().info(f"{info.name}: {RECORDING_IN}{self._recorder.path}")
 
     def complete(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""

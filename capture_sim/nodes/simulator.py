@@ -242,11 +242,11 @@ class SimulatorNode(BenchNode):
             self._served.close()
         return status
 
-    def standing_still(self, topic: Topic) -> list[str]:
-        """Return the nodes that read a topic and do not answer."""
+    def stalled_readers(self, topic: Topic) -> list[str]:
+        """Return the readers of a topic that do not respond, or all if all respond."""
         clients = {
             name: self.create_client(ListParameters, f"{name}/list_parameters")
-            for name in super().standing_still(topic)
+            for name in super().stalled_readers(topic)
         }
         time.sleep(DISCOVERY)
         answers = {
@@ -279,11 +279,12 @@ class SimulatorNode(BenchNode):
                 failure, again, stopped = self._go_through(
                     _Run(scene, f"{self._session}{next(self._numbers):08x}")
                 )
-                failed = failed or bool(failure or self.left_behind)
+                dropped = self.participants(self.dropped_readers)
+                failed = failed or bool(failure or dropped)
                 if stopped and not failure:
                     return False, failed
-            if failed and (not self._exit_when_done or self.left_behind):
-                break  # nobody there to see the others, or somebody ought to look first
+            if failed and (not self._exit_when_done or dropped):
+                break  # somebody ought to look first
         self.control.finish()
         return True, failed
 
@@ -361,10 +362,9 @@ class SimulatorNode(BenchNode):
         assert self._telemetry is not None
         for sent in self._telemetry.rest():
             self.publish(sent)
-        whole = self.drain(self.reader_timeout)
-        if not whole and not reason and not self.left_behind:
-            self.left_behind = ["a subscriber"]
-            self.get_logger().error("a subscriber has not acknowledged all that was sent")
+        if not self.drain(self.reader_timeout) and not reason and not self.dropped_readers:
+            for topic in self.unread()[:1]:
+                self.report_stalled_readers(topic)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         self._telemetry = None
 

@@ -13,6 +13,8 @@ from capture_sim.errors import explain_import_error
 OK, FAILED, REFUSED = 0, 1, 2
 #: How the line begins by which a node says why it has refused.
 REFUSAL = "error: "
+#: The line by which the recorder says into which file it records ends with this and the file.
+RECORDING_IN = "recording in "
 
 
 def start(name: str) -> int:

@@ -16,14 +16,14 @@ import time
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
 from capture_sim.interrupts import watch_signals
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
-from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
+from capture_sim.nodes.start import FAILED, OK, RECORDING_IN, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
 
 RECORDER, PLAYER = "recorder", "player"
@@ -47,6 +47,13 @@ def check_ros() -> None:
             raise MissingPackageError(explain_import_error(ImportError(name=package)))
 
 
+class SuiteResult(NamedTuple):
+    """What a suite has come to."""
+
+    status: int  # 0 all runs are complete; 1 a node failed or died; 2 it rejected its parameters
+    recordings: list[Path]  # in the order of the runs
+
+
 def run_suite(
     scenes: Sequence[Scene],
     out: Path,
@@ -54,7 +61,7 @@ def run_suite(
     record: bool = True,
     rtf: float = 0.0,
     namespace: str = "",
-) -> int:
+) -> SuiteResult:
     """Run experiments with the ROS 2 nodes, in the caller's ROS_DOMAIN_ID as any ROS program.
 
     Parameters
@@ -69,12 +76,6 @@ def run_suite(
         Simulated seconds per second; 0 as fast as it goes.
     namespace
         Of all nodes and topics but ``/clock`` and ``/tf``, beside another suite in the domain.
-
-    Returns
-    -------
-    int
-        0 when all runs are complete; 1 when a node failed or died; 2 when one refused its
-        parameters.
 
     Raises
     ------
@@ -95,7 +96,8 @@ def run_suite(
         parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "rtf": float(rtf)}
         if record:
             parameters[RECORDER] = {"out": str(out)}
-        return _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)[0]
+        status, processes = _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)
+    return SuiteResult(status, [path for path in processes.recordings if path.is_file()])
 
 
 def replay(parameters: Mapping[str, Any], out: Path) -> int:
@@ -111,7 +113,7 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
     Returns
     -------
     int
-        As of :func:`run_suite`.
+        As :attr:`SuiteResult.status`.
 
     Raises
     ------
@@ -125,9 +127,9 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
     for name in parameters.get("consumers", ()):
         nodes[name] = {"out": str(out)} if name == RECORDER else {}
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
-        status, refusals = _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
-    if refusals:
-        raise CaptureSimError(refusals[0])
+        status, processes = _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
+    if processes.refusals:
+        raise CaptureSimError(processes.refusals[0])
     return status
 
 
@@ -138,8 +140,8 @@ def _run_nodes(
     namespace: str,
     folder: Path,
     log: Path | None,
-) -> tuple[int, list[str]]:
-    """Run nodes to their end; return the status (see :func:`run_suite`) and refusals' reasons."""
+) -> tuple[int, _Processes]:
+    """Run nodes to their end; return the status (see :func:`run_suite`) and what they printed."""
     file = folder / "parameters.yaml"
     content = {}
     for name, values in parameters.items():
@@ -164,7 +166,7 @@ def _run_nodes(
             status = processes.supervise(announcer, limit, stop)
     finally:
         restore()
-    return status, processes.refusals
+    return status, processes
 
 
 def _domain() -> int:
@@ -191,7 +193,8 @@ class _Processes:
         self._environment = environment
         self._running: dict[str, subprocess.Popen[str]] = {}
         self._readers: list[threading.Thread] = []
-        self.refusals: list[str] = []  # why nodes have refused their parameters
+        self.refusals: list[str] = []  # why nodes have rejected their parameters
+        self.recordings: list[Path] = []  # files of the recorder, in their order
 
     def __enter__(self) -> _Processes:
         # a node inherits the blocked signals, and opens them once it can end in order
@@ -285,6 +288,8 @@ class _Processes:
             _print(line.rstrip(), name)
             if line.startswith(REFUSAL):
                 self.refusals.append(line.removeprefix(REFUSAL).rstrip())
+            if name == RECORDER and RECORDING_IN in line:
+                self.recordings.append(Path(line.partition(RECORDING_IN)[2].rstrip()))
 
 
 def _describe(code: int) -> str:

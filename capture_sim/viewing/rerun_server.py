@@ -6,12 +6,15 @@ import importlib.util
 import shutil
 import socket
 import subprocess
+import time
 from pathlib import Path
 
 from capture_sim.errors import CaptureSimError
 
 #: All traffic stays on this machine.
 LOCALHOST = "127.0.0.1"
+#: The server accepts connections within this long, s (wall).
+START_TIMEOUT = 30.0
 
 
 def program() -> Path:
@@ -43,7 +46,7 @@ class RecordingServer:
     Raises
     ------
     CaptureSimError
-        The port is taken.
+        The port is taken, or the server does not start.
     """
 
     def __init__(self, port: int, memory: int) -> None:
@@ -69,6 +72,20 @@ class RecordingServer:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
+        self._await_start(port)
+
+    def _await_start(self, port: int) -> None:
+        deadline = time.monotonic() + START_TIMEOUT
+        while time.monotonic() < deadline and self._process.poll() is None:
+            with socket.socket() as probe:
+                if probe.connect_ex((LOCALHOST, port)) == 0:
+                    return
+            time.sleep(0.02)
+        status = self._process.poll()
+        if status is None:
+            self.close()
+        how = f"no answer for {START_TIMEOUT:g} s" if status is None else f"exit status {status}"
+        raise CaptureSimError(f"the server of rerun on port {port} has not started: {how}")
 
     @property
     def pid(self) -> int:

@@ -63,8 +63,10 @@ def folder(scenes, tmp_path_factory):
     out = tmp_path_factory.mktemp("suite")
     with ThreadPoolExecutor() as pool:
         beside = pool.submit(run_suite, scenes[:1], out / "beside", namespace="/lab")
-        assert run_suite(scenes, out) == 0
-    assert beside.result() == 0
+        status, recordings = run_suite(scenes, out)
+    assert status == 0
+    assert recordings == [out / f"{name}.mcap" for name in (*NAMES, SENSED)]
+    assert beside.result() == (0, [out / "beside" / "tilt_0.mcap"])
     return out
 
 
@@ -424,13 +426,13 @@ def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
     assert run.samples.size > 500
 
 
-def test_reader_that_stands_still_is_left_behind_by_name(start_all, tmp_path):
+def test_reader_that_stalls_is_dropped_by_name(start_all, tmp_path):
     stuck = """
         import time
         take = node.RecorderNode._take
         def wait(self, topic, data):
             if topic.name == "bench/state" and self.run is not None:
-                print("stands still", flush=True)
+                print("stalled", flush=True)
                 time.sleep(20.0)
             take(self, topic, data)
         node.RecorderNode._take = wait
@@ -440,11 +442,38 @@ def test_reader_that_stands_still_is_left_behind_by_name(start_all, tmp_path):
         consumer_timeout="2.0",
         overrides="[run.state_rate=10000, run.t_end=1.5]",
     )
-    nodes["simulator"].wait_for("/recorder: has read nothing of", 120.0)
+    nodes["simulator"].wait_for("/recorder: no message read from", 120.0)
     assert "/capture_detector" not in nodes["simulator"].text
     nodes["simulator"].wait_for("done, ")
     assert nodes["capture_detector"].status() == 0
     assert nodes["simulator"].status() == 1
+
+
+ASLEEP = """
+import sys, time
+import rclpy
+from capture_sim.messages.topics import BENCH_STATE
+from capture_sim.nodes.node import message_class, qos_of
+rclpy.init()
+node = rclpy.create_node("asleep")
+kind, qos = message_class(BENCH_STATE.type_name), qos_of(BENCH_STATE)
+node.create_subscription(kind, "bench/state", print, qos)
+print("subscribed", flush=True)
+time.sleep(300.0)
+"""
+
+
+def test_foreign_reader_that_does_not_read_is_named_and_fails_nothing(start_all, tmp_path):
+    asleep = Started(fresh(ASLEEP, []))
+    try:
+        asleep.wait_for("subscribed")
+        nodes = start_all(consumer_timeout="2.0")  # tilt_0 has more samples than DDS keeps for it
+        assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+    finally:
+        asleep.process.kill()
+        asleep.process.wait()
+    assert "/asleep: no message read from bench/state for 2 s" in nodes["simulator"].text
+    assert read_run(tmp_path / "out" / "tilt_0.mcap").complete
 
 
 def test_slow_reader_loses_nothing(start):
@@ -661,7 +690,7 @@ def test_help_shows_the_parameters_and_starts_nothing():
 
 def test_suite_ends_when_a_node_refuses(scenes, tmp_path, capfd):
     (tmp_path / "out").write_text("not a folder")
-    assert run_suite(scenes[:1], tmp_path / "out") == 2
+    assert run_suite(scenes[:1], tmp_path / "out") == (2, [])
     assert "must be a folder" in capfd.readouterr().out
 
 

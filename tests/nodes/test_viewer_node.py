@@ -51,6 +51,19 @@ def ended(node):
     return node.status() == 0 and "Traceback" not in node.text
 
 
+def test_server_that_does_not_start_is_reported(start):
+    dead = """
+        from pathlib import Path
+        from capture_sim.viewing import rerun_server
+        rerun_server.program = lambda: Path("/bin/false")
+    """
+    node = start("viewer", dead, port=free_port())
+    assert node.status() == 2
+    assert "the server of rerun on port" in node.text
+    assert "has not started: exit status 1" in node.text
+    assert "look at the runs with" not in node.text
+
+
 def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_path):
     node, address = viewer()
     consumers = "[launcher, capture_detector, recorder]"
