@@ -2,8 +2,8 @@
 
     .venv/bin/python -m benchmarks.design    # four minutes; --scenes 2 for a look
 
-Writes the parts of docs/design.md and its figures.  A buffer is checked by whole runs at a tenth of
-the tolerance: captured, the force kept, the strokes of the first contact within 2 % of the target.
+Writes the parts of docs/design_checked.md and the figures.  A buffer is checked by whole runs at a
+tenth of the tolerance: captured, the force kept, the strokes within 2 % of the target.
 A refusal is checked by a search that knows nothing of the flow: grids of springs, the best places
 of them refined, and a grid of dampers.
 """
@@ -25,7 +25,14 @@ from capture_sim import SimulationError, load_scene, simulate
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
-from capture_sim.studies.design import ACCEPTED, Design, DesignTarget, design_buffer, with_buffer
+from capture_sim.studies.design import (
+    ACCEPTED,
+    Design,
+    DesignTarget,
+    design_buffer,
+    respond,
+    with_buffer,
+)
 from capture_sim.studies.outcome import run_first_contact
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_design, draw_trade_off
@@ -34,7 +41,9 @@ WITHIN = 0.02  # of the target
 
 
 def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
-    """Yield scenes and targets: every fourth on supports, every third damped, every fifth limited.
+    """Yield scenes and targets: every fourth on supports, every fifth limited in its force.
+
+    Of three targets one is for the whole run, the others for the first contact.
 
     Speed 0.04 to 0.2 m/s, offset 3 to 45 mm to either side, angle up to 10 degrees; strokes
     0.5 to 2.2 and 0.3 to 3 times those of the paper's springs in its case, times the speed.
@@ -56,66 +65,78 @@ def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
         limit = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
         if near is not None:
             bound = limit if number % 5 == 4 else None
-            yield near, DesignTarget(axial, torsion, damped=number % 3 == 2, peak_force=bound)
+            yield near, DesignTarget(axial, torsion, number % 3 != 2, bound)
             number += 1
 
 
 def met(scene: Scene, target: DesignTarget) -> tuple[bool, str, float]:
     """Run a buffer whole; return whether it meets the target but for the strokes, and what it did.
 
-    The last is the largest force until the verdict, N.
+    The last is the largest force, N: of the whole run, or until the verdict.
     """
     try:
         result = simulate(scene)
     except SimulationError:
         return False, "stopped", math.nan
-    final = next((s for s in result.statuses if s.final), result.statuses[-1])
-    before = result.touches[result.touches["start"] <= final.t]
+    end = math.inf
+    if target.first_contact:
+        end = next((s for s in result.statuses if s.final), result.statuses[-1]).t
+    before = result.touches[result.touches["start"] <= end]
     force, verdict = float(before["peak_force"].max(initial=0.0)), result.verdict.label
     kept = target.peak_force is None or force <= target.peak_force
     return verdict == "captured" and kept, verdict, force
 
 
 def strokes_off(scene: Scene, target: DesignTarget) -> float:
-    """Largest relative difference of a stroke from the target, by samples every 50 us."""
+    """Largest relative error of a stroke, by samples every 50 us; over a whole run the excess."""
     b = scene.buffer
-    scene = scene if target.damped else with_buffer(scene, b.k_A, b.k_T, 0.0)
-    touches = first_cluster(simulate(scene).touches)
-    start, end = touches["start"].min(), touches["end"].max()
+    if target.first_contact:
+        scene = with_buffer(scene, b.k_A, b.k_T, 0.0)
+    touches = simulate(scene).touches
+    if target.first_contact:
+        touches = first_cluster(touches)
+    start = touches["start"].min()
+    end = touches["end"].max() if target.first_contact else scene.run.t_end
     times = np.append(np.arange(start, end, 5e-5), end)
     fine = simulate(scene, t_end=float(end), t_eval=times).samples
-    return max(
-        abs(float(np.abs(fine["axial_stroke"]).max()) / target.axial_stroke - 1.0),
-        abs(float(np.abs(fine["torsion"]).max()) / target.torsion - 1.0),
-    )
+    strokes = np.array([np.abs(fine[name]).max() for name in ("axial_stroke", "torsion")])
+    off = strokes / (target.axial_stroke, target.torsion) - 1.0
+    return float(np.abs(off).max() if target.first_contact else max(off.max(), 0.0))
 
 
 def springs_by_grid(
     scene: Scene, target: DesignTarget, c_A: float
 ) -> tuple[float, float, float, int]:
-    """Return the smallest miss of the strokes on grids of springs, those springs, and the runs."""
+    """Return the smallest miss of the strokes on grids of springs, those springs, and the runs.
+
+    Whole runs take longer: their grids are coarser.
+    """
+    fine = target.first_contact
     runs = 0
 
     def miss(k_A: float, k_T: float) -> float:
         nonlocal runs
         runs += 1
-        c = run_first_contact(with_buffer(scene, k_A, k_T, c_A))
-        if c.failure:
+        response = respond(with_buffer(scene, k_A, k_T, c_A), target)
+        if response.failure:
             return math.inf
-        return max(
-            abs(c.axial_stroke / target.axial_stroke - 1), abs(c.torsion / target.torsion - 1)
-        )
+        off = response.axial_stroke / target.axial_stroke - 1, response.torsion / target.torsion - 1
+        # below its target by 10 % a stroke of a whole run is met, see _WEIGHT_BELOW of the flow
+        below = 1.0 if fine else 0.1
+        return max(-below * min(off), *off)
 
     def search(axial: np.ndarray, torsion: np.ndarray) -> list[tuple[float, float, float]]:
         pairs = itertools.product(axial.tolist(), torsion.tolist())
         return sorted((miss(a, t), a, t) for a, t in pairs)
 
-    coarse = search(np.geomspace(5.0, 5e4, 36), np.geomspace(1.0, 1e5, 40))
+    n_a, n_t, n_around, best_of = (36, 40, 15, 8) if fine else (9, 11, 5, 2)
+    coarse = search(np.geomspace(5.0, 5e4, n_a), np.geomspace(1.0, 1e5, n_t))
     best = coarse[0]
-    step_a, step_t = 1e4 ** (1 / 35), 1e5 ** (1 / 39)
-    for _, a, t in coarse[:8]:
+    step_a, step_t = 1e4 ** (1 / (n_a - 1)), 1e5 ** (1 / (n_t - 1))
+    for _, a, t in coarse[:best_of]:
         around = search(
-            a * np.geomspace(1 / step_a, step_a, 15), t * np.geomspace(1 / step_t, step_t, 15)
+            a * np.geomspace(1 / step_a, step_a, n_around),
+            t * np.geomspace(1 / step_t, step_t, n_around),
         )
         best = min(best, around[0])
     return *best, runs
@@ -125,7 +146,7 @@ def confirm(design: Design, scene: Scene) -> tuple[bool, str]:
     """Look for what a refusal denies; return whether it is confirmed, and what was found."""
     target = design.target
     dampers = [0.0, *np.geomspace(0.05, 3000.0, 300).tolist()]
-    if not target.damped:
+    if target.first_contact:
         off, k_A, k_T, runs = springs_by_grid(scene, target, 0.0)
         if design.refusal.startswith("no springs"):
             return off > ACCEPTED, f"{runs} pairs of springs: the nearest misses by {off:.1%}"
@@ -153,7 +174,7 @@ def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, list[str
     cells = [
         str(number),
         "supports" if scene.supports else "free",
-        f"{target.axial_stroke * 1e3:.2f}{' damped' if target.damped else ''}",
+        f"{target.axial_stroke * 1e3:.2f}{'' if target.first_contact else ' whole run'}",
         f"{target.torsion * 1e3:.2f}",
         f"{target.peak_force:.0f}" if target.peak_force else "",
         str(len(design.history)),
@@ -170,7 +191,7 @@ def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, list[str
     off = strokes_off(finer, target) if good else math.nan
     holds = good and off <= WITHIN
     buffer = f"{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g} ({low:.3g} to {high:.3g})"
-    check = f"{verdict}, {force:.0f} N, strokes off by {off:.2%}"
+    check = f"{verdict}, {force:.0f} N, error of the strokes {off:.2%}"
     return holds, [*cells, buffer, check, "yes" if holds else "**NO**"]
 
 
@@ -178,7 +199,7 @@ def paper(asked: Namespace, _: Path) -> list[str]:
     """The paper's springs from the strokes they give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
-    target = DesignTarget(own.axial_stroke, own.torsion)
+    target = DesignTarget(own.axial_stroke, own.torsion, first_contact=True)
     design = design_buffer(scene, target)
     assert design.scene is not None
     assert design.capturing is not None
@@ -191,7 +212,7 @@ def paper(asked: Namespace, _: Path) -> list[str]:
         ]
         save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
     b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
-    springs = sum(trial.step == 5 for trial in design.history)
+    springs = sum(candidate.verdict is None for candidate in design.history)
     return [
         "Fed with the strokes that (500, 200) gives in the paper's case, "
         f"{own.axial_stroke * 1e3:.4f} mm and {own.torsion * 1e3:.4f} mrad, the flow returns "
@@ -218,7 +239,7 @@ def random(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        "design",
+        "design_checked",
         __doc__,
         {"paper": paper, "random": random},
         scenes=(20, "random scenes"),

@@ -6,7 +6,9 @@ import argparse
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+from rich.console import Console
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
@@ -19,23 +21,26 @@ from capture_sim.commands.inputs import (
     quantity,
     reader,
 )
-from capture_sim.commands.output import drawing, echo, write_json, write_text
+from capture_sim.commands.output import drawing, echo, print_table, write_json, write_text
 from capture_sim.errors import SceneError
+from capture_sim.results import LOADS
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import Spread
 from capture_sim.studies.design import (
+    Candidate,
     Design,
     DesignTarget,
-    Trial,
     design_buffer,
+    exceeded,
+    limits_of,
+    respond,
     with_buffer,
 )
-from capture_sim.studies.outcome import run_first_contact
 
 DESCRIPTION = (
-    "The paper's design flow: target strokes in, k_A, k_T and c_A out, or the reason why no "
-    "buffer meets the target (exit status 1). Without strokes those of the scene's own springs are "
-    "taken."
+    "Design a buffer: target strokes in, k_A, k_T and c_A out, or the reason why no buffer meets "
+    "the target (exit status 1). Targets and limits hold over the whole run of the design, latch "
+    "included. Without strokes those of the scene's own buffer are the target."
 )
 EXAMPLE = "  capture-sim design paper_designed --stroke 7.5 --torsion 2"
 
@@ -44,21 +49,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_scene(parser, "paper_designed")
     parser.add_argument(
-        "--stroke", type=in_unit("mm"), metavar="MM", help="axial stroke, mm or with a unit"
+        "--stroke",
+        type=in_unit("mm"),
+        metavar="MM",
+        help="axial stroke to use, inwards or outwards, mm or with a unit",
     )
     parser.add_argument(
         "--torsion",
         type=in_unit("mrad"),
         metavar="MRAD",
-        help="torsional stroke, mrad or with a unit, as '0.2 deg'",
+        help="torsion to use, mrad or with a unit, e.g. '0.2 deg'",
     )
     parser.add_argument(
-        "--damped",
+        "--first-contact",
         action="store_true",
-        help="the strokes are those with the damper in (the paper's are without)",
+        help="design as in the paper: strokes of the first contact without the damper; exceed "
+        "them in later contacts (default: keep them over the whole run)",
     )
     parser.add_argument(
-        "--peak-force", type=in_unit("N"), metavar="N", help="most that a touch may push with, N"
+        "--peak-force",
+        type=in_unit("N"),
+        metavar="N",
+        help="limit the force of every touch, N (default: no limit)",
     )
     parser.add_argument(
         "--spread",
@@ -74,20 +86,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOW:HIGH:N",
         help="also design for N axial strokes from LOW to HIGH times the target, as 0.3:3:9",
     )
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="list every buffer that is tried"
+    )
     add_out(parser, "runs/design")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     scene = load(options.scene, options.overrides)
     prepare_folder(options.out)
     compile_first()
     target = _target(options, scene)
+    period = "first contact, without the damper" if target.first_contact else "whole run"
     echo(
-        f"wanted: {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
-        f"{'with' if target.damped else 'without'} the damper"
+        f"target: {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad ({period})"
     )
-    design = design_buffer(scene, target, _print_trial)
+    with _Candidates(verbose=options.verbose) as candidates:
+        design = design_buffer(scene, target, candidates.show)
     _report(design)
     _keep(design, options.out)
     designs = []
@@ -106,14 +122,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _target(options: argparse.Namespace, scene: Scene) -> DesignTarget:
-    stroke, torsion = options.stroke, options.torsion
+    stroke, torsion, first_contact = options.stroke, options.torsion, options.first_contact
     if (stroke is None) != (torsion is None):
-        raise SceneError("--stroke (mm), --torsion (mrad): must be both or none")
+        raise SceneError("--stroke (mm), --torsion (mrad): must be given both or neither")
+    limits: dict[str, Any] = {"first_contact": first_contact, "spread": options.spread}
+    limits["peak_force"] = options.peak_force
     if stroke is None:
         b = scene.buffer
-        own = run_first_contact(scene if options.damped else with_buffer(scene, b.k_A, b.k_T, 0.0))
-        stroke, torsion = own.axial_stroke, own.torsion
-    return DesignTarget(stroke, torsion, options.damped, options.peak_force, options.spread)
+        own = with_buffer(scene, b.k_A, b.k_T, 0.0) if first_contact else scene
+        response = respond(own, DesignTarget(1.0, 1.0, first_contact))
+        stroke, torsion = response.axial_stroke, response.torsion
+    return DesignTarget(stroke, torsion, **limits)
 
 
 def _spread(text: str) -> Spread:
@@ -129,18 +148,41 @@ def _factors(text: str) -> list[float]:
     return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
 
 
-def _print_trial(trial: Trial) -> None:
-    buffer = f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}"
-    if trial.step == 5:
-        strokes = f"{trial.axial_stroke * 1e3:.4f} mm  {trial.torsion * 1e3:.4f} mrad"
-        echo(f"step 5  {buffer}  strokes {strokes} {trial.reason}")
-    else:
-        verdict = trial.verdict.label if trial.verdict is not None else ""
-        echo(f"step 7  {buffer}  {verdict}: nearest {trial.nearest * 1e3:.2f} mm")
+class _Candidates:
+    """The buffers that are tried: the latest on a terminal, all with ``--verbose``."""
+
+    def __init__(self, *, verbose: bool) -> None:
+        self._verbose = verbose
+        self._count = 0
+        console = Console(stderr=True)
+        self._status = console.status("") if console.is_terminal and not verbose else None
+
+    def __enter__(self) -> Self:
+        if self._status is not None:
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def show(self, candidate: Candidate) -> None:
+        """Show a buffer that was tried, and what it does."""
+        self._count += 1
+        verdict = "" if candidate.verdict is None else f"  {candidate.verdict.label}"
+        line = (
+            f"{self._count:4d}  k_A {candidate.k_A:9.5g}  k_T {candidate.k_T:9.5g}  "
+            f"c_A {candidate.c_A:8.4g}  {candidate.axial_stroke * 1e3:8.4f} mm  "
+            f"{candidate.torsion * 1e3:8.4f} mrad{verdict}"
+        )
+        if self._verbose:
+            echo(line)
+        elif self._status is not None:
+            self._status.update(f"candidate {line.strip()}")
 
 
 def _report(design: Design) -> None:
-    echo("")
+    echo(f"{len(design.history)} runs")
     if not design.met:
         echo(f"no buffer meets the target: {design.refusal}")
         return
@@ -150,50 +192,77 @@ def _report(design: Design) -> None:
     assert design.outcome is not None
     assert design.energy is not None
     assert design.capturing is not None
-    b, energy = design.scene.buffer, design.energy
+    b, energy, outcome = design.scene.buffer, design.energy, design.outcome
     low, high = design.capturing
     echo(f"k_A = {b.k_A:.5g} N/m, k_T = {b.k_T:.5g} N m/rad, c_A = {b.c_A:.4g} N s/m")
-    echo(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m; {design.outcome.reason}")
-    for name, contact in (("without", design.undamped), ("with", design.damped)):
+    echo(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m")
+    contacts = {"without": design.undamped, "with": design.damped}
+    if not design.target.first_contact:
+        del contacts["without"]
+    for name, contact in contacts.items():
         echo(
             f"  first contact {name} the damper: {contact.axial_stroke * 1e3:.4g} mm, "
             f"{contact.torsion * 1e3:.4g} mrad, {contact.duration * 1e3:.1f} ms, "
             f"touch {contact.peak_force:.1f} N, buffer {contact.buffer_force:.1f} N"
         )
     echo(
-        f"  of {energy.approach * 1e3:.2f} mJ the damper absorbed {energy.damper * 1e3:.2f} "
-        f"(area of load over stroke), the touches {energy.contact * 1e3:.2f} (force over "
-        "penetration)"
+        f"  of {energy.approach * 1e3:.2f} mJ at the first touch the damper absorbed "
+        f"{energy.damper * 1e3:.2f}, the touches {energy.contact * 1e3:.2f}, until the verdict"
     )
     if design.margin is not None:
         echo(f"  every capture is kept up to {design.margin:g} times the spread")
-    steps = [trial.step for trial in design.history]
-    echo(f"  {steps.count(5)} runs for the springs, {steps.count(7)} for the damper")
+    echo(f"\nthe design, simulated: {outcome.verdict.label}, {outcome.reason}")
+    print_table(["whole run", "", "at s", "target", "margin"], _load_rows(design))
+    for key, limit in exceeded(design).items():
+        exceeding = next(load for load in LOADS if load.key == key)
+        echo(
+            f"later contacts exceed the target: {exceeding.meaning} "
+            f"{outcome.loads[key] * exceeding.factor:.4g} {exceeding.shown_in}, "
+            f"must be at most {limit * exceeding.factor:.4g}; without --first-contact it is kept"
+        )
+
+
+def _load_rows(design: Design) -> list[list[str]]:
+    """Return the loads of the design's whole run with their targets, a row each."""
+    assert design.outcome is not None
+    limits, loads = limits_of(design.target), design.outcome.loads
+    rows = []
+    for row_load in LOADS:
+        value, t = loads[row_load.key], loads[f"{row_load.key}_time"]
+        if not value:
+            continue
+        factor = row_load.factor
+        cells = [f"{row_load.meaning}, {row_load.shown_in}", f"{value * factor:.4g}", f"{t:.3f}"]
+        if (limit := limits.get(row_load.key)) is not None:
+            cells += [f"{limit * factor:.4g}", f"{1.0 - value / limit:+z.1%}"]
+        rows.append(cells)
+    return rows
 
 
 def _line(design: Design) -> str:
     stroke = f"{design.target.axial_stroke * 1e3:8.4g} mm"
-    if not design.met or design.scene is None or design.damped is None:
+    if not design.met or design.scene is None or design.outcome is None:
         return f"{stroke}  {design.refusal}"
-    b = design.scene.buffer
+    b, loads = design.scene.buffer, design.outcome.loads
     return (
-        f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  first contact: touch "
-        f"{design.damped.peak_force:.1f} N, buffer {design.damped.buffer_force:.1f} N"
+        f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  whole run: touch "
+        f"{loads['max_normal_force']:.1f} N, buffer {loads['max_buffer_force']:.1f} N"
     )
 
 
 def _keep(design: Design, folder: Path) -> None:
-    """Write the scene with its buffer, and every run of the flow."""
+    """Write the scene with its buffer, and every run of the search."""
 
-    def plain(trial: Trial) -> dict[str, Any]:
-        row = dataclasses.asdict(trial)
-        row["verdict"] = trial.verdict.label if trial.verdict is not None else None
-        row["nearest"] = None if math.isnan(trial.nearest) else trial.nearest
+    def plain(candidate: Candidate) -> dict[str, Any]:
+        row = dataclasses.asdict(candidate)
+        row["verdict"] = None if candidate.verdict is None else candidate.verdict.label
+        row["nearest"] = None if math.isnan(candidate.nearest) else candidate.nearest
         return row
 
     kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
     kept["target"] = dataclasses.asdict(design.target)
-    kept["history"] = [plain(trial) for trial in design.history]
+    kept["loads"] = None if design.outcome is None else design.outcome.loads
+    kept["history"] = [plain(candidate) for candidate in design.history]
     echo(f"every run in {write_json(folder / 'design.json', kept)}")
     if design.met and design.scene is not None:
         scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")

@@ -1,16 +1,18 @@
-"""The paper's design flow: target strokes in, buffer out, or the reason why there is none.
+"""Design of a buffer: strokes in, springs and damper out, or the reason why there are none.
 
-Steps as in the paper's section 4: springs for the target strokes of the first contact (1 to 5),
-the damper by the energy it absorbs (6) and the verdict (7).  The unknowns of steps 1 to 5 are
-the springs' logarithms, what is to vanish is the logarithm of each stroke's ratio to its target:
-in these a spring's energy balance (stroke ~ k^-1/2 along the probe, ~ k^-1 across it) is a
-straight line.  The strokes have corners, though, where a touch more or less belongs to the first
-contact, and dampers that capture need not lie in one interval: both searches go over a grid
-where the direct way does not lead there.
+Limits and targets hold for the scene that is designed: over its whole run, with the damper in it
+and the latch, if it has one.  With ``first_contact`` the flow is the paper's (its section 4):
+springs for the strokes of the first contact without a damper (steps 1 to 5), the damper by the
+energy it absorbs (6) and the verdict (7).
 
-Beyond the paper: the strokes may be required with the damper in, the contact force may be
-limited, and among the dampers that capture the one is taken that keeps furthest from losing
-the capture under a spread of speed, offset and angle.
+The unknowns are the springs' logarithms, what is to vanish is the logarithm of each stroke's ratio
+to its target: in these a spring's energy balance (stroke ~ k^-1/2 along the probe, ~ k^-1 across
+it) is a straight line.  The strokes have corners, though, where a touch more or less counts, and
+dampers that capture need not lie in one interval: both searches go over a grid where the direct way
+does not lead there.
+
+Beyond the paper: the contact force may be limited, and among the dampers that capture the one is
+taken that keeps furthest from losing the capture under a spread of speed, offset and angle.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from scipy.optimize import minimize, root
 
 from capture_sim.bench import Bench
 from capture_sim.detection.exact import CaptureState
+from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
@@ -35,11 +38,15 @@ from capture_sim.studies.outcome import (
     FirstContact,
     Outcome,
     run_first_contact,
+    run_to_end,
     run_to_verdict,
 )
 
 #: Relative error of a stroke at which the search for springs ends, and up to which it is met.
 CLOSE, ACCEPTED = 2e-5, 0.01
+#: In a whole run a stroke may jump past its target as touches come and go.  One below it is within
+#: the limit: it counts as so much less of an error, and is met down to 10 % below.
+_WEIGHT_BELOW = 0.1
 #: Dampers that are tried first: none, and these shares of the critical damping of both
 #: vehicles on the axial spring.
 SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
@@ -51,7 +58,8 @@ _RESTARTS = 4  # from the best of the grid
 _MOST_HYBRID, _MOST_SIMPLEX = 25, 120  # runs
 _FIRST_STEP = 0.2  # of the springs' logarithms, see MINPACK's `factor`
 _EDGE = 0.01  # relative, of the interval of dampers that capture
-_PROMISING, _CLOSER = 6, 12  # where no damper is good: those to search beside, parts between
+_PROMISING, _PARTS = 6, 12  # where no damper is good: those to search next to, parts between
+_COARSER = 3  # of the dampers tried first, where each takes springs of its own
 _SIDE = 3  # dampers on each side of the middle whose margin is computed
 
 
@@ -62,11 +70,12 @@ class DesignTarget(Checked):
     Attributes
     ----------
     axial_stroke, torsion : float
-        Largest strokes of the first contact, m and rad: Delta_1 and Delta_2.
-    damped : bool
-        Whether the strokes are those with the damper in; the paper's are those without.
+        Strokes, inwards or outwards, and torsion that the buffer is to use, m and rad.
+    first_contact : bool
+        Whether these are the strokes of the first contact without the damper, as in the paper,
+        and not those of the whole run of the design.
     peak_force : float or None
-        Largest force that any touch until the verdict may have, N.
+        Limit of the normal force of every touch, N.
     spread : Spread or None
         Of the approach, for the margin; None takes the middle of the dampers that capture.
 
@@ -78,19 +87,43 @@ class DesignTarget(Checked):
 
     axial_stroke: float = quantity("m", Range(1e-6, 1.0))
     torsion: float = quantity("rad", Range(1e-6, 1.0))
-    damped: bool = False
+    first_contact: bool = False
     peak_force: float | None = quantity("N", POSITIVE, default=None)
     spread: Spread | None = None
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One run of the flow: the buffer tried, and its result; SI units.
+class Response:
+    """What a buffer does in what its target is for: the first contact, or the whole run.
 
-    ``step`` is 5 for strokes, 7 for a verdict; what a step does not need is NaN or None.
+    Attributes
+    ----------
+    axial_stroke, torsion : float
+        Largest magnitudes, m and rad.
+    peak_force : float
+        Largest normal force, N.
+    touches : int
+    failure : str
+        Why the run had to stop, if it did.
+    outcome : Outcome or None
+        Of the whole run.
     """
 
-    step: int
+    axial_stroke: float
+    torsion: float
+    peak_force: float
+    touches: int
+    failure: str
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One run of the search: the buffer tried, and its result; SI units.
+
+    A search for springs has no verdict where the target is that of the first contact.
+    """
+
     k_A: float
     k_T: float
     c_A: float
@@ -104,16 +137,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class Energy:
-    """Step 6: energies of a run, J.
+    """Energies of a run, J.
 
     Attributes
     ----------
     approach : float
-        Kinetic energy of the relative motion at the start, of the reduced mass.
+        Kinetic energy of the relative motion at the first touch, of the reduced mass.
     damper : float
-        Absorbed by the axial damper: what the curve of load over stroke encloses.
+        Absorbed by the axial damper from the launch on: the area of load over stroke.
     contact : float
-        Lost in the touches: what the curve of normal force over penetration encloses.
+        Lost in the touches: the area of normal force over penetration.
     """
 
     approach: float
@@ -123,7 +156,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class Design:
-    """The result of the flow.
+    """The result of a design.
 
     Attributes
     ----------
@@ -135,14 +168,14 @@ class Design:
     undamped, damped : FirstContact or None
         The first contact with these springs, without and with the damper.
     outcome : Outcome or None
-        Of the run to the verdict.
+        Of the whole run of ``scene``.
     capturing : (float, float) or None
-        Dampers round the chosen one that capture and keep the limit of force, N s/m.
+        Dampers round the chosen one that capture and keep the limits, N s/m.
     margin : float or None
-        How many times the spread the approach may be off before a capture is lost.
+        How many times the spread the approach may deviate before a capture is lost.
     energy : Energy or None
         Until the verdict.
-    history : tuple of Trial
+    history : tuple of Candidate
         Every run, in order.
     """
 
@@ -155,7 +188,7 @@ class Design:
     capturing: tuple[float, float] | None = None
     margin: float | None = None
     energy: Energy | None = None
-    history: tuple[Trial, ...] = field(default=(), repr=False)
+    history: tuple[Candidate, ...] = field(default=(), repr=False)
 
     @property
     def met(self) -> bool:
@@ -163,13 +196,38 @@ class Design:
         return not self.refusal
 
 
+def limits_of(target: DesignTarget) -> dict[str, float]:
+    """Return what a target asks of the loads of a run, by their names, SI units."""
+    limits = {
+        "max_axial_stroke_in": target.axial_stroke,
+        "max_axial_stroke_out": target.axial_stroke,
+        "max_torsion": target.torsion,
+    }
+    if target.peak_force is not None:
+        limits["max_normal_force"] = target.peak_force
+    return limits
+
+
+def exceeded(design: Design) -> dict[str, float]:
+    """Return the limits that the whole run of the design exceeds, by the names of the loads.
+
+    Only a target for the first contact leaves room for that.
+    """
+    loads = {} if design.outcome is None else design.outcome.loads
+    return {
+        name: limit
+        for name, limit in limits_of(design.target).items()
+        if loads and loads[name] > limit * (1.0 + ACCEPTED)
+    }
+
+
 @dataclass(frozen=True)
 class Springs:
-    """The best springs found: N/m, N m/rad, their first contact, and the larger relative error."""
+    """The best springs found: N/m, N m/rad, what they do, and the larger relative error."""
 
     k_A: float
     k_T: float
-    contact: FirstContact
+    response: Response
     error: float
 
     @property
@@ -190,6 +248,21 @@ class _Damper:
     springs: Springs
     outcome: Outcome
 
+    @property
+    def captures(self) -> bool:
+        """Whether the run came to its end, with a capture."""
+        return self.outcome.captured and not self.outcome.failure
+
+    @property
+    def nearest(self) -> float:
+        """Closest approach of the tip to BE, m; infinite for a run that had to stop."""
+        return math.inf if self.outcome.failure else float(self.outcome.loads["nearest_distance"])
+
+    @property
+    def peak_force(self) -> float:
+        """Largest normal force of a touch, N."""
+        return float(self.outcome.loads["max_normal_force"])
+
 
 class _CloseError(Exception):
     """A search has come close enough."""
@@ -201,7 +274,7 @@ def with_buffer(scene: Scene, k_A: float, k_T: float, c_A: float) -> Scene:
 
 
 def energy_of(scene: Scene, t_end: float) -> Energy:
-    """Return the energies of a run up to ``t_end`` (s), as integrated with the motion.
+    """Return the energies of a run from its launch to ``t_end`` (s), as integrated with the motion.
 
     Raises
     ------
@@ -209,8 +282,11 @@ def energy_of(scene: Scene, t_end: float) -> Energy:
         The integration had to stop.
     """
     scene = changed(scene, "run.t_end", max(t_end, 1e-6))
-    start, end = Bench(scene).advance(np.array([0.0, scene.run.t_end]))
-    relative = start["v"][:2] - start["v"][5:7]
+    bench = Bench(scene)
+    start, end = bench.advance(np.array([0.0, scene.run.t_end]))
+    touch = next((event for event in bench.events if event.kind is EventKind.TOUCH), None)
+    v = start["v"] if touch is None else touch.v
+    relative = v[:2] - v[5:7]
     return Energy(
         approach=0.5 * _reduced_mass(scene) * float(relative @ relative),
         damper=float(end["dissipated_axial"]),
@@ -243,6 +319,24 @@ def first_guess(scene: Scene, target: DesignTarget) -> tuple[float, float]:
     return k_A, k_A * target.axial_stroke * lateral * scene.rest_length / target.torsion
 
 
+def respond(scene: Scene, target: DesignTarget) -> Response:
+    """Run a scene, and return its strokes and force in what a target is for."""
+    if target.first_contact:
+        contact = run_first_contact(scene)
+        strokes = contact.axial_stroke, contact.torsion
+        return Response(*strokes, contact.peak_force, contact.touches, contact.failure)
+    outcome = run_to_end(scene)
+    loads = outcome.loads
+    return Response(
+        max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"]),
+        loads["max_torsion"],
+        loads["max_normal_force"],
+        loads["touches"],
+        outcome.failure,
+        outcome,
+    )
+
+
 def find_springs(
     scene: Scene,
     target: DesignTarget,
@@ -250,9 +344,9 @@ def find_springs(
     start: tuple[float, float],
     *,
     thorough: bool = True,
-    report: Callable[[Trial], None] | None = None,
+    report: Callable[[Candidate], None] | None = None,
 ) -> Springs:
-    """Find the springs with which the first contact has the target strokes: steps 1 to 5.
+    """Find the springs with which a scene has the target strokes.
 
     Parameters
     ----------
@@ -261,7 +355,7 @@ def find_springs(
     target
         The strokes.
     c_A
-        Axial damping meanwhile, N s/m; the paper's flow has none in this step.
+        Axial damping, N s/m; the paper's flow has none in this step.
     start
         k_A and k_T to start from.
     thorough
@@ -281,15 +375,15 @@ def find_springs(
 
     @cache
     def residual_of(k_A: float, k_T: float) -> np.ndarray:
-        contact = run_first_contact(with_buffer(scene, k_A, k_T, c_A))
-        strokes = contact.axial_stroke, contact.torsion
+        response = respond(with_buffer(scene, k_A, k_T, c_A), target)
         if report is not None:
-            report(Trial(5, k_A, k_T, c_A, *strokes, contact.peak_force, reason=contact.failure))
-        # a stroke of nothing is as far off as the range of springs allows
+            report(_candidate(k_A, k_T, c_A, response))
+        strokes = response.axial_stroke, response.torsion
+        # without a stroke the error is that of the range of springs
         r = np.log(np.maximum(strokes, 1e-12) / [target.axial_stroke, target.torsion])
-        if contact.failure:
+        if response.failure:
             r[0] = max(r[0], 1.0)  # the probe went in up to its tip: far too soft
-        tried.append(Springs(k_A, k_T, contact, float(np.abs(np.expm1(r)).max())))
+        tried.append(Springs(k_A, k_T, response, _error(np.expm1(r), target)))
         if tried[-1].error <= CLOSE:
             raise _CloseError
         return r
@@ -301,7 +395,7 @@ def find_springs(
         options = {"maxfev": _MOST_HYBRID, "factor": _FIRST_STEP, "xtol": 1e-6}
         root(residual, z, jac=lambda z: -np.eye(2), method="hybr", options=options)
 
-    def at(springs: Springs) -> np.ndarray:
+    def variables(springs: Springs) -> np.ndarray:
         return np.log([springs.k_A, springs.k_T]) / unit
 
     def error(springs: Springs) -> float:
@@ -313,14 +407,14 @@ def find_springs(
             count = len(tried)
             for pair in itertools.product(*_GRID):
                 residual(np.log(pair) / unit)
-            for one in sorted(tried[count:], key=error)[:_RESTARTS]:
-                converge(at(one))
+            for springs in sorted(tried[count:], key=error)[:_RESTARTS]:
+                converge(variables(springs))
             best = min(tried, key=error)
             if best.error < 0.5:
-                corners = at(best) + max(2.0 * best.error, 0.02) / unit * np.eye(3, 2, -1)
+                corners = variables(best) + max(2.0 * best.error, 0.02) / unit * np.eye(3, 2, -1)
                 minimize(
                     lambda z: float(np.sum(residual(z) ** 2)),
-                    at(best),
+                    variables(best),
                     method="Nelder-Mead",
                     options={"initial_simplex": corners, "maxfev": _MOST_SIMPLEX},
                 )
@@ -329,81 +423,92 @@ def find_springs(
     return min(tried, key=error)
 
 
+def _error(relative: np.ndarray, target: DesignTarget) -> float:
+    """Return the larger of two relative errors of strokes, as far as they count."""
+    below = 1.0 if target.first_contact else _WEIGHT_BELOW
+    return float(np.where(relative > 0.0, relative, -below * relative).max())
+
+
+def _candidate(k_A: float, k_T: float, c_A: float, response: Response) -> Candidate:
+    values = response.axial_stroke, response.torsion, response.peak_force
+    outcome = response.outcome
+    if outcome is None:
+        return Candidate(k_A, k_T, c_A, *values, reason=response.failure)
+    result = float(outcome.loads["nearest_distance"]), outcome.verdict, outcome.reason
+    return Candidate(k_A, k_T, c_A, *values, *result)
+
+
 class _Flow:
     """One pass through the flow, and its history."""
 
     def __init__(
-        self, scene: Scene, target: DesignTarget, report: Callable[[Trial], None] | None
+        self, scene: Scene, target: DesignTarget, report: Callable[[Candidate], None] | None
     ) -> None:
         self.scene, self.target, self._report = scene, target, report
-        self.history: list[Trial] = []
+        self.history: list[Candidate] = []
         self._last: tuple[float, float] | None = None
 
-    def _add(self, trial: Trial) -> None:
-        self.history.append(trial)
+    def _add(self, candidate: Candidate) -> None:
+        self.history.append(candidate)
         if self._report is not None:
-            self._report(trial)
+            self._report(candidate)
 
-    def springs(self, c_A: float) -> Springs:
-        """Steps 1 to 5 with a damper of ``c_A``, from the last springs that were met."""
-        start = self._last or first_guess(self.scene, self.target)
-        thorough = self._last is None
-        found = find_springs(
-            self.scene, self.target, c_A, start, thorough=thorough, report=self._add
-        )
-        if found.met:
-            self._last = (found.k_A, found.k_T)
-        return found
+    def springs_of_first_contact(self) -> Springs:
+        """Return the springs of the paper's flow, where a search over whole runs starts as well."""
+        target = replace(self.target, first_contact=True)
+        start = first_guess(self.scene, target)
+        springs = find_springs(self.scene, target, 0.0, start, report=self._add)
+        self._last = springs.k_A, springs.k_T
+        return springs
 
     def damper(self, c_A: float, springs: Springs) -> _Damper | None:
-        """Step 7 for one damper, with springs of its own if the target requires; None without."""
-        if self.target.damped and c_A > 0.0:
-            springs = self.springs(c_A)
-            if not springs.met:
+        """Try a damper with the springs, or for a whole run with its own; None without any."""
+        if not self.target.first_contact:
+            start = self._last or (springs.k_A, springs.k_T)
+            springs = find_springs(
+                self.scene, self.target, c_A, start, thorough=False, report=self._add
+            )
+            if not springs.met or springs.response.outcome is None:
                 return None
-        buffer = (springs.k_A, springs.k_T, c_A)
-        outcome = run_to_verdict(with_buffer(self.scene, *buffer))
+            self._last = springs.k_A, springs.k_T
+            return _Damper(c_A, springs, springs.response.outcome)
+        outcome = run_to_verdict(springs.in_scene(self.scene, c_A))
         loads = outcome.loads
-        strokes = loads["max_axial_stroke_in"], loads["max_torsion"]
-        result = *strokes, loads["max_normal_force"], loads["nearest_distance"]
-        self._add(Trial(7, *buffer, *result, outcome.verdict, outcome.reason))
+        stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
+        values = stroke, loads["max_torsion"], loads["max_normal_force"]
+        response = Response(*values, loads["touches"], outcome.failure, outcome)
+        self._add(_candidate(springs.k_A, springs.k_T, c_A, response))
         return _Damper(c_A, springs, outcome)
 
     def good(self, damper: _Damper | None) -> bool:
-        """Whether a damper captures within the limit of force."""
-        if damper is None or damper.outcome.failure or not damper.outcome.captured:
+        """Return True if a damper captures within the limit of force."""
+        if damper is None or not damper.captures:
             return False
         limit = self.target.peak_force
-        return limit is None or damper.outcome.loads["max_normal_force"] <= limit
+        return limit is None or damper.peak_force <= limit
 
     def widest(self, tried: Sequence[_Damper | None]) -> slice | None:
         """Return where the longest run of good dampers is."""
-        labels, _ = ndimage.label([self.good(one) for one in tried])
+        labels, _ = ndimage.label([self.good(damper) for damper in tried])
         runs = [run for (run,) in ndimage.find_objects(labels)]
         return max(runs, key=lambda run: run.stop - run.start, default=None)
 
-    def closer(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
+    def refined_grid(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
         """Return dampers between those tried, next to the promising ones.
 
         Promising are all captures, as the force jumps from one touch sequence to the next;
         without any, the dampers that bring the tip nearest.
         """
-
-        def nearest(n: int) -> float:
-            one = tried[n]
-            return (
-                math.inf
-                if one is None or one.outcome.failure
-                else one.outcome.loads["nearest_distance"]
-            )
-
-        promising = [n for n, one in enumerate(tried) if one is not None and one.outcome.captured]
-        promising = promising or sorted(range(len(grid)), key=nearest)[:_PROMISING]
-        more: list[float] = []
+        nearest = [math.inf if damper is None else damper.nearest for damper in tried]
+        promising = [
+            n for n, damper in enumerate(tried) if damper is not None and damper.outcome.captured
+        ]
+        promising = promising or np.argsort(nearest, kind="stable")[:_PROMISING].tolist()
+        between: list[float] = []
         for n in promising:
             for low, high in itertools.pairwise(grid[max(n - 1, 0) : n + 2]):
-                more += np.linspace(low, high, _CLOSER + 1)[1:-1].tolist()
-        return more
+                between += np.linspace(low, high, _PARTS + 1)[1:-1].tolist()
+        return between
 
     def edge(self, inside: _Damper, outside: float) -> _Damper:
         """Bisect to the last good damper between a good one and a bad one (N s/m)."""
@@ -418,7 +523,7 @@ class _Flow:
 
 
 def design_buffer(
-    scene: Scene, target: DesignTarget, report: Callable[[Trial], None] | None = None
+    scene: Scene, target: DesignTarget, report: Callable[[Candidate], None] | None = None
 ) -> Design:
     """Find springs and damper for a target.
 
@@ -442,23 +547,25 @@ def design_buffer(
         A value is out of its range, or the chaser never meets the cone.
     """
     flow = _Flow(scene, target, report)
-    springs = flow.springs(0.0)
-    if not springs.met and not target.damped:
+    springs = flow.springs_of_first_contact()
+    if target.first_contact and not springs.met:
         return _refused(flow, _no_springs(target, springs), springs, None)
-    grid = [share * _critical_damping(scene, springs.k_A) for share in SHARES]
+    # a whole run has springs of its own for each damper, in some ten runs
+    shares = SHARES if target.first_contact else SHARES[::_COARSER]
+    grid = [share * _critical_damping(scene, springs.k_A) for share in shares]
     tried = [flow.damper(c_A, springs) for c_A in grid]
     interval = flow.widest(tried)
     if interval is None:
         # good ones may lie between those tried: look closer where they come nearest
-        known = {one.c_A: one for one in tried if one is not None}
-        grid = sorted({*grid, *flow.closer(grid, tried)})
+        known = {damper.c_A: damper for damper in tried if damper is not None}
+        grid = sorted({*grid, *flow.refined_grid(grid, tried)})
         tried = [known.get(c_A) or flow.damper(c_A, springs) for c_A in grid]
         interval = flow.widest(tried)
-    judged = [one for one in tried if one is not None]
+    complete = [damper for damper in tried if damper is not None]
     if interval is None:
-        nearest = min(judged, key=lambda one: one.outcome.loads["nearest_distance"], default=None)
-        return _refused(flow, _no_damper(flow, judged, springs), springs, nearest)
-    good = [one for one in tried[interval] if one is not None]
+        nearest = min(complete, key=lambda damper: damper.nearest, default=None)
+        return _refused(flow, _no_damper(flow, complete, springs), springs, nearest)
+    good = [damper for damper in tried[interval] if damper is not None]
     low, high = good[0], good[-1]
     if interval.start > 0:
         low = flow.edge(low, grid[interval.start - 1])
@@ -472,7 +579,7 @@ def design_buffer(
         final,
         undamped=run_first_contact(chosen.springs.in_scene(scene, 0.0)),
         damped=run_first_contact(final),
-        outcome=chosen.outcome,
+        outcome=run_to_end(final),
         capturing=(low.c_A, high.c_A),
         margin=margin,
         energy=energy_of(final, chosen.outcome.t),
@@ -489,21 +596,23 @@ def _choose(
     largest margin, the middle's neighbours first where several have the same.
     """
     spread = flow.target.spread
-    # a damper is off by a part of itself: the middle of the logarithms.  Stiffer than critical
-    # it hardly lets the probe move, and is taken only where nothing softer captures
+    # a real damper deviates by a part of itself: the middle of the logarithms.  Stiffer than
+    # critical it hardly lets the probe move, and is taken only where nothing softer captures
     critical = _critical_damping(flow.scene, low.springs.k_A)
     top = min(high.c_A, critical) if low.c_A < critical else high.c_A
     middle = math.sqrt(max(low.c_A, SHARES[1] * critical) * top)
     if spread is None:
-        one = flow.damper(middle, low.springs)
-        captures = [d for d in (one, low, high, *between) if d is not None and flow.good(d)]
-        return min(captures, key=lambda d: abs(d.c_A - middle)), None
+        candidates = [flow.damper(middle, low.springs), low, high, *between]
+        captures = [damper for damper in candidates if damper is not None and flow.good(damper)]
+        return min(captures, key=lambda damper: abs(damper.c_A - middle)), None
     shares = np.linspace(0.0, 1.0, _SIDE + 1)
     around = [*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)]
     nearest_first = sorted(map(float, around), key=lambda c_A: abs(c_A - middle))
     tried = [flow.damper(c_A, low.springs) for c_A in dict.fromkeys(nearest_first)]
-    good = [one for one in tried if one is not None and flow.good(one)]  # low at least
-    margins = [margin_of(one.springs.in_scene(flow.scene, one.c_A), spread) for one in good]
+    good = [damper for damper in tried if damper is not None and flow.good(damper)] or [low]
+    margins = [
+        margin_of(damper.springs.in_scene(flow.scene, damper.c_A), spread) for damper in good
+    ]
     best = int(np.argmax(margins))
     return good[best], margins[best]
 
@@ -511,7 +620,7 @@ def _choose(
 def _refused(flow: _Flow, why: str, springs: Springs, nearest: _Damper | None) -> Design:
     history = tuple(flow.history)
     if nearest is None:
-        found = springs.contact.touches > 0
+        found = springs.response.touches > 0
         scene = springs.in_scene(flow.scene, 0.0) if found else None
         return Design(flow.target, why, scene, history=history)
     scene = nearest.springs.in_scene(flow.scene, nearest.c_A)
@@ -519,50 +628,68 @@ def _refused(flow: _Flow, why: str, springs: Springs, nearest: _Damper | None) -
 
 
 def _no_springs(target: DesignTarget, springs: Springs) -> str:
-    contact = springs.contact
+    found = springs.response
     return (
         f"no springs give, within {ACCEPTED:.0%}, strokes of {target.axial_stroke * 1e3:.4g} mm "
         f"and {target.torsion * 1e3:.4g} mrad: the nearest, k_A = {springs.k_A:.4g} N/m and "
-        f"k_T = {springs.k_T:.4g} N m/rad, give {contact.axial_stroke * 1e3:.4g} mm and "
-        f"{contact.torsion * 1e3:.4g} mrad" + (f" ({contact.failure})" if contact.failure else "")
+        f"k_T = {springs.k_T:.4g} N m/rad, give {found.axial_stroke * 1e3:.4g} mm and "
+        f"{found.torsion * 1e3:.4g} mrad" + (f" ({found.failure})" if found.failure else "")
     )
 
 
-def _no_damper(flow: _Flow, judged: Sequence[_Damper], springs: Springs) -> str:
+def _no_whole_run(flow: _Flow) -> str:
+    """Return why no springs keep the target strokes over a whole run."""
+    target = flow.target
+    whole = [candidate for candidate in flow.history if candidate.verdict is not None]
+    targets = np.array([target.axial_stroke, target.torsion])
+
+    def error(candidate: Candidate) -> float:
+        return _error(np.array([candidate.axial_stroke, candidate.torsion]) / targets - 1.0, target)
+
+    best = min(whole, key=error)
+    return (
+        f"no buffer keeps {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
+        f"over its whole run: the nearest, k_A = {best.k_A:.4g} N/m, k_T = {best.k_T:.4g} N m/rad "
+        f"and c_A = {best.c_A:.4g} N s/m, has {best.axial_stroke * 1e3:.4g} mm and "
+        f"{best.torsion * 1e3:.4g} mrad"
+    )
+
+
+def _no_damper(flow: _Flow, tried: Sequence[_Damper], springs: Springs) -> str:
     """Return why no damper will do: the force, too much energy left, or too little."""
     target = flow.target
-    if not judged:
-        return _no_springs(target, springs)
-    top = max(one.c_A for one in judged)
-    captures = [one for one in judged if one.outcome.captured and not one.outcome.failure]
+    if not tried:
+        return _no_whole_run(flow)
+    top = max(damper.c_A for damper in tried)
+    captures = [damper for damper in tried if damper.captures]
     if captures:
-        least = min(captures, key=lambda one: one.outcome.loads["max_normal_force"])
+        least = min(captures, key=lambda damper: damper.peak_force)
         return (
             f"every damper up to {top:.4g} N s/m that captures pushes too hard: at least "
-            f"{least.outcome.loads['max_normal_force']:.4g} N (c_A = {least.c_A:.4g} N s/m), "
-            f"{target.peak_force:.4g} N are allowed"
+            f"{least.peak_force:.4g} N (c_A = {least.c_A:.4g} N s/m), the limit is "
+            f"{target.peak_force:.4g} N"
         )
-    best = min(judged, key=lambda one: one.outcome.loads["nearest_distance"])
-    nearest = best.outcome.loads["nearest_distance"] * 1e3
-    if best.outcome.loads["nearest_distance"] > flow.scene.cone.L_c:
+    best = min(tried, key=lambda damper: damper.nearest)
+    if best.nearest > flow.scene.cone.L_c:
         return (
             "no damper captures: the tip is turned away at the cone's outer lip, and comes no "
-            f"nearer than {nearest:.3g} mm ({_verdicts(judged)})"
+            f"nearer than {best.nearest * 1e3:.3g} mm ({_verdicts(tried)})"
         )
     why = (
-        f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, {nearest:.3g} mm, with "
-        f"c_A = {best.c_A:.4g} N s/m ({best.outcome.verdict.label}: {best.outcome.reason})"
+        f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, "
+        f"{best.nearest * 1e3:.3g} mm, with c_A = {best.c_A:.4g} N s/m "
+        f"({best.outcome.verdict.label}: {best.outcome.reason})"
     )
-    if below := [one for one in judged if one.c_A < best.c_A]:
-        stuck = sum(one.outcome.verdict is CaptureState.STUCK for one in below)
+    if below := [damper for damper in tried if damper.c_A < best.c_A]:
+        stuck = sum(damper.outcome.verdict is CaptureState.STUCK for damper in below)
         energy = "too little energy" if 2 * stuck > len(below) else "too much energy"
         why += f"; with less, {energy} is left ({_verdicts(below)})"
-    if above := [one for one in judged if one.c_A > best.c_A]:
+    if above := [damper for damper in tried if damper.c_A > best.c_A]:
         why += f"; with more, too little is left to reach BE ({_verdicts(above)})"
     return why
 
 
 def _verdicts(dampers: Sequence[_Damper]) -> str:
     """Return how often each verdict was given."""
-    labels = [one.outcome.verdict.label for one in dampers]
+    labels = [damper.outcome.verdict.label for damper in dampers]
     return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))

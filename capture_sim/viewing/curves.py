@@ -290,7 +290,7 @@ def held_by(shown: Iterable[Shown]) -> list[str]:
 
 
 def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the values that belong to each of :data:`HOLDS`, (n, ...) each, NaN elsewhere.
+    """Return the values that belong to each of :data:`HOLDS` that occurs, (n, ...), NaN elsewhere.
 
     What lies between two samples belongs to the earlier of them.
     """
@@ -299,6 +299,7 @@ def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
     return {
         name: np.where(((holds == number) | (before == number)).reshape(shape), values, np.nan)
         for number, name in enumerate(HOLDS)
+        if np.any(holds == number)
     }
 
 

@@ -175,6 +175,7 @@ def _add_over_time(
                 inside = (t >= window[0]) & (t <= window[1])
                 sampled = quantity.located is None
                 parts = split(values, one.holds) if sampled else {"in contact": values}
+                named = "in contact" if "in contact" in parts else next(iter(parts))
                 for word, part in parts.items():
                     seen = inside & np.isfinite(part).any()
                     _add_line(
@@ -183,7 +184,7 @@ def _add_over_time(
                         (one.colour, style.LINES[word].plotly, 1.8),
                         name=one.label,
                         legendgroup=one.label,
-                        showlegend=row == col == 1 and word == "in contact",
+                        showlegend=row == col == 1 and word == named,
                         **place,
                     )
             # each once, in order: the same report gives the same bytes

@@ -41,7 +41,7 @@ _TIGHT: Any = {"linespacing": 0.85}
 
 
 def draw_design(design: Design) -> Figure:
-    """Return a figure of the flow: the strokes run by run, and the verdict over the damper."""
+    """Return a figure of the search: the strokes run by run, and the verdict over the damper."""
     figure, [[strokes, dampers]] = subplots(13.0, 5.6, 1, 2)
     _draw_strokes(strokes, design)
     _draw_dampers(dampers, design)
@@ -49,30 +49,35 @@ def draw_design(design: Design) -> Figure:
 
 
 def _draw_strokes(axes: Axes, design: Design) -> None:
-    trials = [trial for trial in design.history if trial.step == 5]
-    number = np.arange(1, len(trials) + 1)
     target = design.target
+    # over whole runs each damper has springs of its own
+    runs = [c for c in design.history if (c.verdict is None) == target.first_contact]
+    number = np.arange(1, len(runs) + 1)
+    line = "o-" if target.first_contact else "."
     for values, name, colour in (
-        ([t.axial_stroke / target.axial_stroke for t in trials], "axial", style.BLUE),
-        ([t.torsion / target.torsion for t in trials], "torsional", style.VERMILION),
+        ([run.axial_stroke / target.axial_stroke for run in runs], "axial", style.BLUE),
+        ([run.torsion / target.torsion for run in runs], "torsional", style.VERMILION),
     ):
-        off = np.maximum(np.abs(np.array(values) - 1.0), 1e-6)
-        axes.plot(number, off, "o-", color=colour, label=f"{name} stroke")
+        error = np.maximum(np.abs(np.array(values) - 1.0), 1e-6)
+        axes.plot(number, error, line, color=colour, label=f"{name} stroke")
     axes.set_yscale("log")
     axes.set_xlabel("run")
-    axes.set_ylabel("off the target, relative")
-    axes.set_title("Steps 1 to 5: springs for the strokes", fontsize=15)
+    axes.set_ylabel("error of the stroke, relative")
+    period = "first contact" if target.first_contact else "whole run"
+    axes.set_title(f"Springs for the strokes of the {period}", fontsize=15)
     axes.legend(fontsize=12.5)
 
 
 def _draw_dampers(axes: Axes, design: Design) -> None:
-    trials = [trial for trial in design.history if trial.step == 7]
+    # of the searches for springs the last run, which is the nearest to the target
+    by_damper = {c.c_A: c for c in design.history if c.verdict is not None}
+    trials = list(by_damper.values())
     for state, (colour, marker) in style.VERDICTS.items():
-        those = [trial for trial in trials if trial.verdict is state]
-        if those:
+        matching_trials = [trial for trial in trials if trial.verdict is state]
+        if matching_trials:
             axes.plot(
-                [trial.c_A for trial in those],
-                [trial.nearest * 1e3 for trial in those],
+                [trial.c_A for trial in matching_trials],
+                [trial.nearest * 1e3 for trial in matching_trials],
                 marker,
                 color=colour,
                 label=state.label,
@@ -94,7 +99,7 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("axial damping  [N s/m]")
     axes.set_ylabel("nearest to the centre of BE  [mm]")
-    title = "Step 7: damper by the verdict" if design.met else "Step 7: no damper meets the target"
+    title = "Damper by the verdict" if design.met else "No damper meets the target"
     axes.set_title(title, fontsize=15)
     if trials:
         axes.legend(fontsize=12.5)
@@ -105,13 +110,15 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     figure, [[force, buffer]] = subplots(13.0, 5.6, 1, 2)
     good = [d for d in designs if d.met]
     stroke = [d.target.axial_stroke * 1e3 for d in good]
-    for label, part, name, colour, line in (
-        ("largest touch until the verdict", "outcome", "peak_force", style.DARK, "o-"),
-        ("largest touch of the first contact", "damped", "peak_force", style.GREY, "s-"),
-        ("largest force of the buffer, first contact", "damped", "buffer_force", style.BLUE, "^-"),
+    for label, load, colour, line in (
+        ("peak normal force, whole run", "max_normal_force", style.DARK, "o-"),
+        ("peak force of the buffer, whole run", "max_buffer_force", style.BLUE, "^-"),
     ):
-        values = [getattr(getattr(d, part), name) for d in good]
+        values = [d.outcome.loads[load] for d in good if d.outcome is not None]
         force.plot(stroke, values, line, color=colour, label=label)
+    first_touch = [d.damped.peak_force for d in good if d.damped is not None]
+    label = "peak normal force, first contact"
+    force.plot(stroke, first_touch, "s-", color=style.GREY, label=label)
     force.set_ylabel("force  [N]")
     force.set_title("Force against stroke", fontsize=15)
     for name, unit, colour in (

@@ -103,9 +103,16 @@ def test_distance_and_velocities_are_the_samples(runs):
     inside = (t >= 2.5) & (t <= 3.3)
     for axes, index in zip(figure.axes, (0, 5, 1, 6, 2, 7), strict=True):
         found = curves(axes, style.BLUE)
-        [solid], [dashed] = found["solid"], found["dashed"]
-        drawn = np.where(np.isnan(solid[:, 1]), dashed[:, 1], solid[:, 1])
-        assert drawn == pytest.approx(run.samples["v"][inside, index] * 1e3)
+        [in_contact], [free, latched] = found["solid"], found["dashed"]
+        drawn = [line[:, 1] for line in (in_contact, free, latched)]
+        assert np.nanmax(drawn, axis=0) == pytest.approx(run.samples["v"][inside, index] * 1e3)
+        # from the latch on the tip is neither free nor in contact
+        closed = next(event.t for event in run.events if event.kind is EventKind.LATCHED)
+        later = t[inside] > closed
+        assert later.any()
+        assert np.isfinite(drawn[2][later]).all()
+        assert np.isnan(drawn[0][later][1:]).all()
+        assert np.isnan(drawn[1][later][1:]).all()
 
 
 def test_overlaid_runs_start_together_at_their_first_touch(runs):
