@@ -129,6 +129,7 @@ class Bench:
         self._touches: list[np.void] = []
         self._unread: list[np.ndarray] = []
         self._asked = -math.inf  # last sample time asked for, s
+        self._fatal: str | None = None  # why the run cannot go on
         detail = "no string"
         if scene.string is not None:
             detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
@@ -237,9 +238,12 @@ class Bench:
         SceneError
             The times are not so.
         SimulationError
-            Names time, phase and cause; ``partial`` holds the samples up to there.
+            Names time, phase and cause; ``partial`` holds the samples up to there.  Such a run
+            cannot go on: each later call raises it again, without samples.
         """
         times = check_times(times, self._asked)
+        if self._fatal is not None:
+            raise SimulationError(self._fatal, np.zeros(0, SAMPLE))
         if times.size:
             self._asked = float(times[-1])
         if not self.done and (times.size == 0 or times[-1] >= self.scene.run.t_end):
@@ -267,17 +271,18 @@ class Bench:
         cause = _CAUSES[status]
         if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
             step, touch = self._record["step"], self._system["mode"]["touch"]
-            part, duration = stiffest_part(
+            stiffest = stiffest_part(
                 self._system["par"],
                 penetration=-float(step["start"]["gap"][:2].min()),
                 chi=float(touch["chi"].max()),
-                force=float(touch["force"].max()),
+                force=float(self._system["out"]["normal"].max()),
             )
-            cause += f"; stiffest is the {part}, with a time of {duration:.2g} s"
+            if stiffest is not None:
+                part, duration = stiffest
+                cause += f"; stiffest is the {part}, with a time of {duration:.2g} s"
         t = self._record["step"]["t0"]
-        return SimulationError(
-            f"{self.scene.name}: stopped at t = {t:.9g} s in phase {phase}: {cause}", partial
-        )
+        self._fatal = f"{self.scene.name}: stopped at t = {t:.9g} s in phase {phase}: {cause}"
+        return SimulationError(self._fatal, partial)
 
     def _read_events(self) -> None:
         """Turn the loop's raw events into Python's, when somebody asks for them."""

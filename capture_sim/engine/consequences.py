@@ -93,7 +93,6 @@ def begin_touch(w, i):
     touch.peak_time = step.t0
     touch.impulse_0 = y[IMPULSE + i]
     touch.dissipated_0 = y[HYSTERESIS + i]
-    touch.force_rate = 1.0
     w.totals.touches += 1
     e = log_event(w, EventKind.TOUCH)
     e.wall = 1 - 2 * i
@@ -102,6 +101,7 @@ def begin_touch(w, i):
     v = max(speed, par.v_0_floor)
     penetration = (1.25 * par.m_P * v * v / par.K) ** 0.4
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
+    touch.depth = penetration
     step.h_before_touch = step.h_next
     share = min(_LARGEST_SHARE, _FIRST_SHARE * tighter)
     step.h_next = min(step.h_next, share * penetration / v)

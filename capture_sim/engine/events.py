@@ -241,8 +241,8 @@ def where_slip_changes(w, i):
     if not system.mode.touch[i].sticking:
         width = system.mode.touch[i].direction * w.step.h
         start = max(slip_margin(stepper.y, system, i), 0.0)
-        rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system, i)
-        rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system, i)
+        rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system.par, i)
+        rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system.par, i)
         if not may_cross(start, rate_a, end, rate_b, _CUBIC_OFF):
             return _NOWHERE
         place, _ = cubic_minimum(start, rate_a, end, rate_b)

@@ -16,33 +16,33 @@ import numpy as np
 from capture_sim.engine.steps import distances, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import normal_force
-from capture_sim.model.equations import IMPULSE, N_STATE, gap_and_rate, stop_force, tip_in_cone
+from capture_sim.model.equations import N_STATE, gap_and_rate, stop_force, tip_in_cone
 from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
 _GOLDEN = 0.6180339887498949
-#: Of the segment: where golden sections give way to parabolas, and how near these go.
-_PARABOLAS, _NEAREST = 0.05, 1e-6
-#: Of the touch's peak so far: a maximum of the cubic below it is not looked for.
-_WORTHWHILE = 0.98
-#: Of the step: a move along the motion that shows the rate of a force.
-_SMALL_MOVE = 1e-4
+#: Of the segment: how far from the best of some places the largest value may lie, where golden
+#: sections give way to parabolas, and how near these go.
+_BRACKET, _PARABOLAS, _NEAREST = 0.25, 0.05, 1e-6
 #: Of the sum of both slopes: no cubic rises above its ends by more than 4/27 of it; and by how
-#: much what is really there may be above the cubic.
+#: much the quantity may rise above the cubic.
 _CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
+#: Of the step: a move along the motion that shows a rate.
+_SMALL_MOVE = 1e-4
 
 
-class Quantity(IntEnum):
-    """What is looked at, with a side where there are two."""
+class Watched(IntEnum):
+    """A quantity whose largest value is searched, with a side where there are two."""
 
     STROKE = 0  # -1 inwards, +1 outwards
     TORSION = 1  # either sense
     NEARNESS = 2  # minus the distance of the tip to the centre of BE
     PENETRATION = 3  # of the wall on that side
-    NORMAL_FORCE = 4
-    BUFFER_FORCE = 5  # of spring, damper and stop; -1 pulling, +1 pushing the probe out
-    BUFFER_TORQUE = 6  # either sense
-    LATCH_FORCE = 7
+    PENETRATION_RATE = 4
+    NORMAL_FORCE = 5
+    BUFFER_FORCE = 6  # of spring, damper and stop; -1 pulling, +1 pushing the probe out
+    BUFFER_TORQUE = 7  # either sense
+    LATCH_FORCE = 8
 
 
 STROKE_IN, STROKE_OUT, TORSION, BUFFER_FORCE, BUFFER_TORQUE = (
@@ -53,16 +53,6 @@ NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
     np.int64(EXTREME_NAMES.index(name))
     for name in ("normal_force_plus_y", "latch_force", "penetration", "tip_distance")
 )
-
-
-@kernel
-def force_at(y, system, i):
-    """Return the normal force on the tip from wall ``i``, N."""
-    par = system.par
-    px, py, wx, wy = tip_in_cone(y, par)
-    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-    force, _ = normal_force(-gap, -rate, par.K, system.mode.touch[i].chi)
-    return force
 
 
 @kernel
@@ -98,30 +88,42 @@ def value_at(w, x, quantity, side):
     """Return a quantity at the fraction ``x`` of the present step."""
     state_inside(w, x)
     y, par = w.y_x, w.system.par
-    if quantity == Quantity.BUFFER_FORCE:
+    if quantity == Watched.BUFFER_FORCE:
         return side * buffer_force_at(y, w.system)
-    if quantity == Quantity.BUFFER_TORQUE:
+    if quantity == Watched.BUFFER_TORQUE:
         return side * buffer_torque_at(y, par)
-    if quantity == Quantity.LATCH_FORCE:
+    if quantity == Watched.LATCH_FORCE:
         return latch_force_at(y, w.system)
-    if quantity == Quantity.STROKE:
+    if quantity == Watched.STROKE:
         return side * (y[4] - par.h_0)
-    if quantity == Quantity.TORSION:
+    if quantity == Watched.TORSION:
         return side * (y[3] - y[2])
-    i = 0 if side > 0 else 1
-    if quantity == Quantity.NORMAL_FORCE:
-        return force_at(y, w.system, i)
-    g0, _, g1, _, g2, _, _ = distances(y, par)
-    if quantity == Quantity.NEARNESS:
-        return -(g2 + par.latch_radius)
-    return -g0 if i == 0 else -g1
+    px, py, wx, wy = tip_in_cone(y, par)
+    if quantity == Watched.NEARNESS:
+        return -math.hypot(px + par.L_T, py)
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, side, par)
+    if quantity == Watched.PENETRATION:
+        return -gap
+    if quantity == Watched.PENETRATION_RATE:
+        return -rate
+    force, _ = normal_force(-gap, -rate, par.K, w.system.mode.touch[0 if side > 0 else 1].chi)
+    return force
 
 
 @kernel
-def largest_inside(w, quantity, side):
-    """Return place and value of a quantity's largest value within the present segment."""
+def largest_inside(w, quantity, side, x):
+    """Return place and value of a quantity's largest value within the present segment.
+
+    It is near ``x``, or near one of the segment's quarters.
+    """
     x_end = w.step.x_end
-    a, b = 0.0, x_end
+    f = value_at(w, x, quantity, side)
+    for quarter in range(1, 4):
+        x1 = 0.25 * quarter * x_end
+        f1 = value_at(w, x1, quantity, side)
+        if f1 > f:
+            x, f = x1, f1
+    a, b = max(0.0, x - _BRACKET * x_end), min(x_end, x + _BRACKET * x_end)
     x1 = b - _GOLDEN * (b - a)
     x2 = a + _GOLDEN * (b - a)
     f1 = value_at(w, x1, quantity, side)
@@ -166,43 +168,96 @@ def keep(totals, row, slot, value, t):
 
 
 @kernel
+def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
+    """Return place and value of a maximum above ``largest`` inside a segment; -1 if there is none.
+
+    Values and rates are those at the segment's ends.
+    """
+    width = w.step.x_end * w.step.h
+    changes = width * (abs(d_a) + abs(d_b))
+    if max(v_a, v_b) + _CUBIC_RISE * changes <= largest:
+        return -1.0, largest
+    place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
+    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= largest:
+        return -1.0, largest
+    x, value = largest_inside(w, quantity, side, place * w.step.x_end)
+    if value > largest:
+        return x, value
+    return -1.0, largest
+
+
+@kernel
 def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
     """Keep a quantity's largest value over a segment; values and rates are those at its ends."""
     step, totals, row = w.step, w.totals, w.system.mode.latched
     keep(totals, row, slot, v_b, step.t1)
-    width = step.x_end * step.h
-    changes = width * (abs(d_a) + abs(d_b))
-    if max(v_a, v_b) + _CUBIC_RISE * changes <= totals.extreme[row, slot]:
-        return
-    place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
-    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= totals.extreme[row, slot]:
-        return
-    x, value = largest_inside(w, quantity, side)
-    keep(totals, row, slot, value, step.t0 + x * step.h)
+    x, value = rise_inside(w, quantity, side, totals.extreme[row, slot], v_a, d_a, v_b, d_b)
+    if x >= 0.0:
+        keep(totals, row, slot, value, step.t0 + x * step.h)
 
 
 @kernel
 def watch_extremes(w):
-    """Keep strokes, torsion, nearest distance and penetration of the segment that ends."""
+    """Keep strokes, torsion, nearest distance and those of the touches of the segment that ends."""
     start, end = w.step.start, w.step.end
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
     for side in (-1.0, 1.0):
         slot = STROKE_IN if side < 0.0 else STROKE_OUT
         s_a, s_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0)
-        watch(w, Quantity.STROKE, side, slot, s_a, side * a[12], s_b, side * b[12])
+        watch(w, Watched.STROKE, side, slot, s_a, side * a[12], s_b, side * b[12])
         t_a, t_b = side * (a[3] - a[2]), side * (b[3] - b[2])
         r_a, r_b = side * (a[11] - a[10]), side * (b[11] - b[10])
-        watch(w, Quantity.TORSION, side, TORSION, t_a, r_a, t_b, r_b)
+        watch(w, Watched.TORSION, side, TORSION, t_a, r_a, t_b, r_b)
     d_a, d_b = start.gap[2] + par.latch_radius, end.gap[2] + par.latch_radius
-    watch(w, Quantity.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -start.gap_rate[2], -d_b, -end.gap_rate[2])
+    watch(w, Watched.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -start.gap_rate[2], -d_b, -end.gap_rate[2])
     for i in range(2):
         if mode.touch[i].on:
-            touch = mode.touch[i]
-            touch.largest_rate = max(touch.largest_rate, -end.gap_rate[i])
-            p_a, p_b = -start.gap[i], -end.gap[i]
-            r_a, r_b = -start.gap_rate[i], -end.gap_rate[i]
-            watch(w, Quantity.PENETRATION, 1.0 - 2.0 * i, PENETRATION, p_a, r_a, p_b, r_b)
+            watch_touch(w, i)
+
+
+@kernel
+def force_and_rate(gap, gap_rate, gap_acceleration, K, chi):
+    """Return the normal force (N) and its rate (N/s)."""
+    force, _ = normal_force(-gap, -gap_rate, K, chi)
+    if force <= 0.0:
+        return 0.0, 0.0
+    root = math.sqrt(-gap)
+    rise = -1.5 * root * gap_rate * (K - chi * gap_rate)
+    return force, rise + chi * gap * root * gap_acceleration
+
+
+@kernel
+def watch_touch(w, i):
+    """Keep penetration, its rate and the normal force of wall ``i``, largest inside the segment."""
+    step, totals, row = w.step, w.totals, w.system.mode.latched
+    start, end, K = step.start, step.end, w.system.par.K
+    side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
+    p_a, r_a, a_a = -start.gap[i], -start.gap_rate[i], -start.gap_acceleration[i]
+    p_b, r_b, a_b = -end.gap[i], -end.gap_rate[i], -end.gap_acceleration[i]
+    if step.x_end < 1.0:
+        # accelerations are those of the whole step's end
+        before = value_at(w, (1.0 - _SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
+        a_b = (r_b - before) / (_SMALL_MOVE * step.x_end * step.h)
+    watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
+    touch.largest_rate = max(touch.largest_rate, r_b)
+    _, touch.largest_rate = rise_inside(
+        w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
+    )
+    f_a, d_a = force_and_rate(-p_a, -r_a, -a_a, K, touch.chi)
+    f_b, d_b = force_and_rate(-p_b, -r_b, -a_b, K, touch.chi)
+    if f_b > touch.peak_force:
+        touch.peak_force = f_b
+        touch.peak_time = step.t1
+    if step.x_end < 1.0 and step.t0 == touch.start:
+        # all of the touch may lie in this segment, its force flat at both ends
+        x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end)
+    else:
+        x, peak = rise_inside(w, Watched.NORMAL_FORCE, side, touch.peak_force, f_a, d_a, f_b, d_b)
+    if peak > touch.peak_force:
+        touch.peak_force = peak
+        touch.peak_time = step.t0 + x * step.h
+    keep(totals, row, NORMAL_FORCE_PLUS_Y + i, touch.peak_force, touch.peak_time)
 
 
 @kernel
@@ -234,14 +289,14 @@ def watch_loads(w):
         latch_b = latch_force_at(y_b, system)
         latch_rate_b = (latch_b - latch_force_at(near, system)) / small
         watch(
-            w, Quantity.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, latch_rate_a, latch_b, latch_rate_b
+            w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, latch_rate_a, latch_b, latch_rate_b
         )
     for side in (-1.0, 1.0):
         a, d_a, b, d_b = side * force_a, side * force_rate_a, side * force_b, side * force_rate_b
-        watch(w, Quantity.BUFFER_FORCE, side, BUFFER_FORCE, a, d_a, b, d_b)
+        watch(w, Watched.BUFFER_FORCE, side, BUFFER_FORCE, a, d_a, b, d_b)
         a, b = side * torque_a, side * torque_b
         d_a, d_b = side * torque_rate_a, side * torque_rate_b
-        watch(w, Quantity.BUFFER_TORQUE, side, BUFFER_TORQUE, a, d_a, b, d_b)
+        watch(w, Watched.BUFFER_TORQUE, side, BUFFER_TORQUE, a, d_a, b, d_b)
 
 
 @kernel
@@ -270,55 +325,3 @@ def begin_extremes(w):
         totals.extreme[row, LATCH_FORCE] = latch_force_at(y, w.system)
     _, _, _, _, gap, _, _ = distances(y, w.system.par)
     totals.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
-
-
-@kernel
-def measure_force(w):
-    """Set force and rate at the start of a segment whose equations have changed; K[0] is known."""
-    step, stepper = w.step, w.stepper
-    small = _SMALL_MOVE * step.h_next
-    for i in range(2):
-        touch = w.system.mode.touch[i]
-        # a touch that has just begun has no force yet, but one that rises
-        if touch.on and step.t0 > touch.start:
-            for k in range(N_STATE):
-                stepper.y_stage[k] = stepper.y[k] + small * stepper.K[0, k]
-            touch.force = stepper.K[0, IMPULSE + i]
-            touch.force_rate = (force_at(stepper.y_stage, w.system, i) - touch.force) / small
-
-
-@kernel
-def watch_force(w):
-    """Keep each touch's peak of force, found inside the segment where it lies."""
-    step, stepper, system = w.step, w.stepper, w.system
-    whole = step.x_end == 1.0
-    last = stepper.K[stepper.stages]
-    small = _SMALL_MOVE * step.h
-    for k in range(N_STATE):
-        stepper.y_stage[k] = w.y_end[k] + small * last[k]
-    for i in range(2):
-        touch = system.mode.touch[i]
-        if not touch.on:
-            continue
-        # a whole step's last evaluation has the force; one cut short ends with the touch, or
-        # is to be looked through anyway
-        force = last[IMPULSE + i] if whole else force_at(w.y_end, system, i)
-        # rate by a small move along the flow: it only decides where to look
-        rate = (force_at(stepper.y_stage, system, i) - force) / small if whole else -1.0
-        if touch.force_rate > 0.0 and rate < 0.0:
-            width = step.x_end * step.h
-            place, low = cubic_minimum(
-                -touch.force, -touch.force_rate * width, -force, -rate * width
-            )
-            if not whole or (place >= 0.0 and -low > _WORTHWHILE * touch.peak_force):
-                x, peak = largest_inside(w, Quantity.NORMAL_FORCE, 1.0 - 2.0 * i)
-                if peak > touch.peak_force:
-                    touch.peak_force = peak
-                    touch.peak_time = step.t0 + x * step.h
-        if force > touch.peak_force:
-            touch.peak_force = force
-            touch.peak_time = step.t1
-        touch.force = force
-        touch.force_rate = rate
-        slot = NORMAL_FORCE_PLUS_Y + i
-        keep(w.totals, system.mode.latched, slot, touch.peak_force, touch.peak_time)

@@ -6,12 +6,13 @@ import math
 
 from capture_sim.engine.consequences import draw_consequences
 from capture_sim.engine.events import ratio_of_limit, search_step
-from capture_sim.engine.extremes import measure_force, watch_extremes, watch_force, watch_loads
+from capture_sim.engine.extremes import watch_extremes, watch_loads
 from capture_sim.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
     measure,
+    measure_accelerations,
     path_to_events,
     step_length,
     take_step,
@@ -42,7 +43,7 @@ def begin_equations(w):
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
     step.equations_changed = 0
-    measure_force(w)
+    measure_accelerations(w, step.start, w.stepper.y, w.stepper.K[0])
     if w.system.par.has_supports:
         # a change of forces may ask more of the supports at once than they can hold
         for which in range(2):
@@ -166,8 +167,6 @@ def close_step(w, trace):
     """
     step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
     if step.h > 0.0:
-        if mode.touch[0].on or mode.touch[1].on:
-            watch_force(w)
         watch_extremes(w)
         watch_loads(w)
         for i in range(N_TOTAL):

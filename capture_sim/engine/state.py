@@ -50,6 +50,7 @@ DISTANCES = np.dtype(
     [
         ("gap", "f8", (3,)),  # of both walls and to the latch, m
         ("gap_rate", "f8", (3,)),
+        ("gap_acceleration", "f8", (2,)),  # of a wall in touch, m/s^2
         ("tip_speed", "f8"),  # against the target, m/s
     ],
     align=True,

@@ -6,12 +6,24 @@ import math
 
 from capture_sim.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, Status
 from capture_sim.kernels import kernel
-from capture_sim.model.equations import N_STATE, N_TOTAL, gap_and_rate, rate_of_change, tip_in_cone
+from capture_sim.model.equations import (
+    N_STATE,
+    N_TOTAL,
+    gap_acceleration,
+    gap_and_rate,
+    rate_of_change,
+    tip_in_cone,
+)
 from capture_sim.solver.runge_kutta import OVERFLOW, dense, make_stepper, next_factor
 
 #: rad of the contact's oscillation that a step may span, less than a period: a longer step may be
 #: right at its end and far off in between, where samples and events are read.
 _CONTACT_ANGLE = 5.0
+#: rad of the probe's oscillation on the axial spring that a step may span where there are stops:
+#: the cubic through stroke and rate at its ends shows when one is met.
+_STROKE_ANGLE = 2.0
+#: Of the penetration: the error allowed for a step in contact; with more, forces have no meaning.
+_DEPTH_SHARE = 0.01
 #: Of the way to the end of the run: the last step is cut there, so that no sliver is left over.
 _BEYOND_END = 1.01
 #: Of the tip's radius, or the latch's: closer than this to a wall, a step is no longer than it.
@@ -65,11 +77,21 @@ def measure(w, y):
 
 
 @kernel
+def measure_accelerations(w, distances, y, f):
+    """Keep the second derivatives of the gaps of walls in touch at ``y``, with ``f`` = dy/dt."""
+    for i in range(2):
+        if w.system.mode.touch[i].on:
+            distances.gap_acceleration[i] = gap_acceleration(y, f, w.system.par, i)
+
+
+@kernel
 def advance_distances(step):
     """Make the distances of the next segment those of the present one."""
     for i in range(3):
         step.start.gap[i] = step.end.gap[i]
         step.start.gap_rate[i] = step.end.gap_rate[i]
+    for i in range(2):
+        step.start.gap_acceleration[i] = step.end.gap_acceleration[i]
     step.start.tip_speed = step.end.tip_speed
     step.start_measured = 1
 
@@ -107,11 +129,27 @@ def step_length(w):
     h = min(step.h_next, _BEYOND_END * (w.progress.t_stop - step.t0))
     if step.start.tip_speed > 0.0:
         h = min(h, path_to_events(w) / step.start.tip_speed)
+    if par.has_stops and par.k_A > 0.0:
+        h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / par.k_A))
     for i in range(2):
-        if w.system.mode.touch[i].on and step.start.gap[i] < 0.0:
-            stiffness = 1.5 * par.K * math.sqrt(-step.start.gap[i])
-            h = min(h, _CONTACT_ANGLE * math.sqrt(par.m_P / stiffness))
+        touch, depth = w.system.mode.touch[i], -step.start.gap[i]
+        if touch.on and depth > 0.0:
+            root = math.sqrt(depth)
+            rate = max(math.sqrt(1.5 * par.K * root / par.m_P), touch.chi * depth * root / par.m_P)
+            h = min(h, _CONTACT_ANGLE / rate)
     return h
+
+
+@kernel
+def contact_share(w):
+    """Return by what the error of a step counts more in contact, where it is close to the depth."""
+    par, share = w.system.par, 1.0
+    for i in range(2):
+        touch = w.system.mode.touch[i]
+        if touch.on:
+            touch.depth = max(touch.depth, -w.step.start.gap[i])
+            share = max(share, par.rtol * par.length_scale / (_DEPTH_SHARE * touch.depth))
+    return share
 
 
 @kernel
@@ -133,6 +171,7 @@ def take_step(w, h):
             if not math.isfinite(total):
                 return Status.NOT_FINITE
             break
+        error *= contact_share(w)
         factor = next_factor(error, step.error, stepper.order)
         if error <= 1.0:
             step.error = error
@@ -152,6 +191,7 @@ def take_step(w, h):
     step.h = h
     step.t1 = step.t0 + h
     measure(w, stepper.y_new)
-    return (
-        Status.TOO_MANY_STEPS if totals.steps + totals.rejected > par.max_steps else Status.SERVED
-    )
+    measure_accelerations(w, step.end, stepper.y_new, stepper.K[stepper.stages])
+    if totals.steps + totals.rejected > par.max_steps:
+        return Status.TOO_MANY_STEPS
+    return Status.SERVED

@@ -17,7 +17,7 @@ import numpy as np
 
 from capture_sim.kernels import inline_kernel, kernel, records
 from capture_sim.model.contact import COULOMB, friction_coefficient, normal_force
-from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.model.geometry import nearest_on_wall, wall_curvature
 from capture_sim.model.parameters import PARAMETERS
 from capture_sim.model.supports import rolling_wrench
 from capture_sim.model.trig import sine_cosine
@@ -34,6 +34,7 @@ WALL_TOUCH = np.dtype(
         ("chi", "f8"),  # hysteresis damping, N s/m^2.5
         ("sticking", "i8"),  # law "coulomb": slip held at zero
         ("direction", "f8"),  # law "coulomb": sign of the slip while sliding
+        ("depth", "f8"),  # of penetration: as expected at its start, or larger, m
         ("start", "f8"),  # s
         ("approach_speed", "f8"),  # m/s
         ("largest_rate", "f8"),  # of penetration so far, m/s
@@ -41,8 +42,6 @@ WALL_TOUCH = np.dtype(
         ("peak_time", "f8"),  # s
         ("impulse_0", "f8"),  # integrals at its start: N s, and J of hysteresis
         ("dissipated_0", "f8"),
-        ("force", "f8"),  # at the start of the present segment, N, and its rate
-        ("force_rate", "f8"),
     ],
     align=True,
 )
@@ -87,7 +86,6 @@ SYSTEM = np.dtype(
         ("par", PARAMETERS),
         ("mode", MODE),
         ("out", OUT),
-        ("trial", "f8", (N_TOTAL,)),  # a state put together for the sticking tip
         ("spare", "f8", (1, N_TOTAL)),  # a derivative of which only OUT is wanted
         ("evaluations", "i8"),  # of the equations of motion so far
     ],
@@ -364,40 +362,63 @@ def slip_of(y, par, i):
     return slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
 
 
-#: s: a move along the motion by this much shows how the geometry changes; its error is of the
-#: order of its square, rounding's of its inverse.
-_SMALL_TIME = 1e-6
+@inline_kernel
+def tip_acceleration(y, f, px, py, wx, wy, par):
+    """Return the acceleration of the tip's centre in the target's frame, m/s^2.
+
+    For accelerations f[8:16]; place and velocity there are those of :func:`tip_in_cone`.
+    """
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    sT, cT = sine_cosine(y[7])
+    h, omega, spin, turn = y[4], y[10], y[11], y[15]
+    along = f[12] - h * spin * spin
+    across = h * f[11] + 2.0 * y[12] * spin
+    ux = f[8] - par.a * (f[10] * sS + omega * omega * cS) + along * cP - across * sP - f[13]
+    uy = f[9] + par.a * (f[10] * cS - omega * omega * sS) + along * sP + across * cP - f[14]
+    ax = cT * ux + sT * uy + 2.0 * turn * wy + turn * turn * px + f[15] * py
+    ay = cT * uy - sT * ux - 2.0 * turn * wx + turn * turn * py - f[15] * px
+    return ax, ay
+
+
+@kernel
+def gap_acceleration(y, f, par, i):
+    """Return the second derivative of the gap to wall ``i`` for accelerations f[8:16], m/s^2."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    side = 1.0 - 2.0 * i
+    gap, _, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
+    ax, ay = tip_acceleration(y, f, px, py, wx, wy, par)
+    across = wy * nx - wx * ny
+    curvature = wall_curvature(
+        -(px + par.L_T), side * py, gap + par.R_t, par.R_c, par.L_c, par.cos_b, par.sin_b
+    )
+    return nx * ax + ny * ay + curvature * across * across
+
+
+@kernel
+def slip_acceleration(y, f, par, i):
+    """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2; linear in these."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    side = 1.0 - 2.0 * i
+    gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
+    ax, ay = tip_acceleration(y, f, px, py, wx, wy, par)
+    across = wy * nx - wx * ny
+    dist = gap + par.R_t
+    curvature = wall_curvature(
+        -(px + par.L_T), side * py, dist, par.R_c, par.L_c, par.cos_b, par.sin_b
+    )
+    turning = rate * (y[11] - y[15]) + dist * (f[11] - f[15])
+    return ay * nx - ax * ny - curvature * across * rate - turning
+
 
 #: How fast rounding's drift of a sticking tip is pulled back, 1/s.
 _PULL_BACK = 1e3
 
 
-@kernel
-def slip_acceleration(y, f, system, i):
-    """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2.
-
-    The slip is linear in the rates, so their part is exact; the part of the moving
-    geometry is a central difference along the motion.
-    """
-    par, trial = system.par, system.trial
-    small = _SMALL_TIME
-    for k in range(8):
-        trial[k] = y[k]
-        trial[8 + k] = f[8 + k]
-    rate = slip_of(trial, par, i)
-    for k in range(8):
-        trial[k] = y[k] + small * y[8 + k]
-        trial[8 + k] = y[8 + k]
-    slip_forward = slip_of(trial, par, i)
-    for k in range(8):
-        trial[k] = y[k] - small * y[8 + k]
-    return rate + (slip_forward - slip_of(trial, par, i)) / (2.0 * small)
-
-
 @inline_kernel
 def _slip_change(y, f, system, i):
     """Return the slip's rate on wall ``i`` with what pulls rounding's drift back, m/s^2."""
-    return slip_acceleration(y, f, system, i) + _PULL_BACK * slip_of(y, system.par, i)
+    return slip_acceleration(y, f, system.par, i) + _PULL_BACK * slip_of(y, system.par, i)
 
 
 @kernel

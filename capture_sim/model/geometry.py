@@ -39,6 +39,20 @@ def nearest_on_wall(
     return distance, du / distance, dY / distance
 
 
+@inline_kernel
+def wall_curvature(
+    u: float, Y: float, distance: float, R_c: float, L_c: float, cos_b: float, sin_b: float
+) -> float:
+    """Return the curvature of a wall's distance across the normal, 1/m: none over its face.
+
+    ``distance`` (m) is that of the tip's centre, see :func:`nearest_on_wall`.
+    """
+    along = u * cos_b + (Y - R_c) * sin_b
+    if 0.0 < along < L_c or distance == 0.0:
+        return 0.0
+    return 1.0 / distance
+
+
 def travel_to_wall(
     u: float,
     Y: float,

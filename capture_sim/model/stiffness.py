@@ -9,8 +9,10 @@ import numpy as np
 
 def stiffest_part(
     par: np.void, penetration: float = 0.0, chi: float = 0.0, force: float = 0.0
-) -> tuple[str, float]:
+) -> tuple[str, float] | None:
     """Return the part of the bench with the shortest time, what sets it, and that time (s).
+
+    None if no spring and no damper acts.
 
     A spring k at a mass m has the time sqrt(m / k), a damper c the time m / c: steps of an
     explicit method cannot be much longer.
@@ -55,5 +57,4 @@ def stiffest_part(
             )
     times = {name: math.sqrt(mass / k) for name, (mass, k) in springs.items() if k > 0.0}
     times |= {name: float(mass / c) for name, (mass, c) in dampers.items() if c > 0.0}
-    part = min(times, key=times.__getitem__)
-    return part, times[part]
+    return min(times.items(), key=lambda item: item[1], default=None)

@@ -90,22 +90,56 @@ def load_factor(
 ) -> float:
     """Return which share of the supports' limit a wrench uses; above 1 the vehicle moves.
 
-    It is the largest of (power of the wrench) / (power the balls can take) over all
-    motions of the body; found by iteratively reweighted least squares, so it is
-    approached from below.
+    It is the largest of (power of the wrench) / (power the balls can take) over all motions of
+    the body.  A turn about one of the balls, where that ratio has a corner, has a closed form;
+    all other motions are searched by iteratively reweighted least squares, which comes from below.
     """
     limit = balls[0, 2] + balls[1, 2] + balls[2, 2]
-    force = math.sqrt(fx * fx + fy * fy)
     if limit <= 0.0:
         return math.inf
-    if force == 0.0 and torque == 0.0:
+    if fx == 0.0 and fy == 0.0 and torque == 0.0:
         return 0.0
+    # in the vehicle's frame, lengths in those of the farthest ball
     arm = 0.0
     for i in range(3):
         arm = max(arm, math.hypot(balls[i, 0], balls[i, 1]))
     if arm == 0.0:
         arm = 1.0
-    w0, w1, w2 = fx, fy, torque / arm
+    w0, w1, w2 = c * fx + s * fy, c * fy - s * fx, torque / arm
+    share = 0.0
+    for i in range(3):
+        ratio, held = share_by_turn(w0, w1, w2, balls, i, arm)
+        if held:
+            return ratio
+        share = max(share, ratio)
+    return max(share, share_by_search(w0, w1, w2, balls, arm))
+
+
+@kernel
+def share_by_turn(w0, w1, w2, balls, i, arm):
+    """Return the share of the limit for a turn about ball ``i``, and whether it is the largest.
+
+    It is if all balls together balance the wrench, the one that does not move with what is left.
+    """
+    resisted = f0 = f1 = 0.0
+    for j in range(3):
+        dx, dy = (balls[j, 0] - balls[i, 0]) / arm, (balls[j, 1] - balls[i, 1]) / arm
+        distance = math.sqrt(dx * dx + dy * dy)
+        if distance > 0.0:
+            resisted += balls[j, 2] * distance
+            f0 -= balls[j, 2] * dy / distance
+            f1 += balls[j, 2] * dx / distance
+    moment = w2 - (balls[i, 0] * w1 - balls[i, 1] * w0) / arm
+    if resisted <= 0.0:
+        return 0.0, False
+    ratio = abs(moment) / resisted
+    turned = math.copysign(ratio, moment)
+    return ratio, math.hypot(w0 - turned * f0, w1 - turned * f1) <= ratio * balls[i, 2]
+
+
+@kernel
+def share_by_search(w0, w1, w2, balls, arm):
+    """Return the largest share of the limit over all motions, from below."""
     norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm
     best = math.inf
@@ -113,12 +147,12 @@ def load_factor(
     g1 = balls[1, 2]
     g2 = balls[2, 2]
     floor = 1e-12
-    for _ in range(60):
+    for _ in range(200):
         axx = ayy = att = axt = ayt = 0.0
         for i in range(3):
             g = g0 if i == 0 else (g1 if i == 1 else g2)
-            rx = (c * balls[i, 0] - s * balls[i, 1]) / arm
-            ry = (s * balls[i, 0] + c * balls[i, 1]) / arm
+            rx = balls[i, 0] / arm
+            ry = balls[i, 1] / arm
             axx += g
             axt -= g * ry
             ayt += g * rx
@@ -135,9 +169,7 @@ def load_factor(
         x, y, t = x / power, y / power, t / power
         resisted = 0.0
         for i in range(3):
-            rx = (c * balls[i, 0] - s * balls[i, 1]) / arm
-            ry = (s * balls[i, 0] + c * balls[i, 1]) / arm
-            speed = math.hypot(x - t * ry, y + t * rx)
+            speed = math.hypot(x - t * balls[i, 1] / arm, y + t * balls[i, 0] / arm)
             resisted += balls[i, 2] * speed
             g = balls[i, 2] / max(speed, floor)
             if i == 0:
@@ -146,7 +178,7 @@ def load_factor(
                 g1 = g
             else:
                 g2 = g
-        done = resisted >= best * (1.0 - 1e-10)
+        done = resisted >= best * (1.0 - 1e-13)
         best = min(best, resisted)
         if done:
             break

@@ -5,11 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_scenes import random_scenes
 
 from capture_sim import Bench, SimulationError, load_scene
+from capture_sim.scene.parts import Stops
 
 STOPS = "stops={compression: 0.1995, extension: 0.19, stiffness: 1.0e+6, damping: 10}"
 
@@ -150,3 +153,45 @@ def test_a_tip_that_is_latched_while_it_sticks_is_not_solved_for_sticking_any_mo
     bench.advance([])
     steps, rejected, evaluations = np.subtract(bench.statistics, before)
     assert evaluations <= 16 * (steps + rejected)
+
+
+def test_a_run_that_had_to_stop_says_so_again_whenever_it_is_asked():
+    bench = Bench(load_scene("paper_designed", ["run.max_steps=100"]))
+    with pytest.raises(SimulationError) as first:
+        bench.advance(np.linspace(0.0, 1.0, 1001))
+    assert first.value.partial.size > 0
+    state = bench.statistics, bench.event_count
+    for times in (np.array([2.0]), []):
+        with pytest.raises(SimulationError) as again:
+            bench.advance(times)
+        assert str(again.value) == str(first.value)
+        assert again.value.partial.size == 0
+    assert (bench.statistics, bench.event_count) == state
+
+
+def test_steps_used_up_without_any_spring_are_an_error_that_keeps_the_samples():
+    changes = ["buffer.k_A=0", "buffer.c_A=0", "buffer.k_T=0", "friction.law=none"]
+    turning = ["initial.chaser.omega=30", "initial.target.x=5", "run.rtol=1e-13"]
+    bench = Bench(load_scene("paper_designed", [*changes, *turning, "run.max_steps=100"]))
+    with pytest.raises(SimulationError, match=r"are used up$") as stopped:
+        bench.advance(np.linspace(0.0, 1.0, 100_001))
+    assert stopped.value.partial.size > 0
+
+
+@pytest.mark.parametrize("rtol", [3e-3, 1e-3, 1e-8])
+@pytest.mark.parametrize("share", [0.9999, 0.999, 0.99])
+def test_a_stop_just_short_of_the_largest_stroke_is_met(rtol, share):
+    scene = random_scenes(30, seed=4)[2]
+    scene = replace(
+        scene,
+        buffer=replace(scene.buffer, c_A=0.3),
+        run=replace(scene.run, t_end=0.3, rtol=rtol),
+    )
+    bench = Bench(scene)
+    bench.advance([])
+    stop = share * float(bench.extremes.before_latch["compression"])
+    stops = Stops(compression=stop, extension=0.15, stiffness=1e5, damping=0.0)
+    stopped = Bench(replace(scene, stops=stops))
+    stopped.advance([])
+    is_beyond = bool(stopped.extremes.before_latch["compression"] > stop * (1.0 + 1e-9))
+    assert is_beyond == any(event.kind.label == "stop_hit" for event in stopped.events)

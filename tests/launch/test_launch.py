@@ -179,7 +179,29 @@ def test_limit_of_the_supports_against_an_optimiser():
         angle, w = rng.uniform(-3, 3), rng.normal(size=3) * np.array([3, 3, 0.3])
         found = plain(load_factor)(*w, math.cos(angle), math.sin(angle), balls)
         limit = limit_used(w, balls, angle)
-        assert (1 - 2e-3) * limit <= found <= (1 + 1e-9) * limit  # it comes from below
+        assert (1 - 1e-6) * limit <= found <= (1 + 1e-9) * limit  # it comes from below
+
+
+@pytest.mark.parametrize("still", range(3))
+def test_limit_of_the_supports_for_a_turn_about_one_ball_has_a_closed_form(still):
+    """The two other balls resist with all they have, the still one with less: exactly the limit."""
+    rng = np.random.default_rng(still)
+    for _ in range(100):
+        balls = np.column_stack([rng.uniform(-0.3, 0.3, (3, 2)), rng.uniform(0.01, 1.0, 3)])
+        wrench = np.zeros(3)
+        for ball, (x, y, limit) in enumerate(balls):
+            if ball == still:
+                fx, fy = rng.uniform(-0.7, 0.7, 2) * limit
+            else:
+                dx, dy = (balls[ball] - balls[still])[:2]
+                fx, fy = np.array([-dy, dx]) / math.hypot(dx, dy) * limit
+            wrench += fx, fy, x * fy - y * fx
+        angle = float(rng.uniform(-3.0, 3.0))
+        c, s = math.cos(angle), math.sin(angle)
+        turned = c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1], wrench[2]
+        for share in (0.3, 1.0, 7.0):
+            found = plain(load_factor)(*(share * np.array(turned)), c, s, balls)
+            assert found == pytest.approx(share, rel=1e-12)
 
 
 def test_rolling_resistance_opposes_each_ball():
