@@ -3,7 +3,7 @@
 >>> import capture_sim
 >>> result = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
 >>> result.verdict
-<CaptureState.CAPTURED: 3>
+<CaptureState.CAPTURED: 2>
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from capture_sim.scene.files import scene_names
     from capture_sim.scene.parts import Scene
     from capture_sim.simulation import Result, simulate
-    from capture_sim.viewing.plots import draw_run as plot
+    from capture_sim.viewing.plots import plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
@@ -69,7 +69,6 @@ _MODULES = {
     "viewing.plots": ("plot",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
-_NAMED = {"plot": "draw_run"}
 
 
 def __getattr__(name: str) -> Any:
@@ -84,7 +83,7 @@ def __getattr__(name: str) -> Any:
         raise errors.MissingPackageError(
             f"{name}() needs matplotlib: pip install 'capture_sim[view]'"
         ) from None
-    return getattr(module, _NAMED.get(name, name))
+    return getattr(module, name)
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,8 +75,6 @@ class Result:
         Largest strokes, torsion, penetration and forces and the nearest approach, before and
         after the latch, from the integrator's own steps: the same whatever is sampled.
         ``loads`` has them by name.
-    watched : ndarray (k,) of dtype SAMPLE
-        What the detector judges by: the run on the grid of ``run.state_rate``.
     statistics : Statistics
         Steps, rejected steps and evaluations of the equations of motion.
     wall_time : float
@@ -88,6 +86,8 @@ class Result:
     trace : ndarray (k,) of dtype SAMPLE or None
         The contact at the integrator's own resolution, if that was asked for: samples at the
         ends of its steps while a wall is touched.  It is recorded with the run.
+    on_grid : bool
+        Whether the samples are those of ``run.state_rate``, not those of ``t_eval``.
 
     Examples
     --------
@@ -102,12 +102,12 @@ class Result:
     touches: np.ndarray
     events: list[Event]
     extremes: Extremes
-    watched: np.ndarray
     statistics: Statistics
     wall_time: float
     failure: str = ""
     check: Check | None = None
     trace: np.ndarray | None = None
+    on_grid: bool = True
 
     @property
     def t(self) -> np.ndarray:
@@ -128,6 +128,21 @@ class Result:
     def energy(self) -> dict[str, np.ndarray]:
         """The ledger by name, each (n,), J."""
         return {name: np.asarray(self.samples[name]) for name in ENERGIES}
+
+    @cached_property
+    def watched(self) -> np.ndarray:
+        """What the detector uses: the run on the grid of ``run.state_rate``, of dtype SAMPLE.
+
+        A run with samples of its own (``t_eval``) is repeated for it when it is first asked for.
+        """
+        if self.on_grid:
+            return self.samples
+        try:
+            return simulate(self.scene).samples
+        except SimulationError as error:
+            if error.result is None:
+                raise
+            return error.result.samples
 
     @cached_property
     def statuses(self) -> list[CaptureStatus]:
@@ -185,11 +200,19 @@ class Result:
         )
         return f"<table>{head}{''.join(lines)}</table>"
 
-    def to_dataframe(self) -> pandas.DataFrame:
-        """Return the samples as a table of pandas: a row for each, a column for each number.
+    def to_dataframe(
+        self, table: Literal["samples", "touches", "events"] = "samples"
+    ) -> pandas.DataFrame:
+        """Return samples, touches or events as a table of pandas, a row each.
 
-        Columns of more than one number carry what it belongs to, as ``q.x_S``, ``v.theta_P``,
-        ``penetration.+y``; units as in msg/BenchState.msg.
+        Parameters
+        ----------
+        table
+            ``samples``: a column for each number, indexed by time ``t``; columns of more than one
+            number carry what it belongs to, as ``q.x_S``, ``v.theta_P``, ``penetration.+y``; units
+            as in msg/BenchState.msg.  ``touches``: numbered from 0, units as in
+            :data:`capture_sim.samples.TOUCH`.  ``events``: kind, wall, detail and state, indexed by
+            ``t``.
 
         Raises
         ------
@@ -202,7 +225,19 @@ class Result:
             raise MissingPackageError(
                 "to_dataframe() needs pandas: pip install 'capture_sim[study]'"
             ) from None
-        return pandas.DataFrame(columns_of(self.samples))
+        if table == "touches":
+            return pandas.DataFrame(columns_of(self.touches)).rename_axis("touch")
+        if table == "samples":
+            return pandas.DataFrame(columns_of(self.samples)).set_index("t")
+        events = self.events
+        columns: dict[str, Any] = {
+            "t": [event.t for event in events],
+            "kind": [event.kind.label for event in events],
+            "wall": [event.wall for event in events],
+            "detail": [event.detail for event in events],
+        }
+        state = {name: np.array([getattr(event, name) for event in events]) for name in "qv"}
+        return pandas.DataFrame({**columns, **columns_of(state)}).set_index("t")
 
     def plot(self) -> Any:
         """Return a figure (matplotlib) of the run: see :func:`capture_sim.plot`.
@@ -272,13 +307,11 @@ def simulate(
     scene = dataclasses.replace(scene, run=run)
     bench = Bench(scene)
     wanted = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
-    _check_memory(run, 0 if wanted is None else wanted.size)
+    _check_memory(run, run.t_end * run.state_rate if wanted is None else wanted.size)
     compile_kernels()
     began = time.perf_counter()
-    grid = times = bench.times(0, math.floor(run.t_end * run.state_rate) + 2)
-    if wanted is not None:
-        times = np.union1d(grid, wanted)
-    pieces = list(drive(bench, times))
+    grid = bench.times(0, math.floor(run.t_end * run.state_rate) + 2) if wanted is None else wanted
+    pieces = list(drive(bench, grid))
     failure = pieces[-1].failure
     # in a row as bytes: field by field NumPy takes eight times as long
     raw = [piece.samples.view(f"V{SAMPLE.itemsize}") for piece in pieces]
@@ -286,15 +319,15 @@ def simulate(
     result = Result(
         scene=scene,
         plan=bench.plan,
-        samples=samples if wanted is None else _at(samples, wanted),
+        samples=samples,
         touches=bench.touches,
         events=bench.events,
         extremes=bench.extremes,
-        watched=samples if wanted is None else _at(samples, grid),
         statistics=bench.statistics,
         wall_time=time.perf_counter() - began,
         failure="" if failure is None else str(failure),
         trace=bench.trace if run.trace else None,
+        on_grid=wanted is None,
     )
     if failure is not None:
         failure.result = result
@@ -314,9 +347,8 @@ def simulate(
 MOST_MEMORY = 4_000_000_000
 
 
-def _check_memory(run: Run, beside: int) -> None:
-    """Refuse a run whose samples, on the grid and beside it, would fill the memory."""
-    count = run.t_end * run.state_rate + beside
+def _check_memory(run: Run, count: float) -> None:
+    """Reject a run whose samples would fill the memory."""
     # once as they are computed, once in a row
     needed = 2.0 * count * SAMPLE.itemsize
     if needed > MOST_MEMORY:
@@ -363,12 +395,6 @@ def _touch_sequence(result: Result) -> list[tuple[str, int]]:
         for event in result.events
         if event.kind in (EventKind.TOUCH, EventKind.LIFT_OFF)
     ]
-
-
-def _at(samples: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return the samples at some of the times."""
-    taken: np.ndarray = samples[np.isin(samples["t"], times)]
-    return taken
 
 
 def _judge(scene: Scene, samples: np.ndarray, *, cut: bool) -> list[CaptureStatus]:

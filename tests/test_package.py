@@ -1,6 +1,7 @@
 """The package's files agree with each other."""
 
 import ast
+import doctest
 import re
 import subprocess
 import sys
@@ -32,6 +33,20 @@ def test_one_version():
     assert MANIFEST.findtext("version") == capture_sim.__version__
     # setup.py has none of its own: the installed version is the package's
     assert PROJECT["dynamic"] == ["version"]
+
+
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for path in (ROOT / "capture_sim").rglob("*.py")
+    if "\n>>> " in (text := path.read_text()) or "    >>> " in text
+)
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_of_docstrings_run(module):
+    results = doctest.testmod(import_module(module))
+    assert results.attempted > 0
+    assert results.failed == 0
 
 
 def test_manifest():

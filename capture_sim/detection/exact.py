@@ -377,7 +377,7 @@ class ExactDetector:
     >>> detector = ExactDetector(bench.scene)
     >>> statuses = detector.update(bench.advance(bench.times(0, 100))[::10])
     >>> statuses[0].state.label
-    'approach'
+    'contact'
     """
 
     def __init__(self, scene: Scene) -> None:

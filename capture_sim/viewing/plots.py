@@ -27,6 +27,7 @@ from capture_sim.viewing.curves import (
     as_shown,
 )
 from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, frame_bounds
+from capture_sim.viewing.figures import sheet
 from capture_sim.viewing.source import ViewableRun
 
 _MM = 1e3
@@ -39,6 +40,32 @@ _LETTER_PLACES = (
     *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
     *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
 )
+
+
+_OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_performance")
+
+
+def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
+    """Return the figure of one run, or of several drawn over each other.
+
+    Parameters
+    ----------
+    runs
+        Results of :func:`capture_sim.simulate`, or runs read from recordings.
+    labels
+        Their names, one each; None takes the scenes'.
+
+    Examples
+    --------
+    >>> import capture_sim
+    >>> soft = capture_sim.simulate("tilt_p10", {"buffer.k_A": 400})
+    >>> figure = capture_sim.plot(capture_sim.simulate("tilt_p10"), soft, labels=["500", "400"])
+    >>> [axes.get_title(loc="left") for axes in figure.axes]
+    ['(a)', '(b)', '(c)', '(d)']
+    """
+    if len(runs) == 1:
+        return draw_run(runs[0], None if labels is None else labels[0])
+    return sheet(_OVERLAID, runs, labels=labels)
 
 
 def draw_run(run: ViewableRun, label: str | None = None) -> Figure:

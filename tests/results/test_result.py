@@ -55,10 +55,50 @@ def test_text_of_a_scene_is_escaped_in_the_table():
 def test_a_dataframe_has_a_named_column_for_every_number(run):
     frame = run.to_dataframe()
     numbers = sum(int(np.prod(run.samples.dtype[name].shape)) for name in run.samples.dtype.names)
-    assert frame.shape == (501, numbers)
+    assert frame.shape == (501, numbers - 1)
+    assert np.array_equal(frame.index, run.t)
+    assert frame.index.name == "t"
     assert np.array_equal(frame["q.theta_P"], run.q[:, 3])
     assert np.array_equal(frame["penetration.-y"], run.samples["penetration"][:, 1])
     assert np.array_equal(frame["contact_force.y"], run.samples["contact_force"][:, 1])
+
+
+def test_touches_and_events_are_tables(run):
+    touches, events = run.to_dataframe("touches"), run.to_dataframe("events")
+    assert list(touches.columns) == list(run.touches.dtype.names)
+    assert np.array_equal(touches["peak_force"], run.touches["peak_force"])
+    assert events.index.tolist() == [event.t for event in run.events]
+    lifted = events[events["kind"] == "lift_off"]
+    assert lifted.index.tolist() == run.touches["end"].tolist()[: len(lifted)]
+    assert np.array_equal(events["v.theta_P"], [event.v[3] for event in run.events])
+
+
+def test_several_runs_are_drawn_over_each_other(run):
+    other = simulate("paper_designed", {"buffer.c_A": 5}, t_end=0.5)
+    figure = capture_sim.plot(run, other, labels=["20", "5"])
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"20", "5"} <= set(texts)
+    colours = {line.get_color() for line in figure.axes[1].get_lines()}
+    assert len(colours) >= 2
+
+
+def test_a_verdict_not_asked_for_costs_nothing(monkeypatch):
+    """Samples of one's own are computed alone; the detector's are when the verdict is wanted."""
+    counts = []
+    advance = capture_sim.Bench.advance
+
+    def counted(bench, times):
+        samples = advance(bench, times)
+        counts.append(len(samples))
+        return samples
+
+    monkeypatch.setattr(capture_sim.Bench, "advance", counted)
+    own = simulate("tilt_0", t_eval=[0.0, 2.8, 3.0])
+    assert sum(counts) == 3
+    whole = simulate("tilt_0")
+    assert own.verdict is whole.verdict
+    assert own.loads == whole.loads
+    assert own.watched.tobytes() == whole.samples.tobytes()
 
 
 @pytest.mark.parametrize("package, method", [("pandas", "to_dataframe"), ("matplotlib", "plot")])
