@@ -29,7 +29,16 @@ _PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 _PACKAGE = Path(__file__).resolve().parent
 _SOURCES = sorted(
     path for folder in ("model", "engine", "solver") for path in (_PACKAGE / folder).glob("*.py")
-) + [_PACKAGE / name for name in ("kernels.py", "compiler.py", "samples.py", "detection/exact.py")]
+) + [
+    _PACKAGE / name
+    for name in (
+        "kernels.py",
+        "compiler.py",
+        "numba_internals.py",
+        "samples.py",
+        "detection/exact.py",
+    )
+]
 
 
 @cache

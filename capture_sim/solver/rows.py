@@ -14,6 +14,9 @@ from numba import config
 from numba.core import types
 from numba.extending import intrinsic
 
+from capture_sim import compiler
+from capture_sim.kernels import kernel
+
 _LANES = 4  # doubles in a vector register of AVX2; wider ones gain nothing at these lengths
 _FLAGS = ("contract", "nsz")
 
@@ -125,5 +128,17 @@ def add_rows(
     return signature, generate
 
 
+@kernel
+def _add_rows_in_a_loop(out, base, rows, weights, count, h, n):
+    """Do what :func:`add_rows` does, where Numba's internals are not known."""
+    for i in range(n):
+        total = 0.0
+        for j in range(count):
+            total += weights[j] * rows[j, i]
+        out[i] = h * total if base is None else base[i] + h * total
+
+
 if config.DISABLE_JIT:
     add_rows = _add_rows_plainly
+elif compiler.internals is None:
+    add_rows = _add_rows_in_a_loop
