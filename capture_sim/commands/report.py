@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("report.html"),
         metavar="FILE.html",
-        help="the page (default: report.html)",
+        help="write the page to this file, or to report.html in this folder (default: report.html)",
     )
 
 
@@ -32,7 +32,9 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from capture_sim.viewing.report import save_report  # needs the extra view
 
-    prepare_folder(options.out.parent)
+    is_folder = options.out.is_dir() or not options.out.suffix
+    page = options.out / "report.html" if is_folder else options.out
+    prepare_folder(page.parent)
     opened = open_runs(options.runs, options.scene, options.release, options.remaps)
-    echo(f"report in {save_report(opened, options.out)}")
+    echo(f"report in {save_report(opened, page)}")
     return OK

@@ -36,7 +36,7 @@ class Stamp(Enum):
 class Topic:
     """One topic; all are reliable, and a stream keeps every message until it is read."""
 
-    name: str  # relative to the namespace, but for ``/clock``
+    name: str  # relative to the namespace
     type_name: str  # message type as ``package/msg/Name``
     publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
@@ -48,7 +48,7 @@ class Topic:
     @property
     def absolute_name(self) -> str:
         """The name in the root namespace, as bags have it."""
-        return self.name if self.name.startswith("/") else f"/{self.name}"
+        return f"/{self.name.lstrip('/')}"
 
 
 def _ours(
@@ -60,7 +60,7 @@ def _ours(
 _KEPT: dict[str, Any] = {"depth": 1, "latched": True}
 _NUMBERED: dict[str, Any] = {"sequenced": True}
 
-CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
+CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
 RUN_INFO = _ours("bench/run_info", "RunInfo", SIMULATOR, Rate.ONCE, **_KEPT)
 BENCH_STATE = _ours("bench/state", "BenchState", SIMULATOR, Rate.STATE, **_NUMBERED)
 # where the scene asks for it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -103,7 +104,7 @@ class CaptureDetectorNode(Participant):
             self.declare(
                 name,
                 float,
-                f"{unit}, {field.metadata['doc']}; not set: the scene's",
+                f"{unit}, {field.metadata['doc']}; .nan: the scene's",
                 allowed=f"a number with a decimal point, {allowed} {unit}",
                 read_only=False,
                 check=partial(_check_criterion, name),
@@ -111,8 +112,8 @@ class CaptureDetectorNode(Participant):
 
     def _criteria(self) -> dict[str, float]:
         """Return the criteria that are set; the others are the scene's."""
-        values = {name: self.get_parameter_or(name).value for name in CRITERION}
-        return {name: float(value) for name, value in values.items() if value is not None}
+        values = {name: float(self.get_parameter(name).value) for name in CRITERION}
+        return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def _take(self, topic: Topic, data: bytes) -> None:
         source = self._sources.get(topic)

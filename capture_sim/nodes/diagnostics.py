@@ -1,4 +1,4 @@
-"""How the simulator is doing, on /diagnostics."""
+"""How the simulator is doing, on the topic diagnostics."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class SimulatorDiagnostics:
         self._array = message_class("diagnostic_msgs/msg/DiagnosticArray")
         self._status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
         self._value = message_class("diagnostic_msgs/msg/KeyValue")
-        self._publisher = node.create_publisher(self._array, "/diagnostics", 10)
+        self._publisher = node.create_publisher(self._array, "diagnostics", 10)
         self._wall = Clock(clock_type=ClockType.SYSTEM_TIME)
         self._run: Stepping | None = None
         self._on = False

@@ -29,7 +29,7 @@ from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import STOP
 from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, Topic
+from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, Topic
 from capture_sim.nodes.parameters import ParameterNode
 
 #: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
@@ -70,6 +70,15 @@ def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+
+
+def overridable(topic: Topic) -> QoSOverridingOptions | None:
+    """Return which policies of a topic the user may set: those of what a rig's drivers publish.
+
+    The bench's own topics are reliable, as what takes part in a run counts them.
+    """
+    own = topic is CLOCK or topic.type_name.startswith("capture_sim/")
+    return None if own else QoSOverridingOptions.with_default_policies()
 
 
 class BenchNode(ParameterNode):
@@ -116,7 +125,7 @@ class BenchNode(ParameterNode):
                 message_class(topic.type_name),
                 topic.name,
                 qos_of(topic),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                qos_overriding_options=overridable(topic),
                 event_callbacks=PublisherEventCallbacks(
                     matched=lambda event: self.readers_changed()
                 ),
@@ -153,7 +162,7 @@ class BenchNode(ParameterNode):
             topic.name,
             take,
             qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=overridable(topic),
             raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
             **options,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -27,7 +28,8 @@ _KINDS = {
     list: "a list of texts, one at least, none of them empty",
     str: "a text",
 }
-_UNSET = {list: Parameter.Type.STRING_ARRAY, float: Parameter.Type.DOUBLE}
+#: Values of parameters that are not set: ROS has no empty list of texts, and no absent number.
+_UNSET: dict[type, Any] = {list: [""], float: math.nan}
 
 
 class ParameterError(CaptureSimError):
@@ -68,8 +70,8 @@ class ParameterNode(Node):
         Parameters
         ----------
         name, default, description
-            The description says the unit.  A default that is a type: ``list`` for texts, none
-            unless given, ``float`` for a number, None unless given.  [] is refused.
+            The description says the unit.  A default that is a type: ``list`` for texts, [] unless
+            given (['']), ``float`` for a number, NaN unless given.
         low, high
             Bounds of a number, both or neither.
         choices
@@ -101,13 +103,14 @@ class ParameterNode(Node):
                 descriptor.integer_range = [span]
             allowed += f" from {low:g} to {high:g}"
         descriptor.additional_constraints = allowed
-        right = name not in self._given or _fits(self._given[name], kind, choices)
-        value = self._given.pop(name, None if default is kind else default)
+        may_be_unset = default is kind
+        value = self._given.pop(name, _UNSET[kind] if may_be_unset else default)
+        if may_be_unset and kind is list and value is None:  # given as [], which rclpy makes None
+            value = _UNSET[kind]
+        unset = may_be_unset and _is_unset(value)
+        right = unset or _fits(value, kind, choices)
         try:
-            if right and value is None:
-                # an empty list has no type in ROS: declared by type, and unset
-                self.declare_parameter(name, _UNSET[kind], descriptor)
-            elif right:
+            if right:
                 self.declare_parameter(name, value, descriptor, ignore_override=True)
         except InvalidParameterValueException:
             right = False
@@ -115,10 +118,10 @@ class ParameterNode(Node):
             shown = "[]" if value is None else repr(value)  # rclpy: [] is None
             raise ParameterError(f"parameter {name} = {shown}: must be {allowed} ({description})")
         if check is not None:
-            if value is not None:
+            if not unset:
                 check(value)
             self._checks[name] = check
-        return [] if value is None and kind is list else value
+        return [] if unset and kind is list else value
 
     def warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and never declared: mistyped, most likely."""
@@ -132,11 +135,15 @@ class ParameterNode(Node):
         for parameter in parameters:
             check = self._checks.get(parameter.name)
             try:
-                if check is not None and parameter.value is not None:
+                if check is not None and not _is_unset(parameter.value):
                     check(parameter.value)
             except CaptureSimError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def _is_unset(value: object) -> bool:
+    return value == _UNSET[list] or (isinstance(value, float) and math.isnan(value))
 
 
 def _fits(value: object, kind: type, choices: Sequence[str]) -> bool:

@@ -1,4 +1,4 @@
-"""The bench for RViz and Foxglove: /robot_description, and /tf where its messages exist."""
+"""The bench for RViz and Foxglove: robot_description, and tf where its messages exist."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class RobotModel:
         except ImportError:  # not among the wheels
             return
         self._stamped = message_class("geometry_msgs/msg/TransformStamped")
-        self._moving = node.create_publisher(self._tf, "/tf", 100)
-        self._static = node.create_publisher(self._tf, "/tf_static", LATCHED)
+        self._moving = node.create_publisher(self._tf, "tf", 100)
+        self._static = node.create_publisher(self._tf, "tf_static", LATCHED)
 
     def begin(self, scene: Scene) -> None:
         """Show the parts of this scene, at its start."""

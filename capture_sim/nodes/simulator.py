@@ -18,6 +18,7 @@ from rcl_interfaces.srv import ListParameters
 from rclpy.parameter import Parameter
 
 from capture_sim.bench import Bench, compile_kernels
+from capture_sim.compile_progress import watch_compilation
 from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError, MessageError
@@ -212,17 +213,15 @@ class SimulatorNode(BenchNode):
                 self._scenes = _load(*self._scene_parameters({}))
 
     def _scene_parameters(self, wanted: dict[str, Any]) -> tuple[list[str], list[str]]:
-        present = {name: self.get_parameter_or(name).value for name in ("scenes", "overrides")}
+        present = {name: self.get_parameter(name).value for name in ("scenes", "overrides")}
         present.update(wanted)
-        return list(present["scenes"] or ()), list(present["overrides"] or ())
+        return list(present["scenes"]), [change for change in present["overrides"] if change]
 
     # in the main thread
 
     def work(self) -> int:
         """Run all scenes, as often as is asked for; return the exit status."""
-        if not is_compiled():
-            self.get_logger().info("compiling the kernels, once: some ten seconds")
-        compile_kernels(announce=False)
+        self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()  # out of all later sweeps: over it one takes longer than a tick
@@ -241,6 +240,23 @@ class SimulatorNode(BenchNode):
         finally:
             self._served.close()
         return status
+
+    def _compile(self) -> None:
+        """Load the kernels; compile them if this version never was, and log how far that is."""
+        if is_compiled():
+            compile_kernels()
+            return
+        began = time.monotonic()
+
+        def report(done: int, count: int) -> None:
+            left = (time.monotonic() - began) * (count - done) / max(done, 1)
+            text = f"compiling the kernels: {done} of {count}, about {left:.0f} s left"
+            self.get_logger().info(text, throttle_duration_sec=5.0, skip_first=True)
+
+        self.get_logger().info("compiling the kernels, once for this version: about half a minute")
+        with watch_compilation(report):
+            compile_kernels(announce=False)
+        self.get_logger().info(f"compiled in {time.monotonic() - began:.0f} s")
 
     def stalled_readers(self, topic: Topic) -> list[str]:
         """Return the readers of a topic that do not respond, or all if all respond."""

@@ -75,7 +75,7 @@ def run_suite(
     rtf
         Simulated seconds per second; 0 as fast as it goes.
     namespace
-        Of all nodes and topics but ``/clock`` and ``/tf``, beside another suite in the domain.
+        Of all nodes and topics, e.g. beside another suite in the domain.
 
     Raises
     ------
@@ -154,8 +154,6 @@ def _run_nodes(
     if log is not None and "ROS_HOME" not in environment:
         environment.setdefault("ROS_LOG_DIR", str(log.absolute() / "log"))
     arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:=/{namespace.strip('/')}"]
-    if namespace:
-        arguments += ["-r", "/clock:=clock"]  # another suite's time must not mix with this one's
     where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
     _print(f"starting {', '.join(parameters)} {where}")
     stop = threading.Event()

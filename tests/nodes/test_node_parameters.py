@@ -14,6 +14,7 @@ from capture_sim.nodes.recorder import RecorderNode
 from capture_sim.nodes.simulator import SimulatorNode
 from capture_sim.resources import config_dir
 
+UNSET = ("['']", "nan")
 IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
 
 
@@ -24,9 +25,9 @@ def test_file_and_nodes_agree(tmp_path, monkeypatch):
     for make in (SimulatorNode, LauncherNode, CaptureDetectorNode, RecorderNode):
         node = make()
         names = node.list_parameters([], 0).names
-        values = {n: node.get_parameter_or(n).value for n in names if not IGNORED.match(n)}
-        # one without a value is not given in the file either
-        given = {name: value for name, value in values.items() if value is not None}
+        values = {n: node.get_parameter(n).value for n in names if not IGNORED.match(n)}
+        # one that is not set is not given in the file either
+        given = {name: value for name, value in values.items() if str(value) not in UNSET}
         declared[f"/**/{node.get_name()}"] = {"ros__parameters": given}
         node.destroy_node()
     assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared

@@ -247,6 +247,16 @@ def test_names_and_namespaces_are_the_users(start, tmp_path):
         "recorder": start("recorder", __node="tape", __ns="/lab", out=tmp_path),
         "simulator": start("simulator", __node="bench", __ns="/lab", **AWAITED),
     }
+    # two benches of one domain share nothing unless asked to
+    with Client() as client:
+        own = {"/lab/clock", "/lab/diagnostics", "/lab/capture/verdict"}
+
+        def names():
+            return {name for name, _ in client.node.get_topic_names_and_types()}
+
+        wait_until(lambda: own <= names())
+        shared = {name for name in names() if not name.startswith("/lab/")}
+        assert not shared & {"/clock", "/diagnostics", "/tf", "/bench/state"}
     assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
     run = read_run(tmp_path / "tilt_0.mcap")
     assert run.problems == ()

@@ -233,7 +233,7 @@ def test_abort_ends_the_run_and_stays(stopped):
 def test_diagnostics_say_how_it_goes(stopped):
     found = []
     kind = message_class("diagnostic_msgs/msg/DiagnosticArray")
-    stopped.client.node.create_subscription(kind, "/diagnostics", found.append, 10)
+    stopped.client.node.create_subscription(kind, "diagnostics", found.append, 10)
     stopped.client.set("simulator", rtf=1.0)
     stopped.set(State.PLAYING)
     wait_until(lambda: stopped.state is State.STOPPED)

@@ -171,6 +171,12 @@ def test_a_run_without_a_touch_and_a_title_that_is_a_script(tmp_path):
 def test_experiments_given_by_name_are_run(tmp_path, capsys):
     assert main(["report", "paper_designed", "--out", str(tmp_path / "x.html")]) == 0
     assert "captured" in (tmp_path / "x.html").read_text(encoding="utf-8")
+    # a folder, as `view --out` takes one
+    assert main(["report", "paper_designed", "--out", str(tmp_path)]) == 0
+    assert main(["report", "paper_designed", "--out", str(tmp_path / "new")]) == 0
+    pages = tmp_path / "report.html", tmp_path / "new" / "report.html"
+    assert all("captured" in page.read_text(encoding="utf-8") for page in pages)
+    capsys.readouterr()
     assert main(["report", "no_such", "--out", str(tmp_path / "x.html")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 

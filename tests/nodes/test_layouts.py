@@ -1,0 +1,80 @@
+"""Layouts of RViz and Foxglove show topics, of the types they ask for, that the nodes publish."""
+
+import json
+
+import pytest
+import yaml
+from bench_processes import Client, processes, wait_until
+from forked import Forked
+
+from capture_sim.nodes.node import message_class
+from capture_sim.resources import config_dir
+
+#: What a display of RViz draws.
+DRAWN = {
+    "Odometry": "nav_msgs/msg/Odometry",
+    "Pose": "geometry_msgs/msg/PoseStamped",
+    "RobotModel": "std_msgs/msg/String",
+    "Wrench": "geometry_msgs/msg/WrenchStamped",
+}
+
+
+@pytest.fixture(scope="module")
+def published():
+    """The topics of a bench, with their type."""
+    with processes(Forked) as start, Client() as client:
+        start("simulator", initial_state="stopped", exit_when_done="false")
+        start("launcher")
+        start("capture_detector")
+        topics = {}
+
+        def complete():
+            topics.update(
+                (name, types[0]) for name, types in client.node.get_topic_names_and_types()
+            )
+            return {"/capture/verdict", "/launcher/phase", "/diagnostics"} <= topics.keys()
+
+        wait_until(complete)
+        yield topics
+
+
+def test_rviz_shows_what_is_published(published):
+    displays = yaml.safe_load((config_dir() / "bench.rviz").read_text())
+    shown = {}
+    for display in displays["Visualization Manager"]["Displays"]:
+        topic = display.get("Topic") or display.get("Description Topic")
+        if topic is not None:
+            shown[topic["Value"]] = DRAWN[display["Class"].rpartition("/")[2]]
+    assert len(shown) == 5
+    for name, kind in shown.items():
+        assert published[f"/{name}"] == kind
+
+
+def test_foxglove_shows_fields_that_are_published(published):
+    panels = json.loads((config_dir() / "bench.foxglove.json").read_text())["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    paths += panels["3D!bench"]["topics"]
+    paths += [panels["RawMessages!verdict"]["topicPath"]]
+    paths += [panels["DiagnosticSummary!simulator"]["topicToRender"]]
+    assert len(paths) == 12
+    for path in paths:
+        name, *fields = path.split(".")
+        part = message_class(published[name])()
+        for field in fields:
+            part = getattr(part, field)
+        assert not fields or isinstance(part, (int, float)), path
+
+
+def test_layouts_have_all_their_panels():
+    layout = json.loads((config_dir() / "bench.foxglove.json").read_text())
+    found = []
+
+    def collect(part):
+        if isinstance(part, str):
+            found.append(part)
+        else:
+            collect(part["first"])
+            collect(part["second"])
+
+    collect(layout["layout"])
+    assert sorted(found) == sorted(layout["configById"])
