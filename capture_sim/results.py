@@ -249,11 +249,13 @@ def summarize(
     verdict: str,
     wall_time: float | None,
     extremes: Extremes | None = None,
+    problems: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the run in a few numbers, SI units; None where there was no contact or no clock.
 
     Its loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they are those of
-    the samples, and ``loads_from`` names the sample rate.
+    the samples, and ``loads_from`` names the sample rate.  ``problems`` are why the run or its
+    recording is incomplete: what is missing may change every number.
     """
     sampled = extremes is None
     if extremes is None:
@@ -264,6 +266,7 @@ def summarize(
     return {
         "name": scene.name,
         "verdict": verdict,
+        "problems": list(problems),
         "impact_speed": impact_speed(events),
         "first_contact_time": float(first["start"].min()) if met else None,
         "first_contact_duration": float(first["end"].max() - first["start"].min()) if met else None,
@@ -318,6 +321,8 @@ _COLUMNS = (
 )
 #: Of the row below an experiment whose latch closed.
 _UNTIL_LATCH = "  until latch"
+#: Of the row below an experiment that is not complete.
+_INCOMPLETE = "  INCOMPLETE"
 
 #: What the heads of the table mean.
 LEGEND = (
@@ -338,7 +343,8 @@ def rows(
 ) -> list[list[str]]:
     """Return summaries as texts in the units of :func:`heads`; '-' for None.
 
-    A run whose latch closed has a second row below, of its loads until then.
+    A run whose latch closed has a second row below, of its loads until then; one that is not
+    complete has a row that says so.
 
     Parameters
     ----------
@@ -358,6 +364,8 @@ def rows(
                 for column, value in zip(_COLUMNS, earlier, strict=True)
             )
             found.append([_UNTIL_LATCH, *list(cells)[1:]])
+        if summary["problems"]:
+            found.append([_INCOMPLETE, *[""] * (len(_COLUMNS) - 1)])
     return found
 
 
@@ -399,8 +407,13 @@ def table(summaries: Sequence[dict[str, Any]]) -> str:
 
 
 def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Return sentences on how exact and how fast the runs of a table are."""
+    """Return sentences on how complete, how exact and how fast the runs of a table are."""
     lines = [
+        f"{s['name']}: incomplete: {'; '.join(s['problems'][:3])}."
+        for s in summaries
+        if s["problems"]
+    ]
+    lines += [
         f"{s['name']}: loads of {s['loads_from']}; of touches the peaks are located."
         for s in summaries
         if s["loads_from"] != "integration"

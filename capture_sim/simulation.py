@@ -110,6 +110,11 @@ class Result:
     on_grid: bool = True
 
     @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the run is incomplete, in lines; empty if it is complete."""
+        return (self.failure,) if self.failure else ()
+
+    @property
     def t(self) -> np.ndarray:
         """Sample times (n,), s since the release."""
         return np.asarray(self.samples["t"])
@@ -177,6 +182,7 @@ class Result:
             self.verdict.label,
             self.wall_time,
             self.extremes,
+            self.problems,
         )
 
     def __repr__(self) -> str:

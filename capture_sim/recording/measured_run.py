@@ -78,6 +78,7 @@ class MeasuredRun:
     statuses: Sequence[CaptureStatus]
     trace: np.ndarray | None = None
     extremes: None = None
+    problems: Sequence[str] = ()  # of the recording
 
 
 def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
@@ -241,7 +242,8 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     late = stamp_seconds(release)
     statuses = run.statuses or detect_again(run, scene)
     on_time = [status._replace(t=status.t - late) for status in statuses]
-    return measured_run(run.name, scene, measured, on_time)
+    drawn = measured_run(run.name, scene, measured, on_time)
+    return dataclasses.replace(drawn, problems=run.problems)
 
 
 def _aligned(run: Run, release: int) -> AlignedMeasurements:

@@ -52,6 +52,10 @@ class ViewableRun(Protocol):
     def statuses(self) -> Sequence[CaptureStatus]:
         """The detector's judgements, by time."""
 
+    @property
+    def problems(self) -> Sequence[str]:
+        """Why the run or its recording is incomplete, in lines; empty if it is complete."""
+
 
 def verdict(run: ViewableRun) -> str:
     """Return the detector's last word, or that there is none."""
@@ -94,7 +98,8 @@ class Opened:
 def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
     """Return a run in a few numbers, as results.json has them."""
     word = verdict(run)
-    return summarize(run.scene, run.samples, run.touches, run.events, word, wall_time, run.extremes)
+    bench = (run.scene, run.samples, run.touches, run.events)
+    return summarize(*bench, word, wall_time, run.extremes, run.problems)
 
 
 def first_touch(run: ViewableRun) -> Event | None:
@@ -196,7 +201,7 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
 
 
 def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:
-    """Return name, verdict and impact speed in one line, and what was changed in another.
+    """Return name, verdict and impact speed in one line, and what was changed or is missing below.
 
     Parameters
     ----------
@@ -220,6 +225,9 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
     changed = run.scene.title.partition("; with ")[2]
     if changed:
         lines.append("with " + textwrap.shorten(changed, width - 5, placeholder=" ..."))
+    if run.problems:
+        incomplete = f"INCOMPLETE: {run.problems[0]}"
+        lines.append(textwrap.shorten(incomplete, width, placeholder=" ..."))
     return "\n".join(lines)
 
 

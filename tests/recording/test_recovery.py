@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 
@@ -14,10 +15,13 @@ from rosbags.rosbag2 import Reader
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.commands.output import report
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.recording.recover import recover
+from capture_sim.results import table as table_of
+from capture_sim.viewing.source import headline, summary_of
 
 #: Cuts and flipped bytes; docs/recording.md has 50 of each.
 CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "8"))
@@ -235,6 +239,31 @@ def test_command_reports_what_it_copied_and_what_is_lost(path, tmp_path, capsys)
     assert main(["recover", str(damaged(tmp_path, data[:3000]))]) == 1
     assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 2
     assert capsys.readouterr().err.count("\n") == 2
+
+
+def test_results_of_a_cut_recording_are_marked(path, tmp_path, capsys):
+    """In the table, printed and kept, in the numbers, the picture's title and the report."""
+    data = path.read_bytes()
+    broken = damaged(tmp_path, data[: len(data) // 2])
+    run = read_run(broken)
+    report([summary_of(run, run.wall_time)], tmp_path)
+    reason = run.problems[0]
+    for table in (capsys.readouterr().out, (tmp_path / "results.txt").read_text()):
+        assert "\n  INCOMPLETE\n" in table
+        assert reason in table
+    (summary,) = json.loads((tmp_path / "results.json").read_text())
+    assert summary["problems"] == list(run.problems)
+    assert "INCOMPLETE: read up to byte" in headline(run)
+    assert main(["report", str(broken), "--out", str(tmp_path / "report.html")]) == 0
+    assert "INCOMPLETE" in (tmp_path / "report.html").read_text()
+    # as a run that had to stop; a whole one bears no mark
+    stopped = ["run", "tilt_0", "--set", "run.max_steps=300", "--no-record", "--out", str(tmp_path)]
+    assert main(stopped) == 1
+    (summary,) = json.loads((tmp_path / "results.json").read_text())
+    assert "max_steps" in summary["problems"][0]
+    whole = read_run(path)
+    assert summary_of(whole, None)["problems"] == []
+    assert "INCOMPLETE" not in table_of([summary_of(whole, None)]) + headline(whole)
 
 
 def test_topic_that_is_not_printable_is_left_out_and_named_safely(path, tmp_path, capfd):
