@@ -9,7 +9,7 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup develop lock run test test-numpy1 lint docs benchmark faults picture format clean test-plain
+.PHONY: help setup develop lock run test test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
@@ -21,6 +21,7 @@ help:
 	@echo "make lint        only check style, types and layers"
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min)"
+	@echo "make reproduction put the paper's results next to ours; writes docs/reproduction.md (2 min)"
 	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      lay out the Python files as lint wants them"
@@ -70,6 +71,9 @@ docs: develop
 
 benchmark: develop
 	$(BIN)/python -m benchmarks.speed
+
+reproduction: develop
+	$(BIN)/python -m benchmarks.reproduction
 
 faults: develop
 	$(BIN)/python tests/faults/run.py

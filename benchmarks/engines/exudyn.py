@@ -7,7 +7,7 @@ that law.  Touches are not located: the impact speed is that at a step's end.
 
     .venv/bin/python -m benchmarks.engines.exudyn
 
-writes the run that `capture-sim reproduce` compares the paper's Figures 10 and 11 with.
+writes the run that `make reproduction` compares the paper's Figures 10 and 11 with.
 """
 
 from __future__ import annotations

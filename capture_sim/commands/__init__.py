@@ -35,7 +35,6 @@ GROUPS = {
         "design": "find springs and damper for the strokes you want",
         "sensitivity": "find what force, strokes and verdict depend on",
         "envelope": "map which approaches end in a capture",
-        "reproduce": "set the paper's results beside ours",
     },
 }
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from capture_sim.studies.paper import CASES, DOCKING, Evidence, Scan
+from benchmarks.paper import CASES, DOCKING, Evidence, Scan
 from capture_sim.viewing import figures, style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import Trace

@@ -1,69 +1,63 @@
-"""``capture-sim reproduce``."""
+"""The paper reproduced: a table 'paper says, we get, difference, why', and the figures.
+
+    make reproduction                                           # a minute or two
+    .venv/bin/python -m benchmarks.reproduction --only figure_6 --out runs
+
+Runs the paper's numerical section and its experiments, and writes docs/reproduction.md and the
+figures in docs/reproduction/.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from capture_sim.commands import OK
-from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_out, add_workers, prepare_folder
-from capture_sim.commands.output import echo, write_text
-from capture_sim.errors import SceneError
+from benchmarks.pages import DOCS
+from benchmarks.paper import CASES, OPEN, Claim, Evidence, claims
+from benchmarks.paper_figures import FIGURES
+from capture_sim.bench import compile_kernels
+from capture_sim.files import whole_file
 from capture_sim.studies.executors import open_executor
-from capture_sim.studies.paper import CASES, OPEN, Claim, Evidence, claims
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.paper_figures import FIGURES
 
-DESCRIPTION = (
-    "Run the paper's numerical section and its experiments, in about a minute; write a page with "
-    "a table 'paper says, we get, difference, why' and the figures."
-)
-#: Of the page and of the folder of its figures.
+#: Name of the page and of the folder of its figures.
 NAME = "reproduction"
-EXAMPLE = "  capture-sim reproduce --out runs"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_out(parser, "runs", "folder of reproduction.md and reproduction/")
-    parser.add_argument(
-        "--only", metavar="FIGURE", help="draw one figure, as figure_6, into the folder"
+def main() -> None:
+    """Run everything, or what one figure needs, and write it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add_workers(parser, scheduler=False)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
-    if options.only is not None and options.only not in FIGURES:
-        raise SceneError(f"--only {options.only}: must be one of {', '.join(FIGURES)}")
+    parser.add_argument("--only", choices=FIGURES, help="draw one figure, and write no page")
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder to write (default: docs)")
+    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
+    options = parser.parse_args()
     folder = options.out / NAME
-    prepare_folder(folder)
-    compile_first()
+    folder.mkdir(parents=True, exist_ok=True)
+    compile_kernels()
     with open_executor(options.workers) as executor:
         evidence = Evidence(executor)
         for name in FIGURES if options.only is None else (options.only,):
             path = save(FIGURES[name].draw(evidence), folder / f"{name}.png")
-            echo(f"{FIGURES[name].title}: {path}")
+            print(f"{FIGURES[name].title}: {path}", flush=True)
         if options.only is not None:
-            return OK
+            return
         found = list(claims(evidence))
         titles = {name: figure.title for name, figure in FIGURES.items()}
         text = page(found, evidence, titles)
-    echo("")
-    echo(terminal_table(found))
-    echo("")
-    target = write_text(options.out / f"{NAME}.md", text)
-    echo(f"page in {target}, figures in {folder}")
-    return OK
+    print(f"\n{terminal_table(found)}\n")
+    with whole_file(options.out / f"{NAME}.md") as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def page(claims: Sequence[Claim], evidence: Evidence, titles: dict[str, str]) -> str:
     """Return the page as Markdown; ``titles`` of the figures by name."""
     environment = Environment(
-        loader=PackageLoader("capture_sim.viewing", "."),
+        loader=FileSystemLoader(Path(__file__).parent),
         trim_blocks=True,
         keep_trailing_newline=True,
         undefined=StrictUndefined,
@@ -89,3 +83,7 @@ def terminal_table(claims: Sequence[Claim]) -> str:
         detail = "; ".join(part for part in (claim.here, claim.difference, claim.why) if part)
         lines.append(f"{'':19} {detail}")
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
