@@ -49,7 +49,7 @@ _VISIBLE = 1e-3  # share of the whole below which a layer is left out
 _POINTS = 600
 
 
-class Shown(NamedTuple):
+class PlottedRun(NamedTuple):
     """A run as it is drawn: its name, colour, and from when its time counts."""
 
     run: ViewableRun
@@ -230,9 +230,9 @@ VELOCITIES = tuple(
 )
 
 
-def as_shown(
+def plotted_runs(
     runs: Runs, labels: Sequence[str] | None = None, *, aligned: bool = False, first: int = 0
-) -> list[Shown]:
+) -> list[PlottedRun]:
     """Give every run its label, colour and origin of time.
 
     Parameters
@@ -261,11 +261,11 @@ def as_shown(
     for i, (run, name) in enumerate(zip(several, names, strict=True)):
         touch = first_touch(run)
         origin = touch.t if aligned and touch is not None else 0.0
-        shown.append(Shown(run, name, style.run_colour(first + i), origin, in_contact(run)))
+        shown.append(PlottedRun(run, name, style.run_colour(first + i), origin, in_contact(run)))
     return shown
 
 
-def common_window(shown: Iterable[Shown], window: Window | None = None) -> Window:
+def common_window(shown: Iterable[PlottedRun], window: Window | None = None) -> Window:
     """Return the time to draw, s on the axis: as asked, or from before contact to verdict."""
     if window is not None:
         return window
@@ -275,17 +275,17 @@ def common_window(shown: Iterable[Shown], window: Window | None = None) -> Windo
     return min(start for start, _ in windows), max(end for _, end in windows)
 
 
-def time_label(shown: Sequence[Shown]) -> str:
+def time_label(shown: Sequence[PlottedRun]) -> str:
     """Return from when time counts, in words."""
-    if any(one.origin for one in shown):
+    if any(plotted.origin for plotted in shown):
         return "time since the first touch"
-    words = {start_word(one.run.scene) for one in shown}
+    words = {start_word(plotted.run.scene) for plotted in shown}
     return f"time since the {words.pop() if len(words) == 1 else 'start'}"
 
 
-def held_by(shown: Iterable[Shown]) -> list[str]:
+def held_by(shown: Iterable[PlottedRun]) -> list[str]:
     """Return which of :data:`HOLDS` occur in runs."""
-    numbers = {int(number) for one in shown for number in np.unique(one.holds)}
+    numbers = {int(number) for plotted in shown for number in np.unique(plotted.holds)}
     return [name for number, name in enumerate(HOLDS) if number in numbers]
 
 

@@ -11,24 +11,24 @@ from matplotlib.axes import Axes
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes
-from capture_sim.viewing.curves import Quantity, Shown, Window, held_by, split
+from capture_sim.viewing.curves import PlottedRun, Quantity, Window, held_by, split
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
 
 _MM = 1e3
 _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 
-def draw_trajectory(axes: Axes, shown: Sequence[Shown]) -> None:
+def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
     """Draw the ways of the tip's centre in the cone, one for each that differs."""
-    several, scenes = len(shown) > 1, [one.run.scene for one in shown]
+    several, scenes = len(shown) > 1, [plotted.run.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
     axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
     axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
-    for one in shown:
-        draw_path(axes, one.run.scene, one.run.samples, one.holds, one.colour)
+    for plotted in shown:
+        draw_path(axes, plotted.run.scene, plotted.run.samples, plotted.holds, plotted.colour)
         if several:
-            axes.plot([], [], color=one.colour, lw=3.2, label=one.label)
+            axes.plot([], [], color=plotted.colour, lw=3.2, label=plotted.label)
     colour = style.GREY if several else shown[0].colour
     for name in held_by(shown):
         axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
@@ -88,9 +88,11 @@ def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]
     return (float(lip[0] - 1.5 * margin), float(lip[1] + 0.1 * margin)), (-top, top)
 
 
-def draw_quantity(axes: Axes, quantity: Quantity, shown: Sequence[Shown], window: Window) -> None:
+def draw_quantity(
+    axes: Axes, quantity: Quantity, shown: Sequence[PlottedRun], window: Window
+) -> None:
     """Draw a quantity over time, as far as it lies in the window, so that the axis fits it."""
-    limits = {limit for one in shown for limit in quantity.limits(one.run.scene)}
+    limits = {limit for plotted in shown for limit in quantity.limits(plotted.run.scene)}
     for limit in sorted(limits, key=lambda limit: limit.value):
         name = f"{limit.name}, {limit.value:g} {quantity.unit}"
         if quantity.from_zero:
@@ -99,15 +101,15 @@ def draw_quantity(axes: Axes, quantity: Quantity, shown: Sequence[Shown], window
             axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":", label=name)
     if quantity.sign:
         axes.axhline(0.0, color=style.GREY, lw=0.8)
-    for one in shown:
-        t, values = quantity.curve(one.run)
-        inside = (t - one.origin >= window[0]) & (t - one.origin <= window[1])
-        t, values = t[inside] - one.origin, values[inside]
+    for plotted in shown:
+        t, values = quantity.curve(plotted.run)
+        inside = (t - plotted.origin >= window[0]) & (t - plotted.origin <= window[1])
+        t, values = t[inside] - plotted.origin, values[inside]
         if quantity.located is None:
-            for name, part in split(values, one.holds[inside]).items():
-                axes.plot(t, part, color=one.colour, **line_look(name))
+            for name, part in split(values, plotted.holds[inside]).items():
+                axes.plot(t, part, color=plotted.colour, **line_look(name))
         else:
-            axes.plot(t, values, color=one.colour, lw=1.5)
+            axes.plot(t, values, color=plotted.colour, lw=1.5)
     if quantity.from_zero:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel(quantity.axis)

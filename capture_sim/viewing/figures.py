@@ -33,14 +33,14 @@ from capture_sim.viewing.curves import (
     PANELS,
     STROKE,
     VELOCITIES,
+    PlottedRun,
     Quantity,
     Runs,
-    Shown,
     Trace,
     Window,
-    as_shown,
     common_window,
     held_by,
+    plotted_runs,
     time_label,
 )
 from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, line_look
@@ -65,7 +65,7 @@ def over_time(
     traces: Sequence[Trace] = (),
 ) -> Figure:
     """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
-    shown = as_shown(runs, labels, aligned=aligned)
+    shown = plotted_runs(runs, labels, aligned=aligned)
     figure, [[axes]] = subplots(8.0, 4.6)
     _draw_over_time([axes], [PANELS[panel]], shown, window, traces)
     contact = PANELS[panel].located is None
@@ -90,7 +90,7 @@ def sheet(
     aligned: bool = False,
 ) -> Figure:
     """Draw four panels over one time."""
-    shown = as_shown(runs, labels, aligned=aligned)
+    shown = plotted_runs(runs, labels, aligned=aligned)
     figure, axes_grid = subplots(12.5, 8.2, 2, 2, sharex=True)
     _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, window)
     for letter, axes in zip("abcd", axes_grid.flat, strict=True):
@@ -111,7 +111,7 @@ buffer_results = partial(
 
 def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the way of the tip's centre in the cone (Figures 7 and 8c), all in one cone."""
-    shown = as_shown(runs, labels)
+    shown = plotted_runs(runs, labels)
     figure, [[axes]] = subplots(7.4, 7.6, grid=None)
     draw_trajectory(axes, shown)
     return figure
@@ -119,11 +119,11 @@ def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
 
 def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the ways of the tip's centre side by side, each in its own cone (Figure 13)."""
-    shown = as_shown(runs, labels)
+    shown = plotted_runs(runs, labels)
     figure, [row] = subplots(5.4 * len(shown), 6.2, 1, len(shown), grid=None, sharey=True)
-    for axes, one in zip(row, shown, strict=True):
-        draw_trajectory(axes, [one])
-        axes.set_title(one.label, fontsize=style.FONT, fontweight="bold")
+    for axes, plotted in zip(row, shown, strict=True):
+        draw_trajectory(axes, [plotted])
+        axes.set_title(plotted.label, fontsize=style.FONT, fontweight="bold")
         if axes is not row[0]:
             axes.set_ylabel("")
     return figure
@@ -142,7 +142,7 @@ def velocities(
     ``values`` of the traces are (n, 8) or (n, 6): rates of ``q``, or of x, y, theta of chaser
     and target, m/s and rad/s.
     """
-    shown = as_shown(runs, labels, aligned=aligned)
+    shown = plotted_runs(runs, labels, aligned=aligned)
     figure, rows = subplots(11.0, 8.2, 3, 2, sharex=True, sharey="row")
     sides = [
         trace._replace(values=trace.values[:, [*CHASER, *TARGET]])
@@ -166,17 +166,17 @@ def velocities(
 
 def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw force over stroke of the axial buffer; the loops' area is what its damper took."""
-    shown = as_shown(runs, labels)
+    shown = plotted_runs(runs, labels)
     figure, [[axes]] = subplots(7.4, 5.6)
-    for one in shown:
-        samples = one.run.samples
+    for plotted in shown:
+        samples = plotted.run.samples
         taken = samples["dissipated_axial"][-1] * 1e3
         axes.plot(
             STROKE.of(samples),
             samples["axial_force"],
-            color=one.colour,
+            color=plotted.colour,
             lw=1.5,
-            label=f"{one.label}: {taken:.1f} mJ in the damper",
+            label=f"{plotted.label}: {taken:.1f} mJ in the damper",
         )
     axes.set_xlabel(STROKE.axis)
     axes.set_ylabel("force of spring and damper  [N]")
@@ -211,26 +211,26 @@ def snapshots(
     first
         Number of the first run among others, for its colour.
     """
-    shown = as_shown(runs, labels, first=first)
+    shown = plotted_runs(runs, labels, first=first)
     instants = [
-        np.asarray(times, float) if times is not None else snapshot_times(one.run, count)
-        for one in shown
+        np.asarray(times, float) if times is not None else snapshot_times(plotted.run, count)
+        for plotted in shown
     ]
     # a single strip is laid in two columns, read line by line
     single, rows = len(shown) == 1, max(map(len, instants))
     columns, rows = (2, -(-rows // 2)) if single else (len(shown), rows)
     figure, axes_grid = subplots(1.0, 1.0, rows, columns, grid=None, sharex=True, sharey=True)
     seen = []
-    for strip, one, when in zip(
+    for strip, plotted, when in zip(
         [axes_grid.ravel()] if single else axes_grid.T, shown, instants, strict=True
     ):
         for axes in strip[len(when) :]:
             axes.set_axis_off()
         for letter, axes, t in zip(string.ascii_lowercase, strip, when, strict=False):
-            _draw_instant(axes, one, float(t), letter)
+            _draw_instant(axes, plotted, float(t), letter)
             seen.append(axes.dataLim)
         if not single:
-            strip[0].set_title(one.label, fontsize=style.FONT + 1, fontweight="bold")
+            strip[0].set_title(plotted.label, fontsize=style.FONT + 1, fontweight="bold")
     if single:
         figure.suptitle(shown[0].label, fontsize=style.FONT + 1, fontweight="bold")
     left, low, right, high = Bbox.union(seen).padded(_MARGIN).extents
@@ -269,15 +269,15 @@ def state_at(run: ViewableRun, t: float) -> np.ndarray:
     return np.array([np.interp(t, samples["t"], samples["q"][:, i]) for i in range(8)])
 
 
-def _draw_instant(axes: Axes, one: Shown, t: float, letter: str) -> None:
-    run = one.run
+def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> None:
+    run = plotted.run
     touch = first_touch(run)
     meaning = "first touch" if touch is not None and t == touch.t else ""
     if t == run.samples["t"][0]:
         meaning = start_word(run.scene)
-    draw_shapes(axes, state_shapes(run.scene, state_at(run, t), one.colour))
+    draw_shapes(axes, state_shapes(run.scene, state_at(run, t), plotted.colour))
     way = tip_in_world(run.scene, run.samples["q"][run.samples["t"] <= t][::5])
-    axes.add_line(_way_line(one, way))
+    axes.add_line(_way_line(plotted, way))
     axes.set_aspect("equal")
     axes.text(
         0.012,
@@ -292,16 +292,16 @@ def _draw_instant(axes: Axes, one: Shown, t: float, letter: str) -> None:
     )
 
 
-def _way_line(one: Shown, way: np.ndarray | None = None) -> Line2D:
+def _way_line(plotted: PlottedRun, way: np.ndarray | None = None) -> Line2D:
     """Return the tip's way, (n, 2), m, as a line over the bodies; without one for a legend."""
     x, y = ([], []) if way is None else way.T
-    return Line2D(x, y, color=one.colour, lw=1.8, zorder=2.5)
+    return Line2D(x, y, color=plotted.colour, lw=1.8, zorder=2.5)
 
 
 def _draw_over_time(
     all_axes: Iterable[Axes],
     quantities: Iterable[Quantity],
-    shown: Sequence[Shown],
+    shown: Sequence[PlottedRun],
     window: Window | None,
     traces: Sequence[Trace] = (),
 ) -> None:
@@ -323,12 +323,12 @@ def _draw_over_time(
 
 
 def _label_runs(
-    axes: Axes, shown: Sequence[Shown], *, contact: bool = True, outside: bool = False
+    axes: Axes, shown: Sequence[PlottedRun], *, contact: bool = True, outside: bool = False
 ) -> None:
     """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
     if len(shown) > 1:
-        for one in shown:
-            axes.plot([], [], color=one.colour, lw=2.6, label=one.label)
+        for plotted in shown:
+            axes.plot([], [], color=plotted.colour, lw=2.6, label=plotted.label)
     tone = shown[0].colour if len(shown) == 1 else style.GREY
     if contact:
         for name in held_by(shown):

@@ -21,10 +21,10 @@ from capture_sim.viewing.curves import (
     DISTANCE,
     STROKE,
     TORSION,
+    PlottedRun,
     Quantity,
-    Shown,
     Window,
-    as_shown,
+    plotted_runs,
 )
 from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, frame_bounds
 from capture_sim.viewing.figures import sheet
@@ -70,7 +70,7 @@ def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
 
 def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     """Return the figure of one run, under its label or its scene's name."""
-    [one] = as_shown(run)
+    [plotted] = plotted_runs(run)
     title = source.headline(run, label)
     # titles have y=1.0, or matplotlib measures all ticks to place them
     figure = new_figure(15.5, 10.0, arranged=False)
@@ -79,9 +79,9 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     bench, cone = rows_of_axes(figure, (1.05, 6.85), top, [(1.65, 0.95), (6.0, 0.0)])
     several = [(2.5, 0.43), (1.6, 0.43), (1.6, 0.43), (1.6, 0.0)]
     over_time = rows_of_axes(figure, (8.4, 15.38), top, several)
-    bench.set_title(f"From above, {draw_bench(bench, one)}", fontsize=_FONT + 1, y=1.0)
-    _draw_trajectory(cone, one, "The tip in the cone, the chaser comes from the left")
-    _draw_over_time(over_time, one, (STROKE, TORSION, DISTANCE))
+    bench.set_title(f"From above, {draw_bench(bench, plotted)}", fontsize=_FONT + 1, y=1.0)
+    _draw_trajectory(cone, plotted, "The tip in the cone, the chaser comes from the left")
+    _draw_over_time(over_time, plotted, (STROKE, TORSION, DISTANCE))
     return figure
 
 
@@ -90,22 +90,24 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
 
     These are the scenes' names, numbered where they are the same, unless given.
     """
-    shown = as_shown(runs, labels)
-    titles = [source.headline(one.run, one.label, _COLUMN) for one in shown]
+    shown = plotted_runs(runs, labels)
+    titles = [source.headline(plotted.run, plotted.label, _COLUMN) for plotted in shown]
     figure = new_figure(6.0 * len(runs), 14.0, arranged=False)
     top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
     rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
     benches = []
-    for i, (one, title) in enumerate(zip(shown, titles, strict=True)):
+    for i, (plotted, title) in enumerate(zip(shown, titles, strict=True)):
         sides = (6.0 * i + 1.05, 6.0 * i + 5.82)
         bench, cone, *over_time = rows_of_axes(figure, sides, top, rows)
-        seen = draw_bench(bench, one)
+        seen = draw_bench(bench, plotted)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
-        dashed = f"dashed: at the {source.start_word(one.run.scene)}" if " and " in seen else seen
+        dashed = (
+            f"dashed: at the {source.start_word(plotted.run.scene)}" if " and " in seen else seen
+        )
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         benches.append(bench)
-        _draw_trajectory(cone, one, "The tip in the cone")
-        _draw_over_time(over_time, one, (DISTANCE,))
+        _draw_trajectory(cone, plotted, "The tip in the cone")
+        _draw_over_time(over_time, plotted, (DISTANCE,))
     # of one size, so that they can be compared
     for side in ("x", "y"):
         ends = np.array([getattr(axes, f"get_{side}lim")() for axes in benches])
@@ -114,10 +116,10 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
     return figure
 
 
-def _draw_trajectory(axes: Axes, one: Shown, title: str) -> None:
-    moments = key_moments(one.run)
-    draw_trajectory(axes, [one])
-    draw_tip(axes, one.run.scene, moments, one.colour)
+def _draw_trajectory(axes: Axes, plotted: PlottedRun, title: str) -> None:
+    moments = key_moments(plotted.run)
+    draw_trajectory(axes, [plotted])
+    draw_tip(axes, plotted.run.scene, moments, plotted.colour)
     dress(axes, None, _FONT)
     axes.set_title(title, fontsize=_FONT + 1, y=1.0)
     axes.text(
@@ -136,15 +138,19 @@ def _draw_trajectory(axes: Axes, one: Shown, title: str) -> None:
     )
 
 
-def _draw_over_time(all_axes: Sequence[Axes], one: Shown, quantities: Sequence[Quantity]) -> None:
+def _draw_over_time(
+    all_axes: Sequence[Axes], plotted: PlottedRun, quantities: Sequence[Quantity]
+) -> None:
     """Draw the contact force, quantities, and over all of them when the tip touches."""
-    run, window = one.run, source.time_window(one.run)
+    run, window = plotted.run, source.time_window(plotted.run)
     loads = source.summary_of(run, None)
     titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
-    _draw_force(all_axes[0], one)
+    _draw_force(all_axes[0], plotted)
     for axes, quantity in zip(all_axes[1:], quantities, strict=True):
         # when it touches is shaded here: dashes in the flights between would hide them
-        draw_quantity(axes, quantity, [one._replace(touching=np.ones_like(one.touching))], window)
+        draw_quantity(
+            axes, quantity, [plotted._replace(touching=np.ones_like(plotted.touching))], window
+        )
         axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
         if quantity is DISTANCE:
             [zone] = quantity.limits(run.scene)
@@ -180,12 +186,12 @@ def _draw_over_time(all_axes: Sequence[Axes], one: Shown, quantities: Sequence[Q
     )
 
 
-def _draw_force(axes: Axes, one: Shown) -> None:
+def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
     """Draw the force of each wall, with each touch's peak, on a logarithmic axis."""
-    run, colour = one.run, one.colour
+    run, colour = plotted.run, plotted.colour
     for column, (side, (marker, _, name)) in enumerate(style.WALLS.items()):
         force = run.samples["normal_force"][:, column]
-        axes.plot(one.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
+        axes.plot(plotted.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
         touches = source.every_touch(run)
         touches = touches[touches["wall"] == side]
         when, peak = touches["peak_time"], touches["peak_force"]
@@ -230,7 +236,7 @@ def _mark_verdict(axes: Axes, run: ViewableRun, window: Window) -> None:
         )
 
 
-def draw_bench(axes: Axes, one: Shown) -> str:
+def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
     """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
 
     Returns
@@ -238,13 +244,13 @@ def draw_bench(axes: Axes, one: Shown) -> str:
     str
         What is seen, in words.
     """
-    run, scene, start = one.run, one.run.scene, one.run.samples["q"][0]
+    run, scene, start = plotted.run, plotted.run.scene, plotted.run.samples["q"][0]
     touch = source.first_touch(run)
     then = run.samples["q"][-1] if touch is None else touch.q
     moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
-    seen = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, one.colour)
+    seen = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, plotted.colour)
     if moved:
-        seen += shapes.state_shapes(scene, start, one.colour, ghost=True, both=False)
+        seen += shapes.state_shapes(scene, start, plotted.colour, ghost=True, both=False)
     draw_shapes(axes, seen)
     degrees = round(float(np.rad2deg(then[shapes.TARGET[2]])))
     _name(axes, "chaser", chaser_box(scene), then[list(shapes.CHASER)])

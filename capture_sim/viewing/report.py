@@ -25,7 +25,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
 from capture_sim.viewing import figures, report_figures
-from capture_sim.viewing.curves import Shown, as_shown, has_ledger
+from capture_sim.viewing.curves import PlottedRun, has_ledger, plotted_runs
 from capture_sim.viewing.source import (
     Opened,
     ViewableRun,
@@ -102,7 +102,7 @@ def report(opened: Sequence[Opened]) -> str:
     """Return the report of runs as one page of HTML."""
     names, runs = [one.label for one in opened], [one.run for one in opened]
     summaries = [summary_of(one.run, one.wall_time) for one in opened]
-    shown = as_shown(runs, names, aligned=len(runs) > 1)
+    shown = plotted_runs(runs, names, aligned=len(runs) > 1)
     known = [one for one in shown if has_ledger(one.run)]
     panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
     simulated = len(known) == len(runs)
@@ -167,7 +167,7 @@ def _of_run(one: Opened) -> dict[str, Any]:
     }
 
 
-def _strip(one: Shown, i: int) -> dict[str, str]:
+def _strip(one: PlottedRun, i: int) -> dict[str, str]:
     """Return the i-th run from above in some instants, as an image within the page."""
     buffer = io.BytesIO()
     figures.snapshots(one.run, labels=[one.label], first=i).savefig(buffer, format="png", dpi=80)

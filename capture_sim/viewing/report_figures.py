@@ -17,8 +17,8 @@ from capture_sim.viewing.curves import (
     PENETRATION,
     STROKE,
     VELOCITIES,
+    PlottedRun,
     Quantity,
-    Shown,
     common_window,
     energy_layers,
     split,
@@ -53,51 +53,51 @@ def drawn(figure: go.Figure, name: str, caption: str, kind: str = "narrow") -> D
     return Drawn(name, caption, kind, Markup(figure.to_json().replace("</", "<\\/")))
 
 
-def over_time(name: str, shown: Sequence[Shown]) -> Drawn:
+def over_time(name: str, shown: Sequence[PlottedRun]) -> Drawn:
     """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
     quantity = PANELS[name]
     if quantity is PENETRATION:
-        shown = [one._replace(run=resolved_or_not(one.run)) for one in shown]
+        shown = [plotted._replace(run=resolved_or_not(plotted.run)) for plotted in shown]
     figure = make_subplots()
     _add_over_time(figure, [[quantity]], shown)
     if quantity is FORCE:
-        for one in shown:
+        for plotted in shown:
             for side, (_, marker, wall) in style.WALLS.items():
-                touches = one.run.touches[one.run.touches["wall"] == side]
+                touches = plotted.run.touches[plotted.run.touches["wall"] == side]
                 figure.add_scatter(
-                    x=touches["peak_time"] - one.origin,
+                    x=touches["peak_time"] - plotted.origin,
                     y=touches["peak_force"],
                     mode="markers",
-                    marker={"symbol": marker, "color": one.colour, "size": 7},
-                    name=f"{one.label}, {wall}",
-                    legendgroup=one.label,
+                    marker={"symbol": marker, "color": plotted.colour, "size": 7},
+                    name=f"{plotted.label}, {wall}",
+                    legendgroup=plotted.label,
                     showlegend=False,
                 )
     return drawn(figure, name, quantity.title)
 
 
-def trajectories(shown: Sequence[Shown]) -> Drawn:
+def trajectories(shown: Sequence[PlottedRun]) -> Drawn:
     """Draw the ways of the tip's centre side by side, each in its own cone."""
-    figure = make_subplots(1, len(shown), subplot_titles=[one.label for one in shown])
-    for i, one in enumerate(shown, 1):
+    figure = make_subplots(1, len(shown), subplot_titles=[plotted.label for plotted in shown])
+    for i, plotted in enumerate(shown, 1):
         hidden: dict[str, Any] = {"showlegend": False, "row": 1, "col": i}
-        for name, shape in cone_shapes(one.run.scene).items():
+        for name, shape in cone_shapes(plotted.run.scene).items():
             look: dict[str, Any] = {"name": name, "hoverinfo": "name"}
             if shape.fill:
                 look |= {"fill": "toself", "fillcolor": shape.fill}
             dash = "dot" if shape.dashed else "solid"
             line = (shape.line or shape.fill, dash, shape.width)
             _add_line(figure, shape.points.T * 1e3, line, **look, **hidden)
-        way = tip_in_cone(one.run.samples) * 1e3
+        way = tip_in_cone(plotted.run.samples) * 1e3
         near = np.abs(way).max(axis=1) < 150.0
         look = {
-            "customdata": _some(one.run.samples["t"][near]),
+            "customdata": _some(plotted.run.samples["t"][near]),
             "hovertemplate": "%{x:.2f}, %{y:.2f} mm at %{customdata:.3f} s",
         }
-        for word, part in split(way[near], one.holds[near]).items():
+        for word, part in split(way[near], plotted.holds[near]).items():
             style_of_line = style.LINES[word]
-            line = (one.colour, style_of_line.plotly, 3.5 * style_of_line.width)
-            name = f"{one.label}, {word}"
+            line = (plotted.colour, style_of_line.plotly, 3.5 * style_of_line.width)
+            name = f"{plotted.label}, {word}"
             _add_line(figure, _some(part).T, line, name=name, **look, **hidden)
         figure.update_yaxes(range=(-80, 80), scaleanchor=f"x{i}", row=1, col=i)
         figure.update_xaxes(range=(-90, 30), title="x from BE  [mm]", row=1, col=i)
@@ -105,18 +105,23 @@ def trajectories(shown: Sequence[Shown]) -> Drawn:
     return drawn(figure, "trajectories", "Way of the tip's centre in the cone", "wide")
 
 
-def load_stroke(shown: Sequence[Shown]) -> Drawn:
+def load_stroke(shown: Sequence[PlottedRun]) -> Drawn:
     """Draw force over stroke of the axial buffer."""
     figure = go.Figure()
-    for one in shown:
-        stroke, force = STROKE.of(one.run.samples), one.run.samples["axial_force"]
-        _add_line(figure, (_some(stroke), _some(force)), (one.colour, "solid", 1.5), name=one.label)
+    for plotted in shown:
+        stroke, force = STROKE.of(plotted.run.samples), plotted.run.samples["axial_force"]
+        _add_line(
+            figure,
+            (_some(stroke), _some(force)),
+            (plotted.colour, "solid", 1.5),
+            name=plotted.label,
+        )
     figure.update_xaxes(title=STROKE.axis)
     figure.update_yaxes(title="force of spring and damper  [N]")
     return drawn(figure, "load_stroke", "Force over stroke of the axial buffer")
 
 
-def velocities(shown: Sequence[Shown]) -> Drawn:
+def velocities(shown: Sequence[PlottedRun]) -> Drawn:
     """Draw horizontal, vertical and angular velocities of both vehicles."""
     heads = [quantity.title for quantity in VELOCITIES[0]]
     figure = make_subplots(3, 2, shared_xaxes=True, vertical_spacing=0.07, subplot_titles=heads)
@@ -128,13 +133,13 @@ def velocities(shown: Sequence[Shown]) -> Drawn:
     return drawn(figure, "velocities", "Velocities of both vehicles", "wide")
 
 
-def energy(known: Sequence[Shown]) -> Drawn:
+def energy(known: Sequence[PlottedRun]) -> Drawn:
     """Draw what the energy put in has become, layer on layer, of runs that have a ledger."""
-    figure = make_subplots(1, len(known), subplot_titles=[one.label for one in known])
+    figure = make_subplots(1, len(known), subplot_titles=[plotted.label for plotted in known])
     named = set[str]()
-    for i, one in enumerate(known, 1):
+    for i, plotted in enumerate(known, 1):
         place: dict[str, Any] = {"row": 1, "col": i}
-        t, put_in, layers = energy_layers(one.run)
+        t, put_in, layers = energy_layers(plotted.run)
         for name, colour, layer in layers:
             look = {"name": name, "legendgroup": name, "showlegend": name not in named}
             look |= {"stackgroup": "energy", "fillcolor": colour}
@@ -142,7 +147,8 @@ def energy(known: Sequence[Shown]) -> Drawn:
             named.add(name)
         line = (style.GREY, "dash", 2)
         _add_line(figure, (t, put_in), line, name="put in", showlegend=i == 1, **place)
-        figure.update_xaxes(title=f"{time_label([one._replace(origin=0.0)])}  [s]", row=1, col=i)
+        label = time_label([plotted._replace(origin=0.0)])
+        figure.update_xaxes(title=f"{label}  [s]", row=1, col=i)
     figure.update_yaxes(title="energy  [mJ]", col=1)
     caption = "Where the energy is and goes: the layers' sum against what was put in"
     return drawn(figure, "energy", caption, "wide")
@@ -162,33 +168,33 @@ def _add_line(
 
 
 def _add_over_time(
-    figure: go.Figure, rows: Sequence[Sequence[Quantity]], shown: Sequence[Shown]
+    figure: go.Figure, rows: Sequence[Sequence[Quantity]], shown: Sequence[PlottedRun]
 ) -> None:
     """Draw quantities over one time, as far as they lie in the window."""
     window = common_window(shown)
     for row, quantities in enumerate(rows, 1):
         for col, quantity in enumerate(quantities, 1):
             place: dict[str, Any] = {"row": row, "col": col}
-            for one in shown:
-                t, values = quantity.curve(one.run)
-                t = t - one.origin
+            for plotted in shown:
+                t, values = quantity.curve(plotted.run)
+                t = t - plotted.origin
                 inside = (t >= window[0]) & (t <= window[1])
                 sampled = quantity.located is None
-                parts = split(values, one.holds) if sampled else {"in contact": values}
+                parts = split(values, plotted.holds) if sampled else {"in contact": values}
                 named = "in contact" if "in contact" in parts else next(iter(parts))
                 for word, part in parts.items():
                     seen = inside & np.isfinite(part).any()
                     _add_line(
                         figure,
                         (t[seen].astype(np.float32), part[seen].astype(np.float32)),
-                        (one.colour, style.LINES[word].plotly, 1.8),
-                        name=one.label,
-                        legendgroup=one.label,
+                        (plotted.colour, style.LINES[word].plotly, 1.8),
+                        name=plotted.label,
+                        legendgroup=plotted.label,
                         showlegend=row == col == 1 and word == named,
                         **place,
                     )
             # each once, in order: the same report gives the same bytes
-            limits = (limit for one in shown for limit in quantity.limits(one.run.scene))
+            limits = (limit for plotted in shown for limit in quantity.limits(plotted.run.scene))
             for limit in dict.fromkeys(limits):
                 if quantity.from_zero:
                     look: Any = {"fillcolor": limit.colour, "opacity": 0.2, "line_width": 0}

@@ -17,7 +17,7 @@ from capture_sim.files import whole_file
 from capture_sim.results import impact_speed
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
-from capture_sim.viewing.curves import Shown, as_shown, has_ledger
+from capture_sim.viewing.curves import PlottedRun, has_ledger, plotted_runs
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PLOTS, PlotLog, phases, verdicts
@@ -42,7 +42,7 @@ def save_rrd(
     RecordingError
         The file cannot be written.
     """
-    path, shown = Path(path), as_shown(runs, labels)
+    path, shown = Path(path), plotted_runs(runs, labels)
     # a file may be called what no path in the viewer can be
     names = distinct_names([as_name(one.label) for one in shown])
     titles = [headline(one.run, one.label).replace("\n", " ") for one in shown]
@@ -70,7 +70,7 @@ def save_rrd(
     return path
 
 
-def _log_run(stream: RunStream, one: Shown, title: str) -> None:
+def _log_run(stream: RunStream, one: PlottedRun, title: str) -> None:
     run = one.run
     bench = BenchLog(stream, run.scene, one.colour)
     bench.motion(run.samples, one.touching)

@@ -20,7 +20,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.samples import EventKind
 from capture_sim.viewing import plots, style
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.curves import LAYERS, as_shown
+from capture_sim.viewing.curves import LAYERS, plotted_runs
 from capture_sim.viewing.plots import draw_bench, key_moments
 from capture_sim.viewing.shapes import tip_bound, tip_in_cone, tip_in_world, wall
 from capture_sim.viewing.source import (
@@ -201,7 +201,7 @@ def test_target_is_drawn_turned_the_right_way(runs):
 
     for run, degrees in zip(runs, (0.0, 10.0, -10.0), strict=True):
         axes = Figure().add_subplot()
-        draw_bench(axes, *as_shown(run))
+        draw_bench(axes, *plotted_runs(run))
         edges = [
             path.vertices[0]
             for collection in axes.collections

@@ -15,7 +15,7 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.samples import EventKind
 from capture_sim.viewing import figures, report_figures, style
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.curves import Trace, as_shown
+from capture_sim.viewing.curves import Trace, plotted_runs
 from capture_sim.viewing.figures import snapshot_times, snapshots
 from capture_sim.viewing.shapes import tip_in_world
 from capture_sim.viewing.source import resolved, resolved_or_not
@@ -132,7 +132,7 @@ def test_stops_are_drawn_in_pictures_and_report(runs):
     [axes] = figures.axial_performance(run).axes
     dotted = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
     assert [line.get_ydata()[0] for line in dotted] == pytest.approx([-9.0, 12.0])
-    page = json.loads(report_figures.over_time("axial_performance", as_shown(run)).data)
+    page = json.loads(report_figures.over_time("axial_performance", plotted_runs(run)).data)
     levels = sorted(shape["y0"] for shape in page["layout"]["shapes"])
     assert levels == pytest.approx([-9.0, 12.0])
 
