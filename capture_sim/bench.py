@@ -276,6 +276,7 @@ class Bench:
                 penetration=-float(step["start"]["gap"][:2].min()),
                 chi=float(touch["chi"].max()),
                 force=float(self._system["out"]["normal"].max()),
+                y=self._record["stepper"]["y"],
             )
             if stiffest is not None:
                 part, duration = stiffest

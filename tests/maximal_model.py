@@ -86,6 +86,11 @@ class Constants(NamedTuple):
     c_A: float
     k_T: float
     c_T: float
+    k_A3: float
+    c_A2: float
+    c_A_rebound: float
+    k_T3: float
+    c_T2: float
     R_t: float
     inner: np.ndarray  # (2, 2) target's frame: inner ends of the +y and the -y wall
     along: np.ndarray  # (2, 2) directions from there to the lip
@@ -139,6 +144,11 @@ def constants(scene: Scene) -> Constants:
         c_A=b.c_A,
         k_T=b.k_T,
         c_T=b.c_T,
+        k_A3=b.k_A3,
+        c_A2=b.c_A2,
+        c_A_rebound=b.c_A if b.c_A_rebound is None else b.c_A_rebound,
+        k_T3=b.k_T3,
+        c_T2=b.c_T2,
         R_t=p.tip_radius,
         inner=np.column_stack([np.full(2, -cone.L_T), sides * cone.R_c]),
         along=np.column_stack(
@@ -146,7 +156,9 @@ def constants(scene: Scene) -> Constants:
         ),
         L_c=cone.L_c,
         K=4.0 * math.sqrt(p.tip_radius) / (3.0 * sigma),
-        damping=damping_factor(scene.contact.law, scene.contact.restitution),
+        damping=damping_factor(scene.contact.law, scene.contact.restitution)
+        if scene.contact.hysteresis_factor is None
+        else scene.contact.hysteresis_factor,
         v_0_floor=scene.contact.min_approach_speed,
         friction=FRICTION[scene.friction.law],
         mu=scene.friction.mu,
@@ -302,8 +314,11 @@ def applied(
     rate_y = z[19] - r * cP * z[20] - (z[13] + c.a * cS * z[14] - L * cC * z[17])
     length = math.hypot(Dx, Dy)
     ex, ey = Dx / length, Dy / length
-    pull = c.k_A * (length - c.l_0) + c.c_A * (ex * rate_x + ey * rate_y)
-    torque = c.k_T * (z[5] - z[2]) + c.c_T * (z[17] - z[14])
+    longer, lengthening = length - c.l_0, ex * rate_x + ey * rate_y
+    damping = (c.c_A_rebound if lengthening > 0.0 else c.c_A) + c.c_A2 * abs(lengthening)
+    pull = (c.k_A + c.k_A3 * longer**2) * longer + damping * lengthening
+    turned, turning = z[5] - z[2], z[17] - z[14]
+    torque = (c.k_T + c.k_T3 * turned**2) * turned + (c.c_T + c.c_T2 * abs(turning)) * turning
     Q[0], Q[1] = pull * ex, pull * ey
     Q[2] = pull * c.a * (cS * ey - sS * ex) + torque
     Q[5] = -pull * L * (cC * ey - sC * ex) - torque

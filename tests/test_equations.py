@@ -34,7 +34,9 @@ def accelerations(scene, q, v):
 
 @pytest.mark.parametrize("cylinder", [1.0, 0.0])
 def test_free_accelerations_agree_with_bodies_one_by_one(cylinder):
-    scene = load_scene("paper_designed", [f"cylinder.mass={cylinder}", "buffer.c_T=0.7"])
+    shaped = ["k_A3=3e4", "c_A2=7", "c_A_rebound=25", "k_T3=900", "c_T2=0.4", "c_T=0.7"]
+    changes = [f"cylinder.mass={cylinder}", *(f"buffer.{change}" for change in shaped)]
+    scene = load_scene("paper_designed", changes)
     for q, v in random_states(scene, 50):
         expected = np.linalg.solve(
             mass_matrix(scene, q), buffer_forces(scene, q, v) - bias(scene, q, v)

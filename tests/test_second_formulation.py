@@ -19,6 +19,15 @@ CASES = {
         ["initial.target.x=0.514", "initial.target.y=0.075"],
         (0.1, 0.2),
     ),
+    "buffer of the real kind": (
+        "paper_designed",
+        [
+            *("buffer.k_A3=2.0e+6", "buffer.c_A2=150", "buffer.c_A_rebound=40"),
+            *("buffer.k_T3=1.0e+6", "buffer.c_T=0.3", "buffer.c_T2=2"),
+            "contact.hysteresis_factor=0.9",
+        ],
+        (0.1, 0.35),
+    ),
     # soft, fast and askew: the tip runs into the throat and hammers both inner edges
     "inner edges": (
         "paper_designed",

@@ -16,7 +16,14 @@ import numpy as np
 from capture_sim.engine.steps import distances, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import normal_force
-from capture_sim.model.equations import N_STATE, gap_and_rate, stop_force, tip_in_cone
+from capture_sim.model.equations import (
+    N_STATE,
+    axial_force,
+    gap_and_rate,
+    hinge_torque,
+    stop_force,
+    tip_in_cone,
+)
 from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
@@ -60,7 +67,7 @@ def buffer_force_at(y, system):
     """Return the force of the axial spring, its damper and a stop on the probe, N."""
     par, stop = system.par, system.mode.stop
     stroke, rate = y[4] - par.h_0, y[12]
-    force = -par.k_A * stroke - par.c_A * rate
+    force, _ = axial_force(stroke, rate, par)
     if stop:
         push, _ = stop_force(stroke, rate, stop, par)
         force += push
@@ -70,7 +77,8 @@ def buffer_force_at(y, system):
 @kernel
 def buffer_torque_at(y, par):
     """Return the torque of the torsional spring and its damper on the cylinder, N m."""
-    return -par.k_T * (y[3] - y[2]) - par.c_T * (y[11] - y[10])
+    torque, _ = hinge_torque(y[3] - y[2], y[11] - y[10], par)
+    return torque
 
 
 @kernel

@@ -16,6 +16,7 @@ from capture_sim.engine.events import event_value
 from capture_sim.kernels import entry_kernel, inline_kernel, kernel
 from capture_sim.model.equations import (
     N_TOTAL,
+    buffer_energy,
     gap_and_rate,
     rate_of_change,
     slip_speed,
@@ -220,7 +221,8 @@ def stored_energy(systems, laws, y):
     """Return kinetic energy and that of the springs of buffer, stops, latch and law, J."""
     p, mode, law = systems[0].par, systems[0].mode, laws[0]
     stroke, torsion = y[4] - p.h_0, y[3] - y[2]
-    energy = kinetic_energy(y, p) + 0.5 * p.k_A * stroke * stroke + 0.5 * p.k_T * torsion * torsion
+    axial, turning = buffer_energy(stroke, torsion, p)
+    energy = kinetic_energy(y, p) + axial + turning
     if mode.stop:
         past = stroke - (p.stop_compressed if mode.stop < 0 else p.stop_extended)
         energy += 0.5 * p.k_stop * past * past

@@ -129,8 +129,12 @@ def step_length(w):
     h = min(step.h_next, _BEYOND_END * (w.progress.t_stop - step.t0))
     if step.start.tip_speed > 0.0:
         h = min(h, path_to_events(w) / step.start.tip_speed)
-    if par.has_stops and par.k_A > 0.0:
-        h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / par.k_A))
+    if par.has_stops:
+        # the spring is stiffest at a stop
+        stroke = max(-par.stop_compressed, par.stop_extended)
+        stiffness = par.k_A + 3.0 * par.k_A3 * stroke * stroke
+        if stiffness > 0.0:
+            h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / stiffness))
     for i in range(2):
         touch, depth = w.system.mode.touch[i], -step.start.gap[i]
         if touch.on and depth > 0.0:

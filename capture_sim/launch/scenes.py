@@ -101,7 +101,8 @@ def check_scene(scene: Scene) -> LaunchPlan:
 
 def _contact(scene: Scene) -> None:
     law, restitution = scene.contact.law, scene.contact.restitution
-    if law in NEED_POSITIVE_RESTITUTION and restitution <= 0.0:
+    is_given = scene.contact.hysteresis_factor is not None
+    if not is_given and law in NEED_POSITIVE_RESTITUTION and restitution <= 0.0:
         raise refuse("contact.restitution", restitution, "", f"> 0 and <= 1 with the law {law}")
 
 

@@ -253,13 +253,13 @@ def accelerate(y, f, system):
         f_u = gx * cP + gy * sP
         f_w = gy * cP - gx * sP
 
-    axial = -par.k_A * (h - par.h_0) - par.c_A * rate
+    axial, out.axial = axial_force(h - par.h_0, rate, par)
     if mode.stop:
         push, lost = stop_force(h - par.h_0, rate, mode.stop, par)
         axial += push
         out.stop = lost
     twist = spin - omega
-    torque = -par.k_T * (y[3] - y[2]) - par.c_T * twist
+    torque, out.torsion = hinge_torque(y[3] - y[2], twist, par)
 
     # velocity terms, then right-hand sides, along (u) and across (w) the probe
     m_CP = par.m_C + m_P
@@ -333,9 +333,45 @@ def accelerate(y, f, system):
         f[13] = tx * par.inverse_m_T
         f[14] = ty * par.inverse_m_T
         f[15] = tm * par.inverse_I_T
-    out.axial = par.c_A * rate * rate
-    out.torsion = par.c_T * twist * twist
     return hold_x, hold_y, hold_m, -gx, -gy, target
+
+
+@inline_kernel
+def axial_force(stroke, rate, par):
+    """Return the force of axial spring and damper on the probe, N, and the power lost, W."""
+    spring = par.k_A * stroke
+    damper = par.c_A * rate
+    if par.has_shaped_buffer:
+        spring += par.k_A3 * stroke * stroke * stroke
+        if rate > 0.0:
+            damper = par.c_A_rebound * rate
+        damper += par.c_A2 * rate * abs(rate)
+    return -spring - damper, damper * rate
+
+
+@inline_kernel
+def hinge_torque(torsion, twist, par):
+    """Return the torque of torsional spring and damper on the cylinder, N m, and power lost, W.
+
+    ``twist`` is the rate of the torsion, rad/s.
+    """
+    spring = par.k_T * torsion
+    damper = par.c_T * twist
+    if par.has_shaped_buffer:
+        spring += par.k_T3 * torsion * torsion * torsion
+        damper += par.c_T2 * twist * abs(twist)
+    return -spring - damper, damper * twist
+
+
+@inline_kernel
+def buffer_energy(stroke, torsion, par):
+    """Return the elastic energies of the axial and the torsional spring, J."""
+    axial = 0.5 * par.k_A * stroke * stroke
+    turning = 0.5 * par.k_T * torsion * torsion
+    if par.has_shaped_buffer:
+        axial += 0.25 * par.k_A3 * stroke**4
+        turning += 0.25 * par.k_T3 * torsion**4
+    return axial, turning
 
 
 @inline_kernel

@@ -15,7 +15,10 @@ from capture_sim.model.equations import (
     STOP,
     TORSION,
     accelerate_sticking,
+    axial_force,
+    buffer_energy,
     gap_and_rate,
+    hinge_torque,
     tip_forces,
     tip_in_cone,
 )
@@ -79,9 +82,9 @@ def observe(t, y, w, sample):
     stroke = y[4] - par.h_0
     torsion = y[3] - y[2]
     sample.axial_stroke = stroke
-    sample.axial_force = -par.k_A * stroke - par.c_A * y[12]
+    sample.axial_force, _ = axial_force(stroke, y[12], par)
     sample.torsion = torsion
-    sample.torsion_torque = -par.k_T * torsion - par.c_T * (y[11] - y[10])
+    sample.torsion_torque, _ = hinge_torque(torsion, y[11] - y[10], par)
 
     px, py, wx, wy = tip_in_cone(y, par)
     sample.tip_axial = -(px + par.L_T)
@@ -140,8 +143,7 @@ def observe(t, y, w, sample):
             par.m_hanging * (par.gravity - rail.acceleration) - par.pulley_mass * rail.acceleration
         )
     sample.kinetic = kinetic
-    sample.elastic_axial = 0.5 * par.k_A * stroke * stroke
-    sample.elastic_torsion = 0.5 * par.k_T * torsion * torsion
+    sample.elastic_axial, sample.elastic_torsion = buffer_energy(stroke, torsion, par)
     sample.work_string = par.m_hanging * par.gravity * (par.drop_height - sample.mass_height)
     sample.dissipated_axial = y[AXIAL]
     sample.dissipated_torsion = y[TORSION]

@@ -32,6 +32,12 @@ PARAMETERS = np.dtype(
         ("c_A", "f8"),
         ("k_T", "f8"),
         ("c_T", "f8"),
+        ("has_shaped_buffer", "i8"),  # any of the following differs from a linear buffer
+        ("k_A3", "f8"),
+        ("c_A2", "f8"),
+        ("c_A_rebound", "f8"),
+        ("k_T3", "f8"),
+        ("c_T2", "f8"),
         ("h_0", "f8"),
         ("R_t", "f8"),
         ("L_T", "f8"),
@@ -130,13 +136,20 @@ def pack(
     p["hinge_inertia_0"] = (
         scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
     )
-    for name in ("k_A", "c_A", "k_T", "c_T"):
-        p[name] = getattr(scene.buffer, name)
+    buffer = scene.buffer
+    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
+        p[name] = getattr(buffer, name)
+    p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
+    p["has_shaped_buffer"] = p["c_A_rebound"] != p["c_A"] or any(
+        p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2")
+    )
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"] = scene.cone.L_T
     p["R_c"], p["L_c"], p["cos_b"], p["sin_b"] = scene.cone.wall
     p["K"] = scene.contact_stiffness
-    p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
+    p["hysteresis"] = scene.contact.hysteresis_factor
+    if scene.contact.hysteresis_factor is None:
+        p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
     p["v_0_floor"] = scene.contact.min_approach_speed
     p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
     p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s

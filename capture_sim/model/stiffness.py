@@ -8,7 +8,11 @@ import numpy as np
 
 
 def stiffest_part(
-    par: np.void, penetration: float = 0.0, chi: float = 0.0, force: float = 0.0
+    par: np.void,
+    penetration: float = 0.0,
+    chi: float = 0.0,
+    force: float = 0.0,
+    y: np.ndarray | None = None,
 ) -> tuple[str, float] | None:
     """Return the part of the bench with the shortest time, what sets it, and that time (s).
 
@@ -23,7 +27,13 @@ def stiffest_part(
         Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
     penetration, chi, force
         Of the contact: penetration (m), hysteresis damping (N s/m^2.5) and normal force (N).
+    y
+        State, from coordinates and rates on; None: the buffer is relaxed.
     """
+    stroke = rate = torsion = twist = 0.0
+    if y is not None:
+        stroke, rate = float(y[4] - par["h_0"]), abs(float(y[12]))
+        torsion, twist = float(y[3] - y[2]), abs(float(y[11] - y[10]))
     penetration = max(penetration, 0.0)
     m = float(par["m_P"])
     inertia = float(par["hinge_inertia_0"] + m * (par["h_0"] - par["d"]) ** 2)
@@ -33,13 +43,24 @@ def stiffest_part(
             1.5 * par["K"] * math.sqrt(penetration),
         ),
         "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
+        "progressive axial spring (probe.density, buffer.k_A3)": (m, 3.0 * par["k_A3"] * stroke**2),
         "torsional spring (probe.density, cylinder.mass, buffer.k_T)": (inertia, par["k_T"]),
+        "progressive torsional spring (probe.density, cylinder.mass, buffer.k_T3)": (
+            inertia,
+            3.0 * par["k_T3"] * torsion**2,
+        ),
         "stroke stops (probe.density, stops.stiffness)": (m, par["k_stop"]),
         "latch (probe.density, latch.stiffness)": (m, par["k_L"]),
     }
     dampers = {
         "contact's damping (contact.law, contact.restitution)": (m, chi * penetration**1.5),
         "axial damper (probe.density, buffer.c_A)": (m, par["c_A"]),
+        "axial damper outwards (probe.density, buffer.c_A_rebound)": (m, par["c_A_rebound"]),
+        "axial orifice (probe.density, buffer.c_A2)": (m, 2.0 * par["c_A2"] * rate),
+        "torsional orifice (probe.density, cylinder.mass, buffer.c_T2)": (
+            inertia,
+            2.0 * par["c_T2"] * twist,
+        ),
         "torsional damper (probe.density, cylinder.mass, buffer.c_T)": (inertia, par["c_T"]),
         "stroke stops (probe.density, stops.damping)": (m, par["c_stop"]),
         "latch (probe.density, latch.damping)": (m, par["c_L"]),

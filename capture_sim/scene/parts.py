@@ -130,6 +130,27 @@ class Buffer(Checked):
         doc="distance from the hinge to the tip's centre with the spring relaxed, h_0; "
         "null: L_p + R_t",
     )
+    k_A3: float = quantity(
+        "N/m^3", NOT_NEGATIVE, default=0.0, doc="cubic stiffness of a progressive axial spring"
+    )
+    c_A2: float = quantity(
+        "N s^2/m^2", NOT_NEGATIVE, default=0.0, doc="quadratic (orifice) axial damping"
+    )
+    c_A_rebound: float | None = quantity(
+        "N s/m",
+        NOT_NEGATIVE,
+        default=None,
+        doc="damping coefficient of the axial damper while the probe moves outwards; null: c_A",
+    )
+    k_T3: float = quantity(
+        "N m/rad^3",
+        NOT_NEGATIVE,
+        default=0.0,
+        doc="cubic stiffness of a progressive torsional spring",
+    )
+    c_T2: float = quantity(
+        "N m s^2/rad^2", NOT_NEGATIVE, default=0.0, doc="quadratic torsional damping"
+    )
 
 
 @dataclass(frozen=True)
@@ -182,6 +203,13 @@ class Contact(Checked):
     )
     min_approach_speed: float = quantity(
         "m/s", POSITIVE, default=1e-4, doc="lower limit of the approach speed in the damping factor"
+    )
+    hysteresis_factor: float | None = quantity(
+        "1",
+        NOT_NEGATIVE,
+        default=None,
+        doc="hysteresis damping factor a itself, in place of law and restitution; null: a(e) of "
+        "the law",
     )
 
 
