@@ -1,208 +1,169 @@
-"""Run experiments with the nodes: ros2 launch capture_sim bench.launch.py experiment:=tilt_p10.
+"""Run scenes with the nodes: ros2 launch capture_sim bench.launch.py experiment:=tilt_p10.
 
-Every node may be left out, for a real one or one of your own that speaks the same topics:
+Every node may be left out, for a real one or one of your own that publishes the same topics:
 simulator:=false, launcher:=false, detector:=false, record:=false.
 """
 
 import os
+import sys
 from pathlib import Path
+from typing import List  # noqa: UP035
 
 from launch.actions import (
     DeclareLaunchArgument,
-    EmitEvent,
     ExecuteProcess,
-    OpaqueFunction,
     RegisterEventHandler,
+    Shutdown,
 )
+from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
+from capture_sim.resources import config_dir
 from launch import LaunchDescription
 
-FASTEST = 1000.0
-STATES = ("playing", "paused", "stopped")
+TEXTS = List[str]  # noqa: UP006  # by which launch knows a list
+SWITCH = ("true", "false")
+#: Name, default, description and choices; `ros2 launch -s capture_sim bench.launch.py` shows them.
+ARGUMENTS = (
+    ("experiment", "tilt_0", "scenes, in turn: names in config/scenes or files, with commas", None),
+    ("overrides", "", "changes of the scenes in SI units, e.g. buffer.c_A=13, with commas", None),
+    ("rtf", "1.0", "real-time factor, 0 to 1000; 0 runs without pacing", None),
+    ("state", "playing", "state of the simulation at first", ("playing", "paused", "stopped")),
+    ("out", str(Path.home() / "capture_sim_runs"), "folder of the recordings", None),
+    (
+        "scene",
+        "",
+        "scene of a bench without simulator: the launcher begins its trials and drives the real "
+        "release; without launcher the detector judges by it from the start",
+        None,
+    ),
+    (
+        "params",
+        str(config_dir() / "nodes.yaml"),
+        "YAML file of further parameters, e.g. of the detector's criteria; the arguments win",
+        None,
+    ),
+    ("namespace", "/", "namespace of all nodes and topics", None),
+    ("simulator", "true", "start the simulator; false: a real bench, or another one", SWITCH),
+    ("launcher", "true", "start the launcher", SWITCH),
+    ("detector", "true", "start the capture detector", SWITCH),
+    ("record", "true", "record to MCAP", SWITCH),
+    ("keep", "false", "keep the nodes after the last run, to play or reset again", SWITCH),
+    ("rviz", "false", "show the bench in RViz, where rviz2 is installed", SWITCH),
+    ("view", "false", "show the bench live with rerun", SWITCH),
+    (
+        "view_python",
+        sys.executable,
+        "Python with rerun for the viewer, e.g. of `make setup`: rerun needs NumPy 2, an apt Jazzy "
+        "has 1.26",
+        None,
+    ),
+)
 #: What a sourced ROS would mix into the viewer's own environment.
 MIXES = (
     *("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
     *("VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"),
 )
 
-SWITCHES = {
-    "simulator": ("true", "start the simulator; false: a real bench, or another simulator"),
-    "launcher": ("true", "start the launcher"),
-    "detector": ("true", "start the capture detector"),
-    "record": ("true", "record to MCAP"),
-    "view": ("false", "show the bench live with rerun"),
-    "keep": ("false", "keep the nodes after the last run, to play or reset again"),
-}
 
-
-def generate_launch_description():
-    texts = {
-        "experiment": "names or files of scenes, separated by commas (tilt_0)",
-        "rtf": f"real-time factor, 0 to {FASTEST:g}; 0 as fast as it goes (1)",
-        "state": f"of the simulation at the start: {', '.join(STATES)} (playing)",
-        "out": "folder of the recordings (runs)",
-        "overrides": "changes of the scenes, as buffer.c_A=13, separated by commas (none)",
-        "scene": "of a bench without simulator: the launcher begins its trials and drives the real "
-        "release; without launcher the detector judges by it from the start (none)",
-        "params": "YAML file of parameters, as config/nodes.yaml; what is set here wins",
-        "namespace": "of all nodes and topics (/)",
-        "view_python": "Python with rerun for the viewer, as `make setup` makes it, since rerun "
-        "needs NumPy 2 and an apt Jazzy has 1.26 (.venv/bin/python)",
-    }
-    arguments = [
-        DeclareLaunchArgument(name, default_value="", description=text)
-        for name, text in texts.items()
+def python(*parts, **kind):
+    """Return the value of a Python expression of texts and, as `$name`, of arguments."""
+    pieces = [
+        ["'", LaunchConfiguration(part[1:]), "'"] if part.startswith("$") else [part]
+        for part in parts
     ]
-    arguments += [
-        DeclareLaunchArgument(
-            name, default_value=default, choices=["true", "false"], description=text
-        )
-        for name, (default, text) in SWITCHES.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=suite)])
+    expression = PythonExpression([piece for three in pieces for piece in three])
+    return ParameterValue(expression, value_type=kind["kind"]) if kind else expression
 
 
-def suite(context):
-    """Return the nodes that are asked for."""
-
-    def argument(name):
-        return LaunchConfiguration(name).perform(context)
-
-    def wanted(name):
-        return argument(name) == "true"
-
-    started = [
-        name
-        for name, switch in (
-            ("launcher", "launcher"),
-            ("capture_detector", "detector"),
-            ("recorder", "record"),
-        )
-        if wanted(switch)
-    ]
-    # on a real bench nobody says that it is all over
-    ends = wanted("simulator") and not wanted("keep")
-    parameters = {name: {"exit_when_done": ends} for name in (*started, "simulator")}
-    parameters["simulator"] |= checked(argument)
-    if started:  # ROS has no empty list
-        parameters["simulator"]["consumers"] = list(started)
-    if argument("scene"):
-        parameters |= of_a_bench(argument, started, parameters)
-    if argument("out") and wanted("record"):
-        parameters["recorder"]["out"] = argument("out")
-    if wanted("simulator"):
-        started.append("simulator")
-
-    files = [argument("params")] if argument("params") else []
-    nodes = [
-        Node(
-            package="capture_sim",
-            executable=name,
-            name=name,
-            namespace=argument("namespace"),
-            parameters=[*files, parameters[name]],
-            output="screen",
-        )
-        for name in started
-    ]
-    watch = Watch(len(nodes), ends)
-    handlers = [
-        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=watch.ended))
-        for node in nodes
-    ]
-    if wanted("view"):
-        nodes.append(viewer(argument("view_python"), argument("namespace")))
-    return [*handlers, *nodes]
-
-
-def checked(argument):
-    """Return the simulator's parameters that are given as arguments."""
-    found = {}
-    if argument("experiment"):
-        found["scenes"] = listed(argument("experiment"))
-    if argument("overrides"):
-        found["overrides"] = listed(argument("overrides"))
-    for name in ("experiment", "rtf", "state"):
-        if argument(name) and argument("simulator") != "true":
-            refuse(name, argument(name), "nothing where simulator:=false")
-    if argument("overrides") and argument("simulator") != "true" and not argument("scene"):
-        refuse("overrides", argument("overrides"), "nothing where simulator:=false and no scene:=")
-    if argument("scene") and argument("simulator") == "true":
-        refuse("scene", argument("scene"), "nothing but with simulator:=false")
-    if argument("rtf"):
-        try:
-            found["rtf"] = float(argument("rtf"))
-        except ValueError:
-            found["rtf"] = -1.0
-        if not 0.0 <= found["rtf"] <= FASTEST:
-            refuse("rtf", argument("rtf"), f"a number from 0 to {FASTEST:g}, 1")
-    if argument("state"):
-        if argument("state") not in STATES:
-            refuse("state", argument("state"), ", ".join(STATES))
-        found["initial_state"] = argument("state")
-    if argument("params") and not Path(argument("params")).is_file():
-        refuse("params", argument("params"), "a YAML file that exists")
-    return found
-
-
-def of_a_bench(argument, started, parameters):
-    """Return the parameters of the node that begins the trials of a bench without simulator."""
-    begins = next((name for name in ("launcher", "capture_detector") if name in started), None)
-    if begins is None:
-        refuse("scene", argument("scene"), "nothing where neither launcher nor detector is started")
-    found = parameters[begins] | {"scene": argument("scene")}
-    if begins == "launcher":
-        found["actuator"] = "output"
-    if argument("overrides"):
-        found["overrides"] = listed(argument("overrides"))
-    return {begins: found}
-
-
-def listed(text):
-    return [word.strip() for word in text.split(",")]
-
-
-def refuse(name, value, allowed):
-    raise RuntimeError(f"argument {name}:={value}: must be {allowed}")
-
-
-def viewer(python, namespace):
-    """Return the viewer's process, in an environment of its own."""
-    python = Path(python or ".venv/bin/python")
-    if not python.is_file():
-        refuse("view_python", python, "a Python that exists and has rerun: see `make setup`")
-    return ExecuteProcess(
-        cmd=[
-            *(str(python), "-m", "capture_sim.nodes.viewer", "--ros-args"),
-            *("-r", f"__ns:={namespace or '/'}"),
-        ],
-        name="viewer",
-        env={key: value for key, value in os.environ.items() if key not in MIXES},
+def bench_node(name, switch, parameters, **more):
+    return Node(
+        package="capture_sim",
+        executable=name,
+        name=name,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[LaunchConfiguration("params"), parameters],
+        condition=IfCondition(LaunchConfiguration(switch)),
         output="screen",
+        **more,
     )
 
 
-class Watch:
-    """Notes how the nodes end; the launch fails if one of them has."""
+def fail_with(event, context):
+    """End the launch, with a status that is not zero, because of a node that has failed."""
+    if event.returncode != 0:
+        raise RuntimeError(f"{event.process_name}: exit status {event.returncode}")
 
-    def __init__(self, count, ends):
-        self.left = count
-        self.ends = ends
-        self.failed = []
 
-    def ended(self, event, context):
-        """Take in that a process has ended; a simulator that fails ends the others."""
-        name = event.action.node_name if isinstance(event.action, Node) else event.process_name
-        self.left -= 1
-        if event.returncode != 0:
-            self.failed.append(f"{name}: exit status {event.returncode}")
-        if self.left == 0 and self.failed:
-            # the only way for a launch file to make `ros2 launch` fail
-            raise RuntimeError("; ".join(self.failed))
-        if event.returncode != 0 and self.ends and name.endswith("simulator"):
-            return [EmitEvent(event=Shutdown(reason=self.failed[-1]))]
-        return []
+def generate_launch_description():
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=description, choices=choices)
+        for name, default, description, choices in ARGUMENTS
+    ]
+    # on a real bench no node reports that all runs are over
+    ends = {"exit_when_done": python("$simulator", " == 'true' != ", "$keep", kind=bool)}
+    changes = python("[c.strip() for c in ", "$overrides", ".split(',')]", kind=TEXTS)
+    # trials of a bench without simulator are begun by the launcher, without it by the detector
+    by_launcher = ("$scene", " if ", "$simulator", " == 'false' else ''")
+    by_detector = ("$scene", " if ", "$simulator", " == ", "$launcher", " == 'false' else ''")
+
+    def trials(scene):
+        changes_of_it = ("[c.strip() for c in ", "$overrides", ".split(',')] if (", *scene)
+        return {
+            "scene": python(*scene, kind=str),
+            "overrides": python(*changes_of_it, ") else ['']", kind=TEXTS),
+        }
+
+    consumers = python(
+        *("[name for name, switch in (('launcher', ", "$launcher", "), ('capture_detector', "),
+        *("$detector", "), ('recorder', ", "$record", ")) if switch == 'true'] or ['']"),
+        kind=TEXTS,
+    )
+    actuator = python(
+        "'output' if ", "$simulator", " == 'false' and ", "$scene", " else 'simulated'"
+    )
+    nodes = [
+        bench_node("launcher", "launcher", ends | trials(by_launcher) | {"actuator": actuator}),
+        bench_node("capture_detector", "detector", ends | trials(by_detector)),
+        bench_node("recorder", "record", ends | {"out": LaunchConfiguration("out")}),
+        bench_node(
+            "simulator",
+            "simulator",
+            ends
+            | {
+                "scenes": python(
+                    *("[name.strip() for name in ", "$experiment", ".split(',')]"), kind=TEXTS
+                ),
+                "overrides": changes,
+                "rtf": ParameterValue(LaunchConfiguration("rtf"), value_type=float),
+                "initial_state": LaunchConfiguration("state"),
+                "consumers": consumers,
+            },
+            on_exit=Shutdown(reason="the simulator has ended"),
+        ),
+    ]
+    viewer = ExecuteProcess(
+        cmd=[
+            *(LaunchConfiguration("view_python"), "-m", "capture_sim.nodes.viewer", "--ros-args"),
+            *("-r", ["__ns:=", LaunchConfiguration("namespace")]),
+        ],
+        name="viewer",
+        env={key: value for key, value in os.environ.items() if key not in MIXES},
+        condition=IfCondition(LaunchConfiguration("view")),
+        output="screen",
+    )
+    rviz = Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=LaunchConfiguration("namespace"),
+        arguments=["-d", str(config_dir() / "bench.rviz")],
+        remappings=[("/tf", "tf"), ("/tf_static", "tf_static")],
+        condition=IfCondition(LaunchConfiguration("rviz")),
+    )
+    handlers = [
+        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=fail_with)) for node in nodes
+    ]
+    return LaunchDescription([*arguments, *handlers, *nodes, viewer, rviz])

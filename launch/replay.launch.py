@@ -1,88 +1,66 @@
-"""Play a recording: ros2 launch capture_sim replay.launch.py bag:=runs/tilt_0.mcap rtf:=2.0."""
+"""Play a recording: ros2 launch capture_sim replay.launch.py bag:=/data/tilt_0.mcap rtf:=2.0."""
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler
+from typing import List  # noqa: UP035
+
+from launch.actions import DeclareLaunchArgument, RegisterEventHandler
+from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
-FASTEST = 1000.0
+TEXTS = List[str]  # noqa: UP006  # by which launch knows a list
+SWITCH = ("true", "false")
+#: Name, default, description and choices.
+ARGUMENTS = (
+    ("bag", None, "an .mcap file, or a bag's folder", None),
+    ("rtf", "1.0", "real-time factor, 0 to 1000; 0 plays without pacing", None),
+    ("start", "0.0", "begin so many seconds after the recording's start", None),
+    ("paused", "false", "start paused", SWITCH),
+    ("detect", "false", "evaluate the run again; the recorded verdict is not played", SWITCH),
+)
+
+
+def fail_with(event, context):
+    """End the launch, with a status that is not zero, because of a node that has failed."""
+    if event.returncode != 0:
+        raise RuntimeError(f"{event.process_name}: exit status {event.returncode}")
 
 
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("bag", description="an .mcap file, or a bag's folder"),
-            DeclareLaunchArgument(
-                "rtf",
-                default_value="1.0",
-                description="real-time factor: recorded seconds per second; 0 as fast as it goes",
-            ),
-            DeclareLaunchArgument(
-                "start", default_value="0.0", description="begin so many seconds later"
-            ),
-            DeclareLaunchArgument("paused", default_value="false", choices=["true", "false"]),
-            DeclareLaunchArgument(
-                "detect",
-                default_value="false",
-                choices=["true", "false"],
-                description="judge the run anew; the recorded judgement is not played",
-            ),
-            OpaqueFunction(function=nodes),
-        ]
-    )
-
-
-def nodes(context):
-    """Return the player, and the detector if it is wanted; if one fails, both end."""
-
-    def argument(name):
-        return LaunchConfiguration(name).perform(context)
-
-    parameters = {
-        "bag": argument("bag"),
-        "rtf": number("rtf", argument("rtf"), FASTEST),
-        "start": number("start", argument("start")),
-        "paused": argument("paused") == "true",
-    }
-    followers = []
-    if argument("detect") == "true":
-        parameters["consumers"] = ["capture_detector"]
-        followers.append(node("capture_detector", exit_when_done=True))
-    started = [node("player", **parameters), *followers]
-    handlers = [
-        RegisterEventHandler(OnProcessExit(target_action=action, on_exit=ended))
-        for action in started
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=description, choices=choices)
+        for name, default, description, choices in ARGUMENTS
     ]
-    return [*handlers, *started]
-
-
-def number(name, text, largest=float("inf")):
-    """Return the argument as a number from 0 on."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= largest or value == float("inf"):
-        upward = "upward" if largest == float("inf") else f"to {largest:g}"
-        raise RuntimeError(f"argument {name}:={text}: must be a number from 0 {upward}")
-    return value
-
-
-def ended(event, context):
-    """End the launch with a status that is not zero when a node has failed."""
-    if event.returncode != 0:
-        raise RuntimeError(
-            f"{event.action.node_name.rpartition('/')[2]}: exit status {event.returncode}"
-        )
-
-
-def node(name, **parameters):
-    return Node(
+    detect = LaunchConfiguration("detect")
+    consumers = PythonExpression(["['capture_detector' if '", detect, "' == 'true' else '']"])
+    player = Node(
         package="capture_sim",
-        executable=name,
-        name=name,
-        parameters=[parameters],
+        executable="player",
+        name="player",
+        parameters=[
+            {
+                "bag": LaunchConfiguration("bag"),
+                "rtf": ParameterValue(LaunchConfiguration("rtf"), value_type=float),
+                "start": ParameterValue(LaunchConfiguration("start"), value_type=float),
+                "paused": ParameterValue(LaunchConfiguration("paused"), value_type=bool),
+                "consumers": ParameterValue(consumers, value_type=TEXTS),
+            }
+        ],
         output="screen",
     )
+    detector = Node(
+        package="capture_sim",
+        executable="capture_detector",
+        name="capture_detector",
+        parameters=[{"exit_when_done": True}],
+        condition=IfCondition(detect),
+        output="screen",
+    )
+    nodes = [player, detector]
+    handlers = [
+        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=fail_with)) for node in nodes
+    ]
+    return LaunchDescription([*arguments, *handlers, *nodes])

@@ -124,6 +124,10 @@ def run(
         leave_if_busy(OK)
         end_within(DDS_SHUTDOWN_TIMEOUT, OK)
         return OK
+    finally:
+        # Python's own end would give them back their default, by which one more ends the process
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(signum, signal.SIG_IGN)
 
 
 def _limit_shutdown() -> None:

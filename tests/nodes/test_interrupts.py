@@ -25,7 +25,7 @@ def test_interrupted_twice_ends_in_order(start, tmp_path):
     nodes = {gap: start("recorder", out=tmp_path, __node=f"r{i}") for i, gap in enumerate(GAPS)}
     for gap, node in nodes.items():
         node.wait_for("ready")
-        for _ in range(8):
+        while node.process.poll() is None:  # to the very end of the process
             node.process.send_signal(signal.SIGINT)
             time.sleep(gap)
     for node in nodes.values():

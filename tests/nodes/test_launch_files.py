@@ -47,7 +47,11 @@ def test_bench_is_launched_and_its_recording_replayed(tmp_path):
 
 @pytest.mark.parametrize(
     "argument, said",
-    [("rtf:=-1", "rtf:=-1: must be a number from 0 to 1000"), ("state:=gone", "state:=gone")],
+    [
+        ("rtf:=-1", "error: parameter rtf = -1.0: must be a number"),
+        ("state:=gone", "'playing', 'paused', 'stopped'"),
+        ("experiment:=tilt_1", "tilt_1"),
+    ],
 )
 def test_wrong_argument_is_named(argument, said):
     done = launched("bench.launch.py", argument)
