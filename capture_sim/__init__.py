@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from capture_sim.scene.files import scene_names
     from capture_sim.scene.parts import Scene
     from capture_sim.simulation import Result, simulate
+    from capture_sim.studies.sweep import sweep
     from capture_sim.viewing.plots import plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
@@ -49,6 +50,7 @@ __all__ = [
     "plot",
     "scene_names",
     "simulate",
+    "sweep",
 ]
 
 # loaded when first used: what needs no kernels does not pay for the compiler
@@ -66,6 +68,7 @@ _MODULES = {
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
     "simulation": ("Result", "simulate"),
+    "studies.sweep": ("sweep",),
     "viewing.plots": ("plot",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

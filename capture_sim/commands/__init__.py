@@ -33,8 +33,7 @@ GROUPS = {
     "study": {
         "identify": "fit parameters of the bench to a recorded run",
         "design": "find springs and damper for the strokes you want",
-        "sensitivity": "find what force, strokes and verdict depend on",
-        "envelope": "map which approaches end in a capture",
+        "sweep": "run a scene over values, distributions or a table",
     },
 }
 

@@ -72,15 +72,20 @@ class Progress:
         self._unit = unit
         self._bar: Bar | None = None
         self._tasks: dict[str, Any] = {}
-        self._began: dict[str, float] = {}
+        self._began: dict[str, tuple[float, int]] = {}
         self._said = time.monotonic()
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
-            from rich.progress import MofNCompleteColumn, TimeRemainingColumn
+            from rich.progress import MofNCompleteColumn, TextColumn, TimeRemainingColumn
             from rich.progress import Progress as Bar
 
-            columns = (*Bar.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+            columns = (
+                *Bar.get_default_columns()[:-1],
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(),
+            )
             self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
             self._bar.start()
         return self
@@ -97,14 +102,16 @@ class Progress:
     def at(self, name: str, done: int, count: int) -> None:
         """Show that ``done`` of ``count`` in the round ``name`` are done, and how long it takes."""
         now = time.monotonic()
-        took = now - self._began.setdefault(name, now)
+        began, before = self._began.setdefault(name, (now, done))
+        speed = (done - before) / (now - began) if now > began else 0.0
+        rate = f"{speed:.3g} {self._unit}/s" if speed else ""
         if self._bar is not None:
             if name not in self._tasks:
-                self._tasks[name] = self._bar.add_task(name, total=count)
-            self._bar.update(self._tasks[name], completed=done, total=count)
+                self._tasks[name] = self._bar.add_task(name, total=count, rate="")
+            self._bar.update(self._tasks[name], completed=done, total=count, rate=rate)
         elif now - self._said > _PAUSE:
             self._said = now
-            left = f", about {took * (count - done) / done:.0f} s left" if done else ""
+            left = f", {rate}, about {(count - done) / speed:.0f} s left" if speed else ""
             print(f"{name}: {done} of {count} {self._unit}{left}", file=sys.stderr, flush=True)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import difflib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from capture_sim.errors import SceneError
@@ -63,6 +64,21 @@ def get(scene: Scene, path: str) -> Any:
         known = dataclasses.is_dataclass(value) and name in declared(type(value))
         value = getattr(value, name) if known else None
     return value
+
+
+def field_names(part: Any, prefix: str = "") -> list[str]:
+    """Return the dotted names of the fields of a scene that hold no part."""
+    names = []
+    for name in declared(type(part)):
+        value = getattr(part, name)
+        inner = dataclasses.is_dataclass(value)
+        names += field_names(value, f"{prefix}{name}.") if inner else [f"{prefix}{name}"]
+    return names
+
+
+def nearest(names: Sequence[str], name: str) -> str:
+    """Return the one of several names that is most like a name."""
+    return difflib.get_close_matches(name[:100], names, n=1, cutoff=0.0)[0]
 
 
 def changed(part: Any, path: str, value: Any) -> Any:

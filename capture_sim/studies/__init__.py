@@ -1,1 +1,1 @@
-"""What many runs tell: capture envelope, capture margin, sensitivity."""
+"""Studies of many runs, or of recorded ones: sweep, design, identification, comparison."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 from capture_sim.errors import SceneError
 from capture_sim.launch.plan import plan_launch, rolling_force, travel_to_touch
@@ -19,15 +19,14 @@ from capture_sim.studies.outcome import run_to_verdict
 SCALES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 
 
-def placed(
-    scene: Scene, angle: float, offset: float, speed: float, run_up: float = 2e-3
-) -> Scene | None:
+def placed(scene: Scene, angle: float, offset: float, speed: float, run_up: float = 2e-3) -> Scene:
     """Return a scene that starts just before the first touch, approached as asked.
 
     The chaser keeps its heading, the target its place; the target stands turned by ``angle``
     (rad) against the chaser, whose path passes ``offset`` (m) to the left of the target's
     centre of mass and which meets the cone at ``speed`` (m/s).  Rail and string are taken
-    off.  None if the straight path passes the cone by.
+    off.  Where the straight path touches no wall, past the cone or through its throat, the scene
+    starts with the tip in front of the cone.
 
     Raises
     ------
@@ -42,9 +41,11 @@ def placed(
     chaser = PlanarState(x, y, heading)
     turned = PlanarState(target.x, target.y, math.remainder(heading + angle, math.tau))
     scene = replace(scene, initial=Initial(chaser, turned), rail=None, string=None)
-    way = travel_to_touch(scene) - run_up
-    if not math.isfinite(way):
-        return None
+    travel = travel_to_touch(scene)
+    if not math.isfinite(travel):  # the cone lies within L_T + L_c + R_c of the centre of mass
+        travel = far - scene.buffer.hinge_offset - scene.rest_length - scene.cone.L_T
+        travel -= scene.cone.L_c + scene.cone.R_c + scene.probe.tip_radius
+    way = max(travel - run_up, 0.0)
     slowing = rolling_force(scene) / scene.chaser_total_mass
     start = math.sqrt(speed * speed + 2.0 * slowing * run_up)
     chaser = PlanarState(x + way * c, y + way * s, heading, start * c, start * s)
@@ -52,7 +53,7 @@ def placed(
 
 
 def approach_of(scene: Scene) -> tuple[float, float, float]:
-    """Return where a scene lies in an envelope: angle (rad), offset (m) and speed (m/s).
+    """Return how a scene's chaser comes to the cone: angle (rad), offset (m), speed (m/s).
 
     Raises
     ------
@@ -66,20 +67,6 @@ def approach_of(scene: Scene) -> tuple[float, float, float]:
     c, s = math.cos(chaser.theta), math.sin(chaser.theta)
     offset = c * (chaser.y - target.y) - s * (chaser.x - target.x)
     return math.remainder(target.theta - chaser.theta, math.tau), offset, plan.impact_speed
-
-
-def other_parts(scene: Scene, other: Scene) -> list[str]:
-    """Return the parts in which the benches of two scenes differ.
-
-    Where the vehicles start, what launches them, what is sampled and measured is no matter of
-    the bench.
-    """
-    free = {"name", "title", "initial", "rail", "string", "run", "sensors"}
-    return [
-        part.name
-        for part in fields(Scene)
-        if part.name not in free and getattr(scene, part.name) != getattr(other, part.name)
-    ]
 
 
 @dataclass(frozen=True)
@@ -112,8 +99,6 @@ def captures(scene: Scene, spread: Spread, scale: float) -> bool:
         off = placed(
             scene, angle + scale * d_angle, offset + scale * d_offset, speed * (1 + scale * d_speed)
         )
-        if off is None:
-            return False
         outcome = run_to_verdict(off)
         if outcome.failure or not outcome.captured:
             return False

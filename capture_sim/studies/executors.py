@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
@@ -18,6 +19,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
 )
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -45,10 +47,15 @@ class _Processes(ProcessPoolExecutor):
         super().__init__(count, multiprocessing.get_context("spawn"), _begin_worker)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # a process that this starts inherits the mask, and does not run the user's script again:
+        # what it does is in this package alone
+        main = sys.modules["__main__"]
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        sys.modules["__main__"] = ModuleType("__main__")
         try:
-            return super().submit(fn, *args, **kwargs)  # a process that it starts inherits this
+            return super().submit(fn, *args, **kwargs)
         finally:
+            sys.modules["__main__"] = main
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
@@ -142,6 +149,4 @@ def answers(
         ):
             raise
         first_line = str(error).partition("\n")[0] or type(error).__name__
-        raise ExecutorError(
-            f"the workers were lost ({first_line}); start again to go on from there"
-        ) from None
+        raise ExecutorError(f"the workers were lost ({first_line})") from None

@@ -1,4 +1,4 @@
-"""Studies in pictures: design, sensitivities, the envelope of capture, two runs compared."""
+"""Studies in pictures: design, and two runs compared."""
 
 from __future__ import annotations
 
@@ -8,36 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
-from capture_sim.detection.exact import CaptureState
-from capture_sim.studies.approach import approach_of
 from capture_sim.studies.design import Design
-from capture_sim.studies.envelope import Cell, Envelope
 from capture_sim.studies.measurements import Series
-from capture_sim.studies.sensitivity import (
-    QUANTITIES,
-    SMOOTH,
-    Global,
-    Local,
-    Parameter,
-    Quantity,
-)
 from capture_sim.studies.touches import Touches
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import STROKE, TORSION
-from capture_sim.viewing.source import ViewableRun, verdict
 
 if TYPE_CHECKING:
     from capture_sim.recording.comparing import Comparable
-
-# a parameter below and above by its spread
-_BELOW, _ABOVE = "#9DBFD3", "#3E5F73"
-_TIGHT: Any = {"linespacing": 0.85}
 
 
 def draw_design(design: Design) -> Figure:
@@ -142,204 +123,6 @@ def draw_trade_off(designs: Sequence[Design]) -> Figure:
     force.set_ylim(0.0, 1.45 * force.get_ylim()[1])
     low_end, high_end = buffer.get_ylim()
     buffer.set_ylim(low_end, high_end * 8.0)
-    return figure
-
-
-_BOUNDARY = style.BLACK
-# of the axes, as a person reads them: title, unit, how many to the SI unit
-_SHOWN = (
-    ("angle of the target", "deg", math.degrees(1.0)),
-    ("lateral offset", "mm", 1e3),
-    ("speed at the touch", "m/s", 1.0),
-)
-
-
-def draw_envelope(envelope: Envelope, marks: Sequence[ViewableRun] = ()) -> Figure:
-    """Return the figure of a map: a panel for each slice.
-
-    ``marks`` are runs of experiments; each is marked in the slice it belongs to (where it
-    does not belong to one, in none), with what came of it.
-    """
-    slices = envelope.plan.slices
-    columns = min(len(slices), 3)
-    rows = math.ceil(len(slices) / columns)
-    size = (1.5 + 5.6 * columns, 1.6 + 5.0 * rows)
-    figure, panels = subplots(*size, rows, columns, grid=None, font=12.0)
-    for number, panel in enumerate(panels.flat):
-        if number < len(slices):
-            _draw_slice(panel, envelope, number)
-            _mark(panel, envelope, number, marks)
-        else:
-            panel.set_axis_off()
-    patches = [
-        Patch(color=look.colour, label=state.label) for state, look in style.VERDICTS.items()
-    ]
-    patches.append(Patch(color=_BOUNDARY, label="holds the boundary"))
-    # no wider than one panel, where there is no more
-    across = 5 if columns > 1 else 2
-    figure.legend(handles=patches, loc="outside lower center", ncols=across, fontsize=12)
-    title = f"Capture envelope of {envelope.plan.scene.name}: {len(envelope.rows)} runs"
-    figure.suptitle(title, fontsize=16 if columns > 1 else 13)
-    return figure
-
-
-def _draw_slice(axes: Axes, envelope: Envelope, number: int) -> None:
-    plan = envelope.plan
-    (across, _), (up, _) = plan.plane
-    cells = [cell for cell in envelope.cells if cell.slice == number]
-    corners = np.array([[plan.values(key) for key in plan.points(cell)] for cell in cells])
-    # points() goes up first: 0 low left, 1 high left, 2 low right, 3 high right
-    outline = corners[:, [0, 2, 3, 1]][:, :, [across, up]]
-    outline *= [_SHOWN[across][2], _SHOWN[up][2]]
-    colours = [_colour(envelope, cell) for cell in cells]
-    axes.add_collection(
-        PolyCollection(list(outline), facecolors=colours, edgecolors=colours, linewidths=0.3)
-    )
-    axes.set_xlim(outline[:, :, 0].min(), outline[:, :, 0].max())
-    axes.set_ylim(outline[:, :, 1].min(), outline[:, :, 1].max())
-    doubtful = [
-        envelope.is_boundary(cell) and _hangs_on_tolerance(envelope, cell) for cell in cells
-    ]
-    if any(doubtful):
-        x, y = outline[doubtful].mean(axis=1).T
-        axes.plot(x, y, "x", color=style.VERMILION, ms=6, mew=1.6, label="ill-conditioned")
-        axes.legend(loc="lower right", fontsize=11, framealpha=1.0)
-    axes.set_xlabel(f"{_SHOWN[across][0]} [{_SHOWN[across][1]}]")
-    axes.set_ylabel(f"{_SHOWN[up][0]} [{_SHOWN[up][1]}]")
-    title, unit, factor = _SHOWN[plan.sliced]
-    share = envelope.shares[number]
-    axes.set_title(
-        f"{title} {plan.slices[number] * factor:.3g} {unit}\n"
-        f"captured {100 * share['surely']:.1f} to {100 * share['perhaps']:.1f} %",
-        fontsize=13,
-    )
-
-
-def _hangs_on_tolerance(envelope: Envelope, cell: Cell) -> bool:
-    rows = envelope.corner_rows(cell)
-    return bool(np.any(rows["verdict"] != rows["finer_verdict"]))
-
-
-def _colour(envelope: Envelope, cell: Cell) -> str:
-    if envelope.is_boundary(cell):
-        return _BOUNDARY
-    verdicts, counts = np.unique(envelope.corner_rows(cell)["verdict"], return_counts=True)
-    return style.VERDICTS[CaptureState(verdicts[counts.argmax()])].colour
-
-
-def _mark(axes: Axes, envelope: Envelope, number: int, marks: Sequence[ViewableRun]) -> None:
-    plan = envelope.plan
-    (across, _), (up, _) = plan.plane
-    for run in marks:
-        approach = approach_of(run.scene)
-        if not math.isclose(approach[plan.sliced], plan.slices[number], rel_tol=1e-6, abs_tol=1e-9):
-            continue
-        x, y = (approach[axis] * _SHOWN[axis][2] for axis in (across, up))
-        axes.plot(x, y, "o", mfc="white", mec=style.BLACK, ms=8, mew=1.8)
-        axes.annotate(
-            f"{run.scene.name}\n{verdict(run)}",
-            (x, y),
-            xytext=(0, 9),
-            textcoords="offset points",
-            ha="center",
-            fontsize=10.5,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1},
-        )
-
-
-def draw_tornado(found: Local) -> Figure:
-    """Return a figure with a panel for each quantity: bars over each parameter's spread.
-
-    A tick on a bar is what the derivative promises; a cross, that the derivative is
-    ill-conditioned; a ring, that the verdict is another one at that end.
-    """
-    figure, panels = subplots(19.0, 12.0, 2, 3, grid="x", font=13.0)
-    for q, (panel, quantity) in enumerate(zip(panels.flat, SMOOTH, strict=False)):
-        _draw_bars(panel, found, q, quantity)
-    marks = (
-        ("|", 14, "by the derivative"),
-        ("x", 9, "ill-conditioned"),
-        ("o", 11, "verdict flips"),
-    )
-    panels[-1, -1].set_axis_off()
-    panels[-1, -1].legend(
-        handles=[
-            Patch(color=_BELOW, label="parameter below by its spread"),
-            Patch(color=_ABOVE, label="parameter above by its spread"),
-            *(
-                Line2D(
-                    [], [], ls="", marker=marker, mfc="none", color="k", ms=size, mew=2, label=text
-                )
-                for marker, size, text in marks
-            ),
-        ],
-        loc="center",
-        fontsize=15,
-    )
-    return figure
-
-
-def _draw_bars(axes: Axes, found: Local, q: int, quantity: Quantity) -> None:
-    _, title, unit, factor = quantity
-    low = (found.low[:, q] - found.base[q]) * factor
-    high = (found.high[:, q] - found.base[q]) * factor
-    order = np.argsort(np.maximum(np.abs(low), np.abs(high)))
-    for place, p in enumerate(order):
-        axes.barh(place, low[p], color=_BELOW, height=0.75)
-        axes.barh(place, high[p], color=_ABOVE, height=0.75)
-        derivative = found.derivatives[p][q]
-        promised = derivative.value * factor
-        if derivative.converged:
-            axes.plot([-promised, promised], [place, place], "|", color="k", ms=12, mew=2)
-        else:
-            axes.plot(0.0, place, "x", color="k", ms=8, mew=2, zorder=3)
-        for end, values in ((low[p], found.low), (high[p], found.high)):
-            if values[p, -1] != found.base[-1]:
-                axes.plot(end, place, "o", mfc="none", color="k", ms=10, mew=1.8, zorder=3)
-    axes.set_yticks(range(len(order)), [_label(found.parameters[p]) for p in order], **_TIGHT)
-    axes.axvline(0.0, color=style.BLACK, lw=0.8)
-    reach = max(float(np.abs([low, high]).max()), 1e-12) * 1.15
-    axes.set_xlim(-reach, reach)
-    axes.set_xlabel(f"change  [{unit}]")
-    axes.set_title(f"{title}: {found.base[q] * factor:.4g} {unit}", fontsize=14)
-
-
-def _label(parameter: Parameter) -> str:
-    name = parameter.name
-    if len(name) > 24:  # two lines, or it takes the bars' room
-        middle = name.rfind("_", 0, 20) + 1
-        name = f"{name[:middle]}\n{name[middle:]}"
-    return f"{name} ±{parameter.displayed_spread}"
-
-
-def draw_indices(found: Global) -> Figure:
-    """Return a figure of Morris' or Sobol's indices: a panel for each quantity."""
-    figure, panels = subplots(19.0, 12.0, 2, 3, grid="x", font=13.0)
-    morris = found.method == "morris"
-    for q, (panel, (_, title, unit, factor)) in enumerate(
-        zip(panels.flat, QUANTITIES, strict=True)
-    ):
-        indices = np.stack([found.total[:, q], found.first[:, q], found.confidence[:, q]])
-        total, first, spread = indices * (factor if morris else 1.0)
-        if np.isnan(total).all():
-            panel.set_axis_off()
-            panel.set_title(f"{title}: the same in every run", fontsize=14)
-            continue
-        order = np.argsort(total)
-        places = np.arange(len(order))
-        panel.barh(places, total[order], color=_BELOW, height=0.75, xerr=spread[order])
-        panel.plot(first[order], places, "D", color=style.BLACK, ms=6)
-        panel.set_yticks(places, [_label(found.parameters[p]) for p in order], **_TIGHT)
-        panel.set_xlim(left=min(0.0, float(np.nanmin(first)) * 1.1))
-        panel.set_xlabel(f"effect  [{unit}]" if morris else "share of the variance")
-        panel.set_title(title, fontsize=14)
-    what = (
-        "bars: mean magnitude of the elementary effects, over the whole spread (95 %); "
-        "diamonds: their scatter"
-        if morris
-        else "bars: total index (95 %); diamonds: first-order index"
-    )
-    figure.suptitle(f"{found.method.capitalize()}, {found.runs} runs; {what}", fontsize=15)
     return figure
 
 

@@ -1,0 +1,302 @@
+"""``capture-sim sweep``."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from capture_sim.commands import INTERRUPTED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
+    SEEDS,
+    add_scene,
+    add_workers,
+    load,
+    prepare_folder,
+    whole,
+)
+from capture_sim.commands.output import Progress, drawing, echo, print_table, warn
+from capture_sim.errors import SceneError
+from capture_sim.recording.sweep_file import check_format, read_cases, write_sweep
+from capture_sim.results import LOADS
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.axes import FAMILIAR
+from capture_sim.studies.dispersion import (
+    MAIN_LOADS,
+    QUANTILES,
+    Quantile,
+    capture_probability,
+    computed_rows,
+    plain_rows,
+    quantiles,
+    rank_correlations,
+    sobol_indices,
+    wilks_runs,
+    worst_runs,
+)
+from capture_sim.studies.executors import open_executor
+from capture_sim.studies.sampling import EDGES, SAMPLES, Samples
+from capture_sim.studies.sweep import Recipe, result_units, run_samples, samples_of
+
+if TYPE_CHECKING:
+    import pandas
+
+DESCRIPTION = (
+    "Run a scene over values, over distributions or over the rows of a table: probability of "
+    "capture, percentiles of the loads, worst runs, what matters most."
+)
+EXAMPLE = """\
+  capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
+  capture-sim sweep tilt_0 --vary initial.chaser.y='normal(5 mm, 2 mm)' \\
+    --vary buffer.k_A='normal(500, 5%)' --runs 200
+  capture-sim sweep paper_designed --vary approach.angle='-30 deg:30 deg:13' \\
+    --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
+_SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
+#: Below so many runs the percentiles are printed with their intervals.
+_FEW_RUNS = 500
+_WORST = 10
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_scene(parser, "tilt_0")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME=VALUES",
+        help="vary a field of the scene, or approach.angle, .offset, .speed (free, just before the "
+        "first touch), over LOW:HIGH:COUNT, A,B,C, or a distribution: "
+        f"{', '.join(FAMILIAR.values())} or any of scipy.stats; numbers in SI or with a unit, "
+        "5%% of the mean; may be repeated",
+    )
+    parser.add_argument(
+        "--from",
+        type=Path,
+        dest="cases",
+        metavar="TABLE",
+        help="run the rows of a .csv or .parquet table, a column a field",
+    )
+    parser.add_argument(
+        "--runs",
+        type=whole(),
+        metavar="N",
+        help="draw N times from the distributions (default: 100); base samples with saltelli",
+    )
+    parser.add_argument(
+        "--sample",
+        choices=SAMPLES,
+        default="random",
+        help="draw independently, by a Latin hypercube, a Sobol sequence, or Saltelli's design for "
+        "Sobol indices (default: random)",
+    )
+    parser.add_argument(
+        "--seed", type=whole(SEEDS), default=1, help="set the seed of the draws (default: 1)"
+    )
+    parser.add_argument(
+        "--edges",
+        type=whole(),
+        default=0,
+        metavar="N",
+        help="draw N more runs near the edges of the distributions (default: 0)",
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="run each once more at half the tolerance, and report verdicts that change",
+    )
+    parser.add_argument(
+        "--worst",
+        choices=[load.key for load in LOADS],
+        default=MAIN_LOADS[0],
+        metavar="LOAD",
+        help=f"list the runs with the largest LOAD (default: {MAIN_LOADS[0]})",
+    )
+    add_workers(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/sweep.csv"),
+        metavar="FILE",
+        help="write the table to FILE.csv or FILE.parquet, pictures next to it (default: "
+        "runs/sweep.csv)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    check_format(options.out)
+    scene = load(options.scene, options.overrides)
+    samples = _samples(scene, options)
+    prepare_folder(options.out.parent)
+    compile_first()
+    with (
+        open_executor(options.workers, options.scheduler) as executor,
+        Progress() as progress,
+    ):
+        table = run_samples(
+            scene,
+            samples,
+            check=options.check,
+            executor=executor,
+            report=partial(progress.at, "sweep"),
+        )
+    about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
+    about |= {"sample": options.sample, "runs": len(samples.rows)}
+    echo(
+        f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
+    )
+    if len(table):
+        _report(scene, samples, table, options)
+    if len(table) < len(samples.rows):
+        warn(f"interrupted: {len(table)} of {len(samples.rows)} runs are done and in {options.out}")
+        return INTERRUPTED
+    with drawing():
+        from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.sweep import draw_sweep
+
+        for name, figure in draw_sweep(table, samples.axes, scene.name).items():
+            path = options.out.with_name(f"{options.out.stem}_{name}.png")
+            echo(f"picture in {save(figure, path)}")
+    return OK
+
+
+def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
+    if options.cases is not None:
+        if options.vary or options.runs is not None or options.edges:
+            raise SceneError("--from: must stand without --vary, --runs and --edges")
+        return samples_of(scene, read_cases(options.cases))
+    vary: dict[str, str] = {}
+    for item in options.vary:
+        name, sign, given = item.partition("=")
+        if not sign or not name.strip() or name.strip() in vary:
+            raise SceneError(f"--vary {item}: must be NAME=VALUES, each name once")
+        vary[name.strip()] = given
+    if not vary:
+        raise SceneError("--vary: must be given at least once, or --from")
+    runs = options.runs
+    if runs is None:
+        runs = 100 if any("(" in given for given in vary.values()) else 0
+        if runs and options.sample in ("sobol", "saltelli"):
+            runs = 128
+    return samples_of(scene, vary, runs, options.sample, options.seed, options.edges)
+
+
+def _report(
+    scene: Scene, samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
+) -> None:
+    counts = ", ".join(f"{count} {name}" for name, count in table["verdict"].value_counts().items())
+    echo(f"verdicts: {counts}")
+    drawn = [axis.name for axis in samples.axes if axis.distribution]
+    if drawn:
+        _print_probability(table, samples, options)
+    if options.check:
+        changed = table[table["verdict"] != table["verdict_at_half_tolerance"]]
+        echo(f"{len(changed)} verdicts change at half the tolerance: runs {list(changed.index)}")
+    if computed_rows(table).empty:
+        return
+    _print_quantiles(plain_rows(computed_rows(table)))
+    if options.sample == "saltelli":
+        _print_indices(table, drawn, options.seed)
+    else:
+        _print_correlations(table, samples)
+    _print_worst(scene, samples, table, options)
+
+
+def _print_probability(
+    table: pandas.DataFrame, samples: Samples, options: argparse.Namespace
+) -> None:
+    grid = [axis.name for axis in samples.axes if not axis.distribution]
+    groups = plain_rows(table).groupby(grid, sort=False) if grid else [("", table)]
+    for point, rows in groups:
+        found = capture_probability(rows)
+        values = point if isinstance(point, tuple) else (point,)
+        where = ", ".join(
+            f"{name} = {value:.6g}" for name, value in zip(grid, values, strict=False)
+        )
+        echo(
+            f"{where + ': ' if where else ''}captured {found.captured} of {found.computed}: "
+            f"probability {found.estimate:.4f}, 95 % interval {found.low:.4f} to {found.high:.4f}"
+            + (f"; {found.failed} could not be computed, not counted" if found.failed else "")
+        )
+    if options.sample in ("latin", "sobol", "saltelli"):
+        echo(f"(the interval holds for independent draws; {options.sample} draws are not)")
+    if "design" in table:
+        edge = capture_probability(table[table["design"] == EDGES].drop(columns="design"))
+        echo(f"near the edges: captured {edge.captured} of {edge.computed}, in no number above")
+    needed = ", ".join(f"{wilks_runs(share)} for {share:g}" for share in (0.9, 0.95, 0.99, 0.9973))
+    echo(f"runs without a failure that show a probability at 95 % confidence: {needed}")
+
+
+def _print_quantiles(rows: pandas.DataFrame) -> None:
+    echo(f"\nloads of {len(rows)} runs, whole run and before the latch (percentiles)")
+    cells = []
+    for key, _, si_unit, *_ in LOADS:
+        unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
+        before = rows.get(f"{key}_before_latch")
+        # of the time before the latch only what the latch has changed
+        names = [key] if before is None or before.equals(rows[key]) else [key, before.name]
+        for name in names:
+            if rows[name].notna().any():
+                found = quantiles(rows[name].to_numpy(float) * factor)
+                cells.append([name, unit, *(_quantile_text(q, len(rows)) for q in found)])
+    print_table(["load", "unit", *(f"{share:.0%}" for share in QUANTILES)], cells, left=2)
+
+
+def _quantile_text(found: Quantile, runs: int) -> str:
+    if runs >= _FEW_RUNS:
+        return f"{found.value:.4g}"
+    low, high = ("-" if np.isnan(end) else f"{end:.3g}" for end in (found.low, found.high))
+    return f"{found.value:.4g} ({low}..{high})"
+
+
+def _print_correlations(table: pandas.DataFrame, samples: Samples) -> None:
+    inputs = [a.name for a in samples.axes if table[a.name].nunique() > 1]
+    numbers = [name for name in inputs if table[name].dtype.kind in "if"]
+    if not numbers or len(plain_rows(computed_rows(table))) < 3:
+        return
+    found = rank_correlations(table, numbers)
+    echo("\nrank correlation (Spearman) of each input with")
+    cells = (
+        [str(name), *("-" if np.isnan(v) else f"{v:+.2f}" for v in row)]
+        for name, row in zip(found.index, found.to_numpy(), strict=True)
+    )
+    print_table(["input", *found.columns], cells)
+
+
+def _print_indices(table: pandas.DataFrame, inputs: Sequence[str], seed: int) -> None:
+    for key in MAIN_LOADS:
+        found = sobol_indices(table, inputs, key, seed)
+        if found is None:
+            continue
+        echo(f"\nSobol indices of {key}, {found.used} base samples (95 % interval)")
+        columns: tuple[Any, ...] = found.first, found.first_interval, found.total
+        cells = (
+            [name, f"{s1:.3f} +- {d1:.3f}", f"{st:.3f} +- {dt:.3f}"]
+            for name, s1, d1, st, dt in zip(inputs, *columns, found.total_interval, strict=True)
+        )
+        print_table(["input", "first", "total"], cells)
+
+
+def _print_worst(
+    scene: Scene, samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
+) -> None:
+    si_unit = result_units()[options.worst]
+    unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
+    recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
+    echo(f"\nlargest {options.worst}, and the command that repeats each run alone")
+    for number, row in worst_runs(table, options.worst, _WORST).iterrows():
+        value = row[options.worst]
+        if np.isnan(value):
+            continue
+        changes = [*options.overrides, *recipe.overrides_of(samples.rows[int(number)])]
+        command = ["capture-sim", "run", options.scene]
+        for change in changes:
+            command += ["--set", change]
+        echo(f"{number}: {value * factor:.4g} {unit}, {row['verdict']}: {shlex.join(command)}")

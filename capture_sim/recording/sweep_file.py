@@ -1,0 +1,121 @@
+"""The table of a sweep as CSV or Parquet, with units in the header or in each column's metadata."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.errors import RecordingError
+from capture_sim.files import whole_file
+
+if TYPE_CHECKING:
+    import pandas
+
+#: Key in a Parquet file's metadata: how the table was made, as JSON.
+METADATA = b"capture_sim.sweep"
+_HEAD = re.compile(r"(.*\S)\s*\[(.*)\]")
+
+
+def check_format(path: Path) -> None:
+    """Raise RecordingError if a table cannot be written in the format of the path's suffix."""
+    if path.suffix == ".parquet":
+        _arrow()
+    elif path.suffix != ".csv":
+        raise RecordingError(f"--out = {path}: must end in .csv or .parquet")
+    _pandas()
+
+
+def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -> Path:
+    """Write the table of a sweep; return the path.
+
+    Parameters
+    ----------
+    table
+        From :func:`capture_sim.sweep`, its units in ``attrs``.
+    path
+        Whose suffix is the format.
+    about
+        How it was made: kept in a Parquet file's metadata, as JSON.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written, or pyarrow is not installed.
+    """
+    check_format(path)
+    units = table.attrs["units"]
+    with whole_file(path) as part:
+        if path.suffix == ".csv":
+            heads = {name: f"{name} [{unit}]" for name, unit in units.items() if unit}
+            table.rename(columns=heads).to_csv(part)
+        else:
+            _write_parquet(table, units, part, about)
+    return path
+
+
+def _write_parquet(
+    table: pandas.DataFrame, units: Mapping[str, str], path: Path, about: Mapping[str, Any]
+) -> None:
+    pa, parquet = _arrow()
+    columns = pa.Table.from_pandas(table.reset_index())
+    fields = [
+        field.with_metadata({"unit": units[field.name]}) if units.get(field.name) else field
+        for field in columns.schema
+    ]
+    kept = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
+    parquet.write_table(columns.cast(pa.schema(fields, metadata=kept)), path, compression="zstd")
+
+
+def read_cases(path: Path) -> pandas.DataFrame:
+    """Read a table with a row a run; a number in a column ``name [unit]`` becomes a text with it.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    pandas = _pandas()
+    try:
+        if path.suffix == ".parquet":
+            table = pandas.read_parquet(path)
+        else:
+            table = pandas.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ValueError, ImportError) as error:
+        raise RecordingError(f"{path}: is no table: {error}") from None
+    columns = {}
+    table = table.drop(columns="run", errors="ignore")  # a sweep's own number
+    for head, values in table.items():
+        found = _HEAD.fullmatch(str(head))
+        name = found[1] if found else str(head).strip()
+        columns[name] = [f"{v} {found[2]}" for v in values] if found else [*map(_number, values)]
+    return pandas.DataFrame(columns)
+
+
+def _number(cell: Any) -> Any:
+    """Return the number that a cell holds; the cell itself if it holds another text."""
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _pandas() -> Any:
+    try:
+        import pandas
+    except ImportError:
+        raise RecordingError("sweep needs pandas: pip install 'capture_sim[study]'") from None
+    return pandas
+
+
+def _arrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise RecordingError("Parquet needs pyarrow: pip install 'capture_sim[study]'") from None
+    return pyarrow, pyarrow.parquet

@@ -1,0 +1,212 @@
+"""What a sweep varies: fields of a scene and the approach, over values or a distribution."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capture_sim.errors import SceneError
+from capture_sim.scene import paths
+from capture_sim.scene.files import parse
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Checked, Declared, Range, accept, declared, quantity, shown
+from capture_sim.scene.units import in_si, split
+
+#: Most values of one axis.
+MAX_VALUES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Approach(Checked):
+    """How the chaser comes to the cone: free, without rail and string, just before the touch."""
+
+    angle: float = quantity(
+        "rad", Range(-math.pi / 2, math.pi / 2), default=0.0, doc="target's heading less chaser's"
+    )
+    offset: float = quantity(
+        "m",
+        Range(-10.0, 10.0),
+        default=0.0,
+        doc="chaser's path to the left of the target's centre of mass",
+    )
+    speed: float = quantity(
+        "m/s", Range(1e-4, 10.0), default=0.1, doc="speed of the chaser at the first touch"
+    )
+
+
+#: Names of the axes that place the chaser just before its first touch, in the order of Approach.
+APPROACH = tuple(f"approach.{name}" for name in declared(Approach))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One thing that varies: over ``values``, or as ``distribution`` (frozen, of scipy.stats)."""
+
+    name: str
+    unit: str
+    values: tuple[Any, ...] = ()
+    distribution: Any = None
+    text: str = ""
+
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """Return the values below which shares ``u`` of the distribution lie."""
+        tiny = np.finfo(float).eps / 2.0  # 0 and 1 may be infinitely far away
+        return np.asarray(self.distribution.ppf(np.clip(u, tiny, 1.0 - tiny)))
+
+
+def declaration_of(scene: Scene, name: str) -> Declared:
+    """Return what a field of a scene, or of the approach, may be.
+
+    Raises
+    ------
+    SceneError
+        The scene has no such field.
+    """
+    owner, _, field = name.rpartition(".")
+    part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
+    what = declared(part).get(field) if issubclass(part, Checked) else None
+    if what is None or what.kind not in (float, int, str, bool):
+        near = paths.nearest([*paths.field_names(scene), *APPROACH], name)
+        raise SceneError(f"{name}: no number of {scene.name}; did you mean {near}?")
+    return what
+
+
+def make_axis(scene: Scene, name: str, given: Any) -> Axis:
+    """Return an axis.
+
+    Parameters
+    ----------
+    scene
+        Whose field varies.
+    name
+        Of the field, as ``buffer.c_A``, or of the approach, as ``approach.angle``.
+    given
+        ``LOW:HIGH:COUNT``, ``A,B,C`` or ``normal(500, 5%)`` as text; or values; or a frozen
+        distribution of scipy.stats.
+
+    Raises
+    ------
+    SceneError
+        One line that names the axis, and what it must be.
+    """
+    what = declaration_of(scene, name)
+    if hasattr(given, "ppf"):
+        return Axis(name, what.unit, distribution=_checked(given, name, shown(given)))
+    if not isinstance(given, str):
+        values = given if isinstance(given, Iterable) else (given,)
+        return _valued(what, name, list(values), shown(given))
+    text = given.strip()
+    call = re.fullmatch(r"(\w+)\s*\((.*)\)", text)
+    if call:
+        reference = _nominal(scene, name)
+        distribution = _distribution(call[1], call[2].split(","), what, reference, name, text)
+        return Axis(name, what.unit, distribution=_checked(distribution, name, text), text=text)
+    if text.count(":") == 2 and what.kind in (float, int):
+        return _valued(what, name, _span(what, name, text), text)
+    items = [item.strip() for item in text.split(",")]
+    values = items if what.kind is float else [parse(item, name) for item in items]
+    return _valued(what, name, values, text)
+
+
+def _valued(what: Declared, name: str, values: list[Any], text: str) -> Axis:
+    if not 0 < len(values) <= MAX_VALUES:
+        raise SceneError(f"{name} = {text}: must be 1 to {MAX_VALUES} values")
+    accepted = tuple(accept(_plain(value), what, name) for value in values)
+    return Axis(name, what.unit, accepted, text=text)
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _span(what: Declared, name: str, text: str) -> list[Any]:
+    low, high, count = text.split(":")
+    try:
+        ends = in_si(low, what.unit), in_si(high, what.unit)
+        number = int(count)
+    except ValueError:
+        raise SceneError(f"{name} = {text}: must be LOW:HIGH:COUNT in {what.unit or '1'}") from None
+    if not 1 <= number <= MAX_VALUES:
+        raise SceneError(f"{name} = {text}: COUNT must be 1 to {MAX_VALUES}")
+    values: list[Any] = np.linspace(*ends, number).tolist()
+    return values
+
+
+def _nominal(scene: Scene, name: str) -> float:
+    """Return the value of a field in the scene, which percentages refer to; NaN where none is."""
+    value = None if name in APPROACH else paths.get(scene, name)
+    return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+#: Distributions by the arguments that people use; all others are those of scipy.stats.
+FAMILIAR = {
+    "normal": "normal(MEAN, STD)",
+    "uniform": "uniform(LOW, HIGH)",
+    "triangular": "triangular(LOW, MODE, HIGH)",
+    "loguniform": "loguniform(LOW, HIGH)",
+    "truncated_normal": "truncated_normal(MEAN, STD, LOW, HIGH)",
+}
+
+
+def _distribution(
+    kind: str, arguments: list[str], what: Declared, nominal: float, name: str, text: str
+) -> Any:
+    from scipy import stats
+
+    family: Any = getattr(stats, kind, None)
+    usage = FAMILIAR.get(kind, f"{kind}(SHAPE.., LOC, SCALE)")
+    try:
+        if kind not in FAMILIAR and not isinstance(family, stats.rv_continuous):
+            usage = f"a distribution of scipy.stats, as {', '.join(FAMILIAR.values())}"
+            raise ValueError(kind)
+        shapes = 0 if kind in FAMILIAR else family.numargs
+        shape = [float(argument) for argument in arguments[:shapes]]
+        first = arguments[shapes:][:1]
+        if first and not first[0].strip().endswith("%"):
+            nominal = in_si(first[0], what.unit)
+        sizes = [_size(argument, what.unit, nominal) for argument in arguments[shapes:]]
+        if kind == "normal":
+            return stats.norm(*_exactly(sizes, 2))
+        if kind == "uniform":
+            low, high = _exactly(sizes, 2)
+            return stats.uniform(low, high - low)
+        if kind == "triangular":
+            low, mode, high = _exactly(sizes, 3)
+            return stats.triang((mode - low) / (high - low), low, high - low)
+        if kind == "loguniform":
+            return stats.loguniform(*_exactly(sizes, 2))
+        if kind == "truncated_normal":
+            mean, std, low, high = _exactly(sizes, 4)
+            return stats.truncnorm((low - mean) / std, (high - mean) / std, mean, std)
+        loc, scale = _exactly(sizes, 2)
+        return family(*shape, loc=loc, scale=scale)
+    except (ValueError, ZeroDivisionError):
+        raise SceneError(f"{name} = {text}: must be {usage} in {what.unit or '1'}") from None
+
+
+def _exactly(sizes: list[float], count: int) -> list[float]:
+    if len(sizes) != count:
+        raise ValueError(f"{len(sizes)} arguments, {count} wanted")
+    return sizes
+
+
+def _size(text: str, unit: str, nominal: float) -> float:
+    """Return a number in SI; a percentage is one of ``nominal``."""
+    number, given = split(text)
+    if given == "%":
+        return float(number) / 100.0 * nominal
+    return in_si(text, unit)
+
+
+def _checked(distribution: Any, name: str, text: str) -> Any:
+    """Return a distribution that has finite quartiles in their order."""
+    with np.errstate(all="ignore"):
+        quartiles = distribution.ppf([0.25, 0.5, 0.75])
+    if not (np.all(np.isfinite(quartiles)) and np.all(np.diff(quartiles) > 0.0)):
+        raise SceneError(f"{name} = {text}: must have a width > 0 and an order LOW < HIGH")
+    return distribution

@@ -1,0 +1,312 @@
+"""A scene run many times with other values: a table with a row a run.
+
+A row holds the inputs, the verdict, the loads of the whole run and why a run could not be computed.
+It depends on the inputs alone, so the table is the same wherever its runs are done.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from capture_sim.errors import MissingPackageError, SceneError
+from capture_sim.launch.scenes import change_scene, load_scene
+from capture_sim.results import LOADS, loads_of
+from capture_sim.samples import EXTREMES, TOUCH, Extremes
+from capture_sim.scene import paths
+from capture_sim.scene.files import Overrides
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.approach import approach_of, placed
+from capture_sim.studies.axes import APPROACH, Approach, make_axis
+from capture_sim.studies.executors import answers, open_executor
+from capture_sim.studies.outcome import Outcome, run_to_end
+from capture_sim.studies.sampling import PLAIN, Samples, make_samples
+
+if TYPE_CHECKING:
+    import pandas
+
+#: Verdict of a run that could not be computed; ``failure`` says why.
+FAILED = "failed"
+#: Runs that a worker does in one go.
+_CHUNK = 20
+_RUN_UP = 2e-3  # m, from the start to the first touch where the approach is varied
+
+#: Results of a run that are no loads, and their units.
+_OUTCOME = {
+    "verdict": "",
+    "verdict_time": "s",
+    "first_touch_time": "s",
+    "energy_residual": "J",
+}
+#: What else a table may have beside inputs, outcome and loads.
+_NOTES = {"design": "", "verdict_at_half_tolerance": "", "failure": ""}
+
+
+@functools.cache
+def result_units() -> dict[str, str]:
+    """Return the columns of a table that are no inputs, and their units."""
+    of_load = {load.key: load.unit for load in LOADS}
+    of_load |= {"touches": "", "first_contact_impulse": "N s"}
+    units = dict(_OUTCOME)
+    for name in loads_of(Extremes(np.zeros(1, EXTREMES)[0], None), np.zeros(0, TOUCH)):
+        key = name.removesuffix("_time").removesuffix("_before_latch")
+        units[name] = "s" if name.endswith("_time") else of_load[key]
+    return {**units, **_NOTES}
+
+
+def sweep(
+    scene: Scene | str | Path,
+    vary: Mapping[str, Any] | pandas.DataFrame,
+    overrides: Overrides = (),
+    *,
+    runs: int = 0,
+    sample: str = "random",
+    seed: int = 1,
+    edges: int = 0,
+    check: bool = False,
+    executor: Executor | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> pandas.DataFrame:
+    """Run a scene over values, distributions or the rows of a table.
+
+    Parameters
+    ----------
+    scene
+        From :func:`capture_sim.load_scene`, or what that takes: a name or a path.
+    vary
+        What varies, by name of a field (``"buffer.c_A"``) or of the approach
+        (``"approach.angle"``, ``.offset``, ``.speed``: free, just before the first touch): values,
+        a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
+        distribution of scipy.stats.  Or a table: a row a run, a column a field.
+    overrides
+        As for :func:`capture_sim.load_scene`.
+    runs
+        Draws from the distributions, at each combination of the values.
+    sample
+        How they are drawn: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
+        indices (``runs`` are then base samples).
+    seed
+        Of the draws.
+    edges
+        Further draws that favour the edges of the distributions; ``design`` is ``"edges"``.
+    check
+        Run each once more at half the tolerance: ``verdict_at_half_tolerance``.
+    executor
+        Any of ``concurrent.futures``; None takes a process for each core.
+    report
+        Called with how many of how many runs are done.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a run, in the order of the samples; SI units, by column in ``attrs["units"]``.  After
+        Ctrl-C: the runs done so far, with a warning.
+
+    Raises
+    ------
+    SceneError
+        A name or a value that is not possible, before anything runs.
+    MissingPackageError
+        pandas, or SALib for ``"saltelli"``, is not installed.
+
+    Examples
+    --------
+    >>> import capture_sim
+    >>> table = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 15, 25]})
+    >>> table["verdict"].tolist()
+    ['captured', 'captured', 'captured']
+    """
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene, overrides)
+    elif overrides:
+        scene = change_scene(scene, overrides)
+    samples = samples_of(scene, vary, runs, sample, seed, edges)
+    table = run_samples(scene, samples, check=check, executor=executor, report=report)
+    if len(table) < len(samples.rows):
+        warnings.warn(
+            f"interrupted: {len(table)} of {len(samples.rows)} runs are done", stacklevel=2
+        )
+    return table
+
+
+def samples_of(
+    scene: Scene,
+    vary: Mapping[str, Any] | pandas.DataFrame,
+    runs: int = 0,
+    sample: str = "random",
+    seed: int = 1,
+    edges: int = 0,
+) -> Samples:
+    """Return the runs of a sweep, checked; see :func:`sweep`."""
+    if not isinstance(vary, Mapping):
+        samples = _samples_of_table(scene, vary)
+    else:
+        axes = [make_axis(scene, name, given) for name, given in vary.items()]
+        if not axes:
+            raise SceneError("vary: must have one axis or more")
+        samples = make_samples(axes, runs, sample, seed, edges)
+    names = [axis.name for axis in samples.axes]
+    clash = [name for name in names if name.startswith(("initial.", "rail.", "string."))]
+    if clash and set(names) & set(APPROACH):
+        raise SceneError(f"{clash[0]}: must not vary with approach.*, which replaces it")
+    if set(names) & set(APPROACH):
+        approach_of(scene)
+    return samples
+
+
+def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
+    inputs = {*paths.field_names(scene), *APPROACH}
+    columns = [str(name) for name in table.columns if str(name) not in result_units()]
+    for name in columns:
+        if name not in inputs:
+            near = paths.nearest(sorted(inputs), name)
+            raise SceneError(f"column {name}: no field of {scene.name}; did you mean {near}?")
+    if not columns or table.empty:
+        raise SceneError("table: must have one row and one column of a field or more")
+    axes = tuple(make_axis(scene, name, table[name].tolist()) for name in columns)
+    rows = list(zip(*(axis.values for axis in axes), strict=True))
+    return Samples(axes, rows, [PLAIN] * len(rows))
+
+
+def run_samples(
+    scene: Scene,
+    samples: Samples,
+    *,
+    check: bool = False,
+    executor: Executor | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> pandas.DataFrame:
+    """Run samples; return their table, or after Ctrl-C that of those that are done."""
+    try:
+        import pandas
+    except ImportError:
+        raise MissingPackageError(
+            "sweep() needs pandas: pip install 'capture_sim[study]'"
+        ) from None
+    names = tuple(axis.name for axis in samples.axes)
+    rows, count = samples.rows, len(samples.rows)
+    chunks = [rows[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
+    work = functools.partial(_run_rows, Recipe(scene, names), check)
+    done: list[dict[str, Any]] = []
+    try:
+        with (
+            nullcontext(executor) if executor else open_executor(None if count > 1 else 1) as ready
+        ):
+            for results in answers(ready, work, chunks):
+                done += results
+                if report is not None:
+                    report(len(done), count)
+    except KeyboardInterrupt:
+        pass  # the rows that are done are kept; the caller sees that some are missing
+    finished = len(done)
+    inputs = dict(zip(names, zip(*rows[:finished], strict=True), strict=True)) if finished else {}
+    table = pandas.DataFrame(inputs)
+    if len(set(samples.designs)) > 1:
+        table["design"] = samples.designs[:finished]
+    results = pandas.DataFrame(done, columns=[c for c in result_units() if done and c in done[0]])
+    table = pandas.concat([table, results], axis=1)
+    table.index.name = "run"
+    units = {**{axis.name: axis.unit for axis in samples.axes}, **result_units()}
+    table.attrs["units"] = {name: units[name] for name in table.columns}
+    return table
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """How the values of a run make its scene: the scene that is varied, and the names varied."""
+
+    scene: Scene
+    names: tuple[str, ...]
+
+    @functools.cached_property
+    def _approach(self) -> Approach | None:
+        """The approach in the scene itself; None where no axis is one of the approach."""
+        if not set(self.names) & set(APPROACH):
+            return None
+        return Approach(*approach_of(self.scene))
+
+    def scene_of(self, values: Iterable[Any]) -> Scene:
+        """Return the scene of a run.
+
+        Raises
+        ------
+        SceneError
+            A value is out of its range.
+        """
+        scene, approach = self.scene, self._approach
+        for name, value in zip(self.names, values, strict=True):
+            if name in APPROACH:
+                approach = paths.changed(approach, name.removeprefix("approach."), value)
+            else:
+                scene = paths.changed(scene, name, value)
+        if approach is None:
+            return scene
+        return placed(scene, approach.angle, approach.offset, approach.speed, _RUN_UP)
+
+    def overrides_of(self, values: Sequence[Any]) -> list[str]:
+        """Return the changes (``name=value``) that make a run's scene, exactly."""
+        pairs = zip(self.names, values, strict=True)
+        changes = [f"{name}={value}" for name, value in pairs if name not in APPROACH]
+        if self._approach is None:
+            return changes
+        start = self.scene_of(values)
+        changes += ["rail=null", "string=null"]
+        for vehicle in ("chaser", "target"):
+            state, before = (getattr(each.initial, vehicle) for each in (start, self.scene))
+            for field in dataclasses.fields(state):
+                value = getattr(state, field.name)
+                if value != getattr(before, field.name):
+                    changes.append(f"initial.{vehicle}.{field.name}={value!r}")
+        return changes
+
+
+def _run_rows(recipe: Recipe, check: bool, rows: Sequence[tuple[Any, ...]]) -> list[dict[str, Any]]:
+    return [_run_row(recipe, row, check=check) for row in rows]
+
+
+def _run_row(recipe: Recipe, row: tuple[Any, ...], *, check: bool) -> dict[str, Any]:
+    try:
+        start = recipe.scene_of(row)
+        result = _results(run_to_end(start))
+        if check:
+            again = run_to_end(_at_half_tolerance(start))
+            result["verdict_at_half_tolerance"] = _results(again)["verdict"]
+    except SceneError as error:
+        result = _failed(str(error))
+        if check:
+            result["verdict_at_half_tolerance"] = FAILED
+    return result
+
+
+def _results(outcome: Outcome) -> dict[str, Any]:
+    """Return what a row of the table holds of a run."""
+    loads = {name: math.nan if x is None else x for name, x in outcome.loads.items()}
+    return {
+        "verdict": FAILED if outcome.failure else outcome.verdict.label,
+        "verdict_time": outcome.t,
+        "first_touch_time": outcome.first_touch,
+        "energy_residual": outcome.energy_residual,
+        **loads,
+        "failure": outcome.failure,
+    }
+
+
+def _failed(failure: str) -> dict[str, Any]:
+    """Return the results of a run that could not be begun."""
+    results: dict[str, Any] = {name: math.nan for name in result_units() if name not in _NOTES}
+    return {**results, "verdict": FAILED, "touches": 0, "failure": failure}
+
+
+def _at_half_tolerance(scene: Scene) -> Scene:
+    run = scene.run
+    run = dataclasses.replace(run, rtol=max(run.rtol / 2.0, 1e-13), step=max(run.step / 2.0, 1e-9))
+    return dataclasses.replace(scene, run=run)

@@ -1,0 +1,260 @@
+"""Sweeps in pictures: a curve over one axis, a map over two, loads of draws, what matters most."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from capture_sim.detection.exact import CaptureState
+from capture_sim.results import LOADS
+from capture_sim.studies.axes import Axis
+from capture_sim.studies.dispersion import (
+    CAPTURED,
+    MAIN_LOADS,
+    capture_probability,
+    computed_rows,
+    plain_rows,
+    rank_correlations,
+)
+from capture_sim.studies.sweep import FAILED
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import subplots
+
+if TYPE_CHECKING:
+    import pandas
+
+_COLOURS = {state.label: look.colour for state, look in style.VERDICTS.items()}
+_MARKERS = {state.label: look.marker for state, look in style.VERDICTS.items()}
+_UNCOMPUTED = style.LIGHT
+#: Most panels of a map.
+_MAX_PANELS = 9
+_FEWEST_RANKED = 3
+
+
+class _Shown(NamedTuple):
+    """A column as a person reads it: its name, its unit, and the factor from SI to that."""
+
+    name: str
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}  [{self.unit}]" if self.unit else self.name
+
+
+def _load(name: str) -> _Shown:
+    load = next(load for load in LOADS if load.key == name)
+    units = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
+    return _Shown(load.meaning, *units.get(load.unit, (load.unit, 1.0)))
+
+
+def _input(axis: Axis) -> _Shown:
+    units = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "1": ("", 1.0)}
+    return _Shown(axis.name, *units.get(axis.unit, (axis.unit, 1.0)))
+
+
+def draw_sweep(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> dict[str, Figure]:
+    """Return the figures of a sweep by name, those that its axes allow.
+
+    Parameters
+    ----------
+    table
+        Of :func:`capture_sim.sweep`.
+    axes
+        That were varied.
+    title
+        Of the figures: the name of the scene.
+    """
+    numbers = [axis for axis in axes if table[axis.name].dtype.kind in "if"]
+    grid = [axis for axis in numbers if len(set(axis.values)) > 1]
+    drawn = [axis for axis in numbers if axis.distribution]
+    draws = len(table) // math.prod(len(set(axis.values)) for axis in grid)
+    is_grid = grid and len(table.groupby([axis.name for axis in grid])) * draws == len(table)
+    if computed_rows(table).empty:
+        return {}
+    figures = {}
+    if is_grid and len(grid) == 1:
+        figures["curve"] = draw_curve(table, grid[0], title)
+    elif is_grid and not drawn:
+        figures["map"] = draw_map(table, grid, title)
+    if drawn or not is_grid:
+        figures["loads"] = draw_loads(table, title)
+        if len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
+            figures["tornado"] = draw_tornado(table, numbers, title)
+    return figures
+
+
+def draw_curve(table: pandas.DataFrame, axis: Axis, title: str) -> Figure:
+    """Return the main loads over one axis; with several runs a value, medians and 5 to 95 %."""
+    several = table[axis.name].nunique() < len(table)
+    figure, panels = subplots(9.0, 12.0, len(MAIN_LOADS) + several, 1, font=12.0, sharex=True)
+    x = _input(axis)
+    computed = computed_rows(table)
+    for panel, name in zip(panels.flat, MAIN_LOADS, strict=False):
+        y = _load(name)
+        if several:
+            groups = computed.groupby(axis.name)[name]
+            low, middle, high = (groups.quantile(q) * y.factor for q in (0.05, 0.5, 0.95))
+            at = middle.index.to_numpy() * x.factor
+            panel.fill_between(at, low, high, color=style.SKY, alpha=0.35, lw=0, label="5 to 95 %")
+            panel.plot(at, middle, color=style.BLUE, label="median")
+        else:
+            ordered = computed.sort_values(axis.name)
+            panel.plot(
+                ordered[axis.name] * x.factor, ordered[name] * y.factor, color=style.GREY, lw=1.0
+            )
+            for verdict, rows in ordered.groupby("verdict"):
+                panel.plot(
+                    rows[axis.name] * x.factor,
+                    rows[name] * y.factor,
+                    _MARKERS[str(verdict)],
+                    color=_COLOURS[str(verdict)],
+                    label=verdict,
+                )
+        panel.set_ylabel(f"{y.name}\n[{y.unit}]")
+        panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
+    failed = table[table["verdict"] == FAILED]
+    for place in failed[axis.name].unique() * x.factor:
+        panels[0, 0].axvline(place, color=_UNCOMPUTED, zorder=0)
+    if several:
+        _draw_probability(panels[-1, 0], table, axis, x.factor)
+    panels[0, 0].legend(fontsize=11, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    panels[-1, 0].set_xlabel(x.label)
+    note = f", {len(failed)} could not be computed (grey)" if len(failed) else ""
+    figure.suptitle(f"{title}: {len(table)} runs{note}", fontsize=14)
+    return figure
+
+
+def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: float) -> None:
+    groups = [(value, capture_probability(rows)) for value, rows in table.groupby(axis.name)]
+    at = np.array([value for value, _ in groups]) * factor
+    low, estimate, high = np.array([[p.low, p.estimate, p.high] for _, p in groups]).T
+    panel.fill_between(at, low, high, color=style.GREEN, alpha=0.25, lw=0)
+    panel.plot(at, estimate, "o-", color=style.GREEN)
+    panel.set_ylim(-0.02, 1.02)
+    panel.set_ylabel("probability of capture\n(95 % interval)")
+
+
+def draw_map(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figure:
+    """Return the verdict over two axes in colours, with contours of the peak force.
+
+    The two with the most values are across and up; each combination of the others has a panel.
+    """
+    across, up = sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]
+    across, up = (axis for axis in axes if axis in (across, up))
+    others = [axis.name for axis in axes if axis not in (across, up)]
+    pages = list(table.groupby(others, sort=True)) if others else [("", table)]
+    columns = min(len(pages), 3)
+    rows = math.ceil(min(len(pages), _MAX_PANELS) / columns)
+    figure, panels = subplots(
+        1.0 + 5.2 * columns, 1.6 + 4.6 * rows, rows, columns, grid=None, font=12.0
+    )
+    for panel, (values, page) in zip(panels.flat, pages, strict=False):
+        _draw_verdicts(panel, page, across, up)
+        shown = zip(
+            [axis for axis in axes if axis.name in others],
+            values if isinstance(values, tuple) else (values,),
+            strict=False,
+        )
+        captured = float((page["verdict"] == CAPTURED).mean())
+        where = ", ".join(
+            f"{axis.name} = {value * _input(axis).factor:.4g} {_input(axis).unit}"
+            for axis, value in shown
+        )
+        panel.set_title(f"{where}\n{captured:.1%} captured".strip(), fontsize=12)
+    for panel in panels.flat[len(pages) :]:
+        panel.set_axis_off()
+    patches = [Patch(color=colour, label=verdict) for verdict, colour in _COLOURS.items()]
+    patches.append(Patch(color=_UNCOMPUTED, label="not computed"))
+    figure.legend(handles=patches, loc="outside lower center", ncols=5 if columns > 1 else 3)
+    figure.suptitle(f"{title}: {len(table)} runs; contours: peak normal force [N]", fontsize=13)
+    return figure
+
+
+def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) -> None:
+    names = [*_COLOURS, FAILED]
+    numbers = page.assign(number=page["verdict"].map(names.index))
+    grid = numbers.pivot(index=up.name, columns=across.name, values="number")
+    force = page.pivot(index=up.name, columns=across.name, values="max_normal_force")
+    x, y = _input(across), _input(up)
+    places = grid.columns.to_numpy(float) * x.factor, grid.index.to_numpy(float) * y.factor
+    colours = ListedColormap([*_COLOURS.values(), _UNCOMPUTED])
+    panel.pcolormesh(
+        *places, grid.to_numpy(), cmap=colours, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest"
+    )
+    if min(force.shape) > 1 and force.notna().to_numpy().any():
+        lines = panel.contour(*places, force.to_numpy(), colors=style.BLACK, linewidths=0.8)
+        panel.clabel(lines, fontsize=8)
+    panel.set_xlabel(x.label)
+    panel.set_ylabel(y.label)
+
+
+def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
+    """Return histograms of the main loads, captured and not, with 95 and 99 % marked."""
+    figure, panels = subplots(13.0, 8.5, 2, 2, font=12.0)
+    plain = plain_rows(table)
+    computed = computed_rows(plain)
+    for panel, name in zip(panels.flat, MAIN_LOADS, strict=True):
+        shown = _load(name)
+        parts = {
+            state.label: (computed.loc[computed["verdict"] == state.label, name] * shown.factor)
+            for state in CaptureState
+            if state.label in _COLOURS
+        }
+        parts = {verdict: values.dropna() for verdict, values in parts.items()}
+        parts = {verdict: values for verdict, values in parts.items() if len(values)}
+        panel.hist(
+            list(parts.values()),
+            bins=min(40, max(8, round(math.sqrt(len(computed))))),
+            stacked=True,
+            color=[_COLOURS[verdict] for verdict in parts],
+            label=list(parts),
+        )
+        for share, line in ((0.95, "--"), (0.99, ":")):
+            panel.axvline(
+                computed[name].quantile(share) * shown.factor,
+                color=style.BLACK,
+                ls=line,
+                label=f"{share:.0%}",
+            )
+        panel.set_xlabel(shown.label)
+        panel.set_ylabel("runs")
+    panels[0, 0].legend(fontsize=11)
+    p = capture_probability(table)
+    figure.suptitle(
+        f"{title}: captured {p.captured} of {p.computed} runs "
+        f"({p.low:.1%} to {p.high:.1%}), {p.failed} could not be computed",
+        fontsize=14,
+    )
+    return figure
+
+
+def draw_tornado(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figure:
+    """Return the rank correlation of each input with the main loads and with capture, as bars."""
+    inputs = [axis.name for axis in axes if table[axis.name].nunique() > 1]
+    found = rank_correlations(table, inputs)
+    columns = [name for name in found if found[name].notna().any()]
+    height = 2.0 + 0.45 * len(inputs)
+    figure, panels = subplots(
+        3.0 + 3.4 * len(columns), height, 1, len(columns), grid="x", font=12.0, sharey=True
+    )
+    order = found[columns].abs().max(axis=1).sort_values().index
+    for panel, name in zip(panels.flat, columns, strict=True):
+        values = found.loc[order, name].fillna(0.0)
+        colours = [style.VERMILION if value < 0 else style.BLUE for value in values]
+        panel.barh(range(len(order)), values, color=colours, height=0.7)
+        panel.axvline(0.0, color=style.BLACK, lw=0.8)
+        panel.set_xlim(-1.05, 1.05)
+        panel.set_title(_load(name).name if name in MAIN_LOADS else "capture", fontsize=12)
+    panels[0, 0].set_yticks(range(len(order)), list(order))
+    figure.supxlabel("rank correlation (Spearman)", fontsize=12)
+    figure.suptitle(f"{title}: what matters, {len(plain_rows(table))} runs", fontsize=14)
+    return figure

@@ -1,0 +1,484 @@
+"""Sweeps: what is drawn is run, one row is one run, statistics, files, and executors."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pandas as pd
+import pytest
+from pandas.testing import assert_frame_equal
+from scipy import stats
+
+import capture_sim
+from capture_sim import SceneError, load_scene, simulate
+from capture_sim.cli import main
+from capture_sim.recording.sweep_file import METADATA, read_cases
+from capture_sim.results import LOADS
+from capture_sim.scene import paths
+from capture_sim.studies import sweep as module
+from capture_sim.studies.approach import approach_of, placed
+from capture_sim.studies.axes import make_axis
+from capture_sim.studies.dispersion import (
+    capture_probability,
+    quantiles,
+    rank_correlations,
+    sobol_indices,
+    wilks_runs,
+)
+from capture_sim.studies.executors import InProcess, open_executor
+from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.sampling import make_samples
+from capture_sim.studies.sweep import Recipe, samples_of
+from capture_sim.viewing.sweep import draw_sweep
+
+HERE = InProcess()
+SHORT = ["run.t_end=3"]
+
+
+@pytest.fixture
+def scenes_run(monkeypatch):
+    """The scenes that a sweep in this process hands to the bench, in order; they are not run."""
+    scenes = []
+
+    def note(scene):
+        scenes.append(scene)
+        raise SceneError("not run")
+
+    monkeypatch.setattr(module, "run_to_end", note)
+    return scenes
+
+
+KINDS = {
+    "span": {"buffer.c_A": "5:30:6"},
+    "span with units": {"initial.target.theta": "-5 deg:5 deg:3"},
+    "list": {"buffer.k_A": "0.4 N/mm, 500, 600"},
+    "names": {"contact.law": "flores, lee_wang"},
+    "array": {"chaser.mass": np.linspace(4.0, 6.0, 3)},
+    "two axes": {"buffer.c_A": [5, 10], "buffer.k_T": "100:300:3"},
+    "normal": {"buffer.k_A": "normal(500, 5%)"},
+    "uniform": {"initial.chaser.y": "uniform(0, 5 mm)"},
+    "triangular": {"contact.restitution": "triangular(0.3, 0.6, 0.9)"},
+    "loguniform": {"buffer.k_A": "loguniform(50%, 200%)"},
+    "truncated_normal": {"friction.mu": "truncated_normal(0.1, 0.05, 0, 0.2)"},
+    "scipy by name": {"buffer.k_A": "weibull_min(2, 100, 500 N/m)"},
+    "scipy frozen": {"buffer.k_A": stats.gamma(5.0, scale=100.0)},
+    "values and draws": {"buffer.c_A": [5, 10], "buffer.k_A": "normal(500, 50)"},
+    "nested": {"supports.chaser.c_rr": "uniform(1e-4, 1e-3)", "contact.tip.E": [2e11, 7e10]},
+    "table": pd.DataFrame({"buffer.c_A": [5.0, 6.0], "initial.target.theta": ["1 deg", "2 deg"]}),
+}
+
+
+@pytest.mark.parametrize("vary", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize("sample", ["random", "latin", "sobol"])
+def test_what_is_drawn_is_read_back_from_the_scene_that_is_run(vary, sample, scenes_run):
+    drawn = not isinstance(vary, pd.DataFrame) and any(
+        hasattr(given, "ppf") or "(" in str(given) for given in vary.values()
+    )
+    options = {"runs": 8 if drawn else 0, "sample": sample, "edges": 3 if drawn else 0}
+    table = capture_sim.sweep("tilt_0", vary, executor=HERE, **options)
+    assert len(table) == len(scenes_run) > 1
+    for (_, row), scene in zip(table.iterrows(), scenes_run, strict=True):
+        for name in vary:
+            assert paths.get(scene, name) == row[name]
+    for name in vary:
+        assert table[name].nunique() > 1
+
+
+def test_an_approach_is_read_back_from_the_scene_that_is_run(scenes_run):
+    vary = {
+        "approach.angle": "-10 deg:10 deg:3",
+        "approach.offset": "uniform(2 mm, 8 mm)",
+        "approach.speed": [0.05, 0.2],
+        "cone.R_c": "uniform(15 mm, 15.1 mm)",
+    }
+    table = capture_sim.sweep("tilt_p10", vary, runs=3, executor=HERE)
+    assert len(table) == len(scenes_run) == 18
+    names = ["approach.angle", "approach.offset", "approach.speed"]
+    for (_, row), scene in zip(table.iterrows(), scenes_run, strict=True):
+        assert approach_of(scene) == pytest.approx(row[names].tolist(), rel=1e-9, abs=1e-12)
+        assert scene.cone.R_c == row["cone.R_c"]
+        assert scene.rail is None
+        assert scene.string is None
+
+
+def test_approach_that_is_not_varied_is_that_of_the_scene(scenes_run):
+    capture_sim.sweep("tilt_p10", {"approach.offset": [0.0, 0.005]}, executor=HERE)
+    angle, _, speed = approach_of(load_scene("tilt_p10"))
+    for scene, offset in zip(scenes_run, (0.0, 0.005), strict=True):
+        assert approach_of(scene) == pytest.approx((angle, offset, speed), abs=1e-12)
+
+
+def test_a_row_is_the_run_that_simulate_makes():
+    table = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 25]}, executor=HERE)
+    for _, row in table.iterrows():
+        result = simulate("tilt_0", {"buffer.c_A": row["buffer.c_A"]})
+        assert row["verdict"] == result.verdict.label
+        final = next(status for status in result.statuses if status.final)
+        assert row["verdict_time"] == final.t
+        for load in LOADS:
+            assert row[load.key] == result.summary[load.key], load.key
+            before = result.summary.get(f"{load.key}_before_latch")
+            assert before is None or row[f"{load.key}_before_latch"] == before
+        assert row["touches"] == result.summary["touches"]
+        assert row["first_touch_time"] == result.summary["first_contact_time"]
+        # of the samples at run.rate, a part of those of the summary
+        assert 0.0 < row["energy_residual"] <= result.summary["energy_residual"]
+
+
+def test_the_command_of_a_run_repeats_it_to_the_bit():
+    scene = load_scene("tilt_p10", SHORT)
+    vary = {"approach.angle": [0.1], "buffer.k_A": "normal(500, 5%)", "contact.law": "flores"}
+    samples = samples_of(scene, vary, 2)
+    table = module.run_samples(scene, samples, executor=HERE)
+    recipe = Recipe(scene, tuple(vary))
+    for number, values in enumerate(samples.rows):
+        alone = run_to_end(load_scene("tilt_p10", [*SHORT, *recipe.overrides_of(values)]))
+        assert table["verdict"][number] == alone.verdict.label
+        loads = {name: math.nan if x is None else x for name, x in alone.loads.items()}
+        row = table.loc[number, list(loads)].to_dict()
+        assert row == pytest.approx(loads, rel=0, abs=0, nan_ok=True)
+
+
+SMALL = {"approach.angle": "-20 deg:20 deg:3", "buffer.c_A": "uniform(5, 30)"}
+
+
+def small(executor):
+    return capture_sim.sweep("tilt_0", SMALL, SHORT, runs=15, executor=executor)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return small(HERE)
+
+
+def test_processes_threads_and_no_executor_give_the_same_table(alone):
+    with open_executor(2) as executor:
+        assert_frame_equal(small(executor), alone, check_exact=True)
+    with ThreadPoolExecutor(2) as executor:
+        assert_frame_equal(small(executor), alone, check_exact=True)
+    assert_frame_equal(small(None), alone, check_exact=True)
+
+
+def test_a_dask_cluster_gives_the_same_table(alone):
+    distributed = pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
+    local = {"n_workers": 1, "threads_per_worker": 1, "host": "127.0.0.1"}
+    with (
+        distributed.LocalCluster(**local, dashboard_address=None, processes=True) as cluster,
+        open_executor(scheduler=cluster.scheduler_address) as executor,
+    ):
+        assert_frame_equal(small(executor), alone, check_exact=True)
+
+
+def test_a_script_without_a_main_guard_uses_all_cores(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import capture_sim\nprint('begin')\n"
+        "table = capture_sim.sweep('tilt_0', {'buffer.c_A': [5, 15]}, ['run.t_end=3'])\n"
+        "print(table['verdict'].size)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["begin", "2"]
+
+
+def test_mirrored_approaches_give_mirrored_loads():
+    vary = {"approach.angle": [-0.2, 0.2], "approach.offset": [-0.01, 0.01]}
+    table = capture_sim.sweep("tilt_0", vary, SHORT, executor=HERE)
+    left, right = table.iloc[1], table.iloc[2]
+    assert left["verdict"] == right["verdict"]
+    assert left["max_normal_force_plus_y"] == pytest.approx(
+        right["max_normal_force_minus_y"], rel=1e-4
+    )
+
+
+def test_draws_follow_their_distributions_and_the_seed():
+    scene = load_scene("tilt_0")
+    axes = [
+        make_axis(scene, "buffer.k_A", "normal(500, 5%)"),
+        make_axis(scene, "buffer.k_T", "loguniform(100, 400)"),
+        make_axis(scene, "contact.restitution", "triangular(0.3, 0.3, 0.9)"),
+    ]
+    for sample in ("latin", "sobol"):
+        values = np.array(make_samples(axes, 1024, sample).rows).T
+        assert values[0].mean() == pytest.approx(500.0, rel=1e-3)
+        assert values[0].std() == pytest.approx(25.0, rel=0.02)
+        assert np.median(values[1]) == pytest.approx(200.0, rel=0.01)
+        assert values[2].mean() == pytest.approx(0.5, rel=0.01)
+    first, again, other = (make_samples(axes, 50, "random", seed).rows for seed in (1, 1, 2))
+    assert first == again != other
+    longer = make_samples(axes, 60, "random", 1).rows
+    assert longer[:50] == first
+    edged = make_samples(axes, 50, "random", 1, edges=200)
+    assert edged.rows[:50] == first
+    edge = axes[0].distribution.cdf([row[0] for row in edged.rows[50:]])
+    assert edge.min() == pytest.approx(0.005)
+    assert edge.max() == pytest.approx(0.995)
+    assert np.mean((edge < 0.02) | (edge > 0.98)) > 0.35
+
+
+def test_every_value_has_the_same_draws():
+    table = capture_sim.sweep(
+        "tilt_0",
+        {"friction.mu": "uniform(0, 0.3)", "buffer.c_A": [5, 10]},
+        ["run.max_steps=100"],
+        runs=3,
+        executor=HERE,
+    )
+    assert table["buffer.c_A"].tolist() == [5, 5, 5, 10, 10, 10]
+    assert table["friction.mu"].tolist()[:3] == table["friction.mu"].tolist()[3:]
+    assert set(table["verdict"]) == {"failed"}
+    assert all("max_steps" in text for text in table["failure"])
+
+
+def test_runs_that_cannot_be_computed_say_why_and_count_apart():
+    table = capture_sim.sweep(
+        "tilt_0", {"initial.target.x": [0.45, 0.9, -1e3]}, ["run.t_end=0.5"], executor=HERE
+    )
+    assert table["verdict"].tolist()[0] == "failed"
+    assert "the tip starts" in table["failure"][0]
+    assert np.isnan(table["max_torsion"][0])
+    found = capture_probability(table)
+    assert found.failed == (table["verdict"] == "failed").sum()
+    assert found.computed == 3 - found.failed
+
+
+def verdicts(captured, missed, failed=0):
+    return pd.DataFrame(
+        {"verdict": ["captured"] * captured + ["missed"] * missed + ["failed"] * failed}
+    )
+
+
+def test_probability_has_the_exact_interval():
+    found = capture_probability(verdicts(50, 0, failed=7))
+    assert (found.computed, found.failed, found.estimate, found.high) == (50, 7, 1.0, 1.0)
+    assert found.low == pytest.approx(0.025 ** (1 / 50), rel=1e-12)
+    found = capture_probability(verdicts(8, 2))  # tables of Clopper and Pearson
+    assert (found.low, found.high) == (
+        pytest.approx(0.4439, abs=1e-4),
+        pytest.approx(0.9748, abs=1e-4),
+    )
+    assert np.isnan(capture_probability(verdicts(0, 0, failed=2)).estimate)
+
+
+def test_intervals_of_quantiles_hold_as_often_as_they_say():
+    generator, share, held = np.random.default_rng(5), 0.95, 0
+    true = -math.log(1.0 - share)
+    for _ in range(400):
+        (found,) = quantiles(generator.exponential(size=200), [share])
+        held += found.low <= true <= found.high
+    assert 0.94 < held / 400 <= 1.0
+    (few,) = quantiles(generator.exponential(size=20), [0.99])
+    assert np.isnan(few.high)  # 20 runs do not bound it
+
+
+def test_wilks_numbers():
+    assert [wilks_runs(share) for share in (0.9, 0.95, 0.99, 0.9973)] == [29, 59, 299, 1109]
+    assert [wilks_runs(0.95, failures=k) for k in (1, 2)] == [93, 124]
+
+
+def test_indices_and_correlations_of_a_known_function():
+    """Y = 4 a + 2 b + 0 c of independent uniform shares: S = 0.8, 0.2, 0."""
+    scene, names = load_scene("tilt_0"), ["buffer.c_A", "friction.mu", "contact.restitution"]
+    axes = [make_axis(scene, name, "uniform(0, 1)") for name in names]
+    samples = make_samples(axes, 512, "saltelli")
+    table = pd.DataFrame(samples.rows, columns=names)
+    y = 4.0 * table[names[0]] + 2.0 * table[names[1]]
+    table = table.assign(verdict="captured", **{load.key: y for load in LOADS})
+    found = sobol_indices(table, names, "max_torsion")
+    assert found.first == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    assert found.total == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    table.loc[3, "max_torsion"] = math.nan  # its base sample is left out
+    assert sobol_indices(table, names, "max_torsion").used == 511
+    ranks = rank_correlations(table, names)["max_normal_force"]
+    assert ranks.iloc[0] == pytest.approx(0.89, abs=0.03)
+    assert abs(ranks.iloc[2]) < 0.1
+    assert rank_correlations(table, names)["captured"].isna().all()
+
+
+def test_an_approach_without_a_touch_is_run_to_its_verdict():
+    """A tip that fits through the throat is captured untouched; one beside the cone misses."""
+    table = capture_sim.sweep(
+        "tilt_0",
+        {"approach.offset": [0.0, 0.3], "approach.speed": [0.05]},
+        ["cone.R_c=18 mm", "run.t_end=8"],
+        executor=HERE,
+    )
+    assert table["verdict"].tolist() == ["captured", "missed"]
+    assert table["touches"].tolist() == [0, 0]
+    assert table["max_normal_force_before_latch"].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])
+def test_an_experiment_is_the_approach_that_it_is(name):
+    """Launched by the string along the rail, or placed before the touch at its speed.
+
+    Placed, the buffer has not yet felt the rolling resistance: m_P a / k_A is 3 um.
+    """
+    launched = simulate(name)
+    angle, offset, speed = approach_of(launched.scene)
+    assert angle == pytest.approx(math.radians({"0": 0, "p10": 10, "m10": -10}[name[5:]]))
+    assert (offset, speed) == (pytest.approx(0.005), pytest.approx(0.1))
+    near = simulate(placed(launched.scene, angle, offset, speed), t_end=4.0)
+    assert near.verdict is launched.verdict
+    for key in ("impact_speed", "first_contact_duration", "first_contact_impulse"):
+        assert near.summary[key] == pytest.approx(launched.summary[key], rel=2e-3)
+    assert near.summary["first_contact_time"] == pytest.approx(2e-3 / speed, rel=2e-3)
+
+
+BAD = [
+    ({"buffer.cA": "1:2:3"}, r"buffer.cA: no number of tilt_0; did you mean buffer.c_A\?"),
+    ({"rail": "1"}, "rail: no number"),
+    ({"approach.angel": "1"}, r"did you mean approach.angle\?"),
+    ({"buffer.c_A": "5:30"}, "buffer.c_A = '5:30': must be a number in N s/m, >= 0"),
+    ({"buffer.c_A": "5:30:x"}, "must be LOW:HIGH:COUNT in N s/m"),
+    ({"buffer.c_A": "5:30:0"}, "COUNT must be 1 to"),
+    ({"buffer.c_A": "-5:30:3"}, "buffer.c_A = -5.0 N s/m: must be >= 0"),
+    ({"buffer.c_A": "5 mm:30 mm:3"}, "must be LOW:HIGH:COUNT in N s/m"),
+    ({"buffer.c_A": []}, "must be 1 to"),
+    ({"buffer.k_A": "normal(500)"}, r"must be normal\(MEAN, STD\) in N/m"),
+    ({"buffer.k_A": "normal(500, 0)"}, "must have a width > 0"),
+    ({"buffer.k_A": "uniform(2, 1)"}, "must have a width > 0"),
+    ({"buffer.k_A": "gauss(1, 2)"}, "must be a distribution of scipy.stats"),
+    ({"buffer.k_A": "poisson(3)"}, "must be a distribution of scipy.stats"),
+    ({"approach.angle": "100 deg"}, "approach.angle = 1.74"),
+    ({"approach.speed": "0"}, "approach.speed = 0.0 m/s: must be >= 0.0001"),
+    ({"approach.angle": "0,1", "initial.chaser.y": "0"}, "initial.chaser.y: must not vary with"),
+    ({}, "one axis or more"),
+    (pd.DataFrame({"buffer.cA": [1]}), r"column buffer.cA: .*did you mean buffer.c_A\?"),
+    (pd.DataFrame({"buffer.c_A": []}), "one row"),
+    (pd.DataFrame({"buffer.c_A": [-1.0]}), "must be >= 0"),
+]
+
+
+@pytest.mark.parametrize("vary, message", BAD)
+def test_what_cannot_be_varied_is_rejected_in_a_line_before_anything_runs(
+    vary, message, scenes_run
+):
+    with pytest.raises(SceneError, match=message) as caught:
+        capture_sim.sweep("tilt_0", vary, executor=HERE)
+    assert "\n" not in str(caught.value)
+    assert not scenes_run
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"runs": 0}, "runs = 0: must be >= 1"),
+        ({"runs": 100, "sample": "sobol"}, "a power of 2 with sobol"),
+        ({"runs": 8, "sample": "saltelli"}, "two distributions or more"),
+        ({"runs": 8, "sample": "grid"}, "must be one of random, latin, sobol, saltelli"),
+        ({"runs": 8, "edges": -1}, "edges = -1"),
+    ],
+)
+def test_wrong_designs_are_rejected(options, message):
+    with pytest.raises(SceneError, match=message):
+        capture_sim.sweep("tilt_0", {"buffer.c_A": "uniform(5, 30)"}, executor=HERE, **options)
+
+
+def test_ctrl_c_keeps_the_rows_that_are_done(scenes_run):
+    def interrupt(done, count):
+        if done >= 40:
+            raise KeyboardInterrupt
+
+    with pytest.warns(UserWarning, match="interrupted: 40 of 100 runs are done"):
+        table = capture_sim.sweep(
+            "tilt_0", {"buffer.c_A": "1:30:100"}, executor=HERE, report=interrupt
+        )
+    whole = capture_sim.sweep("tilt_0", {"buffer.c_A": "1:30:100"}, executor=HERE)
+    assert_frame_equal(table, whole[:40])
+
+
+def test_ctrl_c_of_the_command_keeps_the_rows_and_says_so(tmp_path):
+    out = tmp_path / "t.csv"
+    command = [sys.executable, "-u", "-m", "capture_sim.cli", "sweep", "tilt_0", "--workers=2"]
+    command += ["--vary=buffer.c_A=uniform(5, 30)", "--runs=1000000", f"--out={out}"]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as run:
+        for line in run.stderr:
+            if line.startswith("sweep: "):
+                assert "runs/s, about" in line
+                break
+        os.kill(run.pid, signal.SIGINT)
+        output, errors = run.communicate(timeout=300)
+    assert run.returncode == 130
+    assert f"of 1000000 runs are done and in {out}" in errors
+    assert "Traceback" not in errors
+    done = len(pd.read_csv(out))
+    assert f"{done} runs, seed 1" in output
+    assert done > 20
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, capsys):
+    out, again = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    options = ["--workers=1", "--set", "run.t_end=3", "--check"]
+    vary = ["--vary", "buffer.k_A=normal(500, 5%)", "--vary", "initial.target.theta=0,5 deg"]
+    assert main(["sweep", "tilt_0", *vary, "--runs=3", *options, f"--out={out}"]) == 0
+    text = capsys.readouterr().out
+    assert "6 runs, seed 1" in text
+    assert "95 % interval" in text
+    assert "59 for 0.95" in text
+    assert "capture-sim run tilt_0 --set run.t_end=3 --set buffer.k_A=" in text
+    assert main(["sweep", "tilt_0", f"--from={out}", *options, f"--out={again}"]) == 0
+    assert read_cases(again).equals(read_cases(out))
+    if suffix == "csv":
+        head = out.read_text().splitlines()[0].split(",")
+        assert head[:3] == ["run", "buffer.k_A [N/m]", "initial.target.theta [rad]"]
+        assert "max_torsion [rad]" in head
+        assert out.read_bytes() == again.read_bytes()
+    else:
+        import pyarrow.parquet as pq
+
+        schema = pq.read_schema(out)
+        assert schema.field("buffer.k_A").metadata == {b"unit": b"N/m"}
+        assert b"cone" in schema.metadata[METADATA]
+        assert_frame_equal(pd.read_parquet(again), pd.read_parquet(out), check_exact=True)
+
+
+def test_cases_in_other_units(tmp_path):
+    path = tmp_path / "cases.csv"
+    path.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
+    samples = samples_of(load_scene("tilt_0"), read_cases(path))
+    assert samples.rows == [(math.radians(5.0), 500.0), (math.radians(-5.0), 600.0)]
+
+
+PICTURES = {
+    "curve": ({"buffer.c_A": [5, 20]}, {"curve"}),
+    "curve of draws": (
+        {"buffer.c_A": [5, 20], "buffer.k_A": "normal(500, 5%)"},
+        {"curve", "loads", "tornado"},
+    ),
+    "map": ({"approach.angle": [-0.1, 0.1], "approach.speed": [0.1, 0.2]}, {"map"}),
+    "map of three": (
+        {
+            "approach.angle": [-0.1, 0.1],
+            "approach.offset": [0.0, 0.01],
+            "approach.speed": [0.1, 0.2],
+        },
+        {"map"},
+    ),
+    "draws": ({"buffer.c_A": "uniform(5, 20)"}, {"loads", "tornado"}),
+    "table": (
+        pd.DataFrame({"buffer.c_A": [5.0, 6.0, 7.0], "buffer.k_A": [400.0, 500.0, 600.0]}),
+        {"loads", "tornado"},
+    ),
+}
+
+
+@pytest.mark.parametrize("vary, names", PICTURES.values(), ids=PICTURES)
+def test_pictures_fit_what_was_varied(vary, names, tmp_path):
+    scene = load_scene("tilt_0", ["run.t_end=3", "run.rtol=1e-6"])
+    drawn = not isinstance(vary, pd.DataFrame) and any("(" in str(v) for v in vary.values())
+    samples = samples_of(scene, vary, 4 if drawn else 0)
+    table = module.run_samples(scene, samples, executor=HERE)
+    figures = draw_sweep(table, samples.axes, scene.name)
+    assert set(figures) == names
+    if "loads" in figures:
+        title = figures["loads"].get_suptitle()
+        assert "could not be computed" in title
+    for name, figure in figures.items():
+        figure.savefig(tmp_path / f"{name}.png")
