@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
-from benchmarks.envelope import AXES
 from benchmarks.pages import ratio, table, write_parts
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,7 +35,7 @@ COMMANDS = {
     "`bench` of the three experiments": (*CLI, "bench", "tilt_0", "tilt_p10", "tilt_m10"),
 }
 #: What they write, in a folder that goes.
-WRITTEN = {"run": "runs", "bench": "runs", "envelope": "envelope.parquet"}
+WRITTEN = {"run": "runs", "bench": "runs"}
 COMPILE = ("-c", "from capture_sim.bench import compile_kernels; compile_kernels()")
 
 
@@ -122,14 +121,11 @@ def compared(
 
 
 def commands(asked: Namespace, _: Path) -> list[str]:
-    axes = (f"--{name}={text}" for name, text in AXES.items())
-    envelope = (*CLI, "envelope", *axes, "--levels=5", f"--runs={asked.points}")
     few = max(asked.rounds // 2, 1)
     work = [
         (few, compiling),
         *((asked.rounds, partial(running, name, command)) for name, command in COMMANDS.items()),
         (asked.rounds, starting),
-        (few, partial(running, f"`envelope`, {asked.points} points", envelope)),
     ]
     return compared(asked, work)
 
@@ -147,5 +143,4 @@ if __name__ == "__main__":
         before=(None, "checkout of an earlier state"),
         rounds=(4, "of each figure, half as many of the long ones, four times as many of parts"),
         times=(4, "that a part is repeated in a round"),
-        points=(2000, "of the envelope"),
     )

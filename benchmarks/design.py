@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import SimulationError, load_scene, simulate
+from capture_sim.launch.plan import travel_to_touch
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import placed
@@ -63,7 +64,7 @@ def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
         axial = 7.68e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.5), math.log(2.2)))
         torsion = 2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
         limit = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
-        if near is not None:
+        if math.isfinite(travel_to_touch(near)):
             bound = limit if number % 5 == 4 else None
             yield near, DesignTarget(axial, torsion, number % 3 != 2, bound)
             number += 1

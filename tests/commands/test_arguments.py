@@ -100,7 +100,7 @@ def test_a_scene_that_exists_does_not_hide_what_is_wrong(command, tmp_path, caps
     assert list(tmp_path.iterdir()) == []
 
 
-DESIGN, ENVELOPE, SENSITIVITY = ["design"], ["envelope"], ["sensitivity"]
+DESIGN, SWEEP = ["design"], ["sweep"]
 BENCH, REPLAY = ["bench", "tilt_0"], ["replay", "x.mcap"]
 NO_FACTOR = "must be a number >= 0 and <= 1000"
 
@@ -128,25 +128,20 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (DESIGN, ["--spread=50,1,1"], "Spread.speed = 0.5: must be >= 0 and <= 0.24"),
         (DESIGN, ["--spread=0,0,0"], "must be one above 0"),
         (DESIGN, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': must be LOW:HIGH:N"),
-        (ENVELOPE, ["--angle=0:1"], "--angle: '0:1': must be LOW:HIGH:CELLS"),
-        (ENVELOPE, ["--angle=-5 mm:5 mm:3"], "in deg"),
-        (ENVELOPE, ["--angle=-100:1:5"], "angle = -1.745"),
-        (ENVELOPE, ["--angle=0:1:0"], "angle: 0 cells: must be >= 1 and <= 1000"),
-        (ENVELOPE, ["--speed=0,0.1"], "speed = 0.0 m/s: must be >= 0.0001"),
-        (ENVELOPE, ["--speed=0.1:0.2:3"], "a list of values for one of them"),
-        (ENVELOPE, ["--offset=30:-30:3"], "offset = (0.03, -0.03) m: must be ascending"),
-        (ENVELOPE, ["--runs=5"], "runs = 5: must be >= 429"),
-        (ENVELOPE, ["--levels=-1"], "--levels: '-1': must be a whole number >= 0"),
-        (ENVELOPE, ["--levels=11"], "levels = 11: must be >= 0 and <= 10"),
-        (ENVELOPE, ["--rtol=1"], "rtol = 1.0"),
-        (ENVELOPE, ["--out=x.csv"], "--out x.csv"),
-        (ENVELOPE, ["--mark", "nowhere"], "nowhere"),
-        (SENSITIVITY, ["--spread=0"], "--spread: '0': must be a number > 0 and <= 50 %"),
-        (SENSITIVITY, ["--workers=-1"], "--workers: '-1': must be"),
-        (SENSITIVITY, ["--seed", "-1"], "whole number"),
-        (SENSITIVITY, ["--samples", "9" * 5000], "whole number"),
-        (SENSITIVITY, ["--samples=3"], "samples = 3: must be >= 4"),
-        (SENSITIVITY, ["--method=sobol", "--samples=20"], "with sobol a power of 2"),
+        (SWEEP, [], "--vary: must be given at least once, or --from"),
+        (SWEEP, ["--vary=buffer.c_A"], "--vary buffer.c_A: must be NAME=VALUES"),
+        (SWEEP, ["--vary=buffer.c_A=1:2"], "buffer.c_A = '1:2': must be a number in N s/m"),
+        (SWEEP, ["--vary=gravity=9", "--vary=gravity=8"], "each name once"),
+        (SWEEP, ["--vary=gravity=normal(9,1)", "--runs=0"], "runs = 0: must be >= 1"),
+        (SWEEP, ["--vary=gravity=8,9", "--runs=5"], "must be 0 where no axis is a distribution"),
+        (SWEEP, ["--vary=approach.angle=9 mm"], "approach.angle = '9 mm': must be a number in rad"),
+        (SWEEP, ["--vary=gravity=8,9", "--from=x.csv"], "--from: must stand without --vary"),
+        (SWEEP, ["--from=x.csv"], "x.csv: cannot be read"),
+        (SWEEP, ["--vary=gravity=8,9", "--out=x.txt"], "--out = x.txt: must end in .csv or .parq"),
+        (SWEEP, ["--vary=gravity=8,9", "--worst=force"], "--worst"),
+        (SWEEP, ["--vary=gravity=8,9", "--workers=-1"], "--workers: '-1': must be"),
+        (SWEEP, ["--vary=gravity=8,9", "--seed=-1"], "whole number"),
+        (SWEEP, ["--vary=gravity=8,9", "--edges", "9" * 5000], "whole number"),
     ],
 )
 def test_bad_input_is_said_in_a_line_before_anything_runs(

@@ -1,0 +1,99 @@
+"""Sweeps: how much slower than their kernels, and how far their verdicts can be trusted.
+
+    .venv/bin/python -m benchmarks.sweep [speed trust] [--runs 10000]   # five minutes
+
+writes the parts of docs/sweep_checked.md.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.kernel_time import KernelTime
+from benchmarks.pages import table, write_parts
+from capture_sim import load_scene, sweep
+from capture_sim.studies.executors import open_executor
+
+SWEEPS = {
+    "tilt_0, dispersions": (
+        "tilt_0",
+        {
+            "initial.chaser.y": "normal(5 mm, 2 mm)",
+            "initial.target.theta": "uniform(-5 deg, 5 deg)",
+            "buffer.k_A": "normal(500, 5%)",
+        },
+    ),
+    "tilt_0, approaches": (
+        "tilt_0",
+        {
+            "approach.angle": "uniform(-30 deg, 30 deg)",
+            "approach.offset": "uniform(-50 mm, 50 mm)",
+            "approach.speed": "uniform(0.05, 0.2)",
+        },
+    ),
+}
+
+
+def speed(asked: Namespace, _: Path) -> list[str]:
+    """Wall time of a sweep over the time of its kernels a core, both of one run."""
+    cores = len(os.sched_getaffinity(0))
+    rows = []
+    for name, (scene, vary) in SWEEPS.items():
+        with open_executor(cores) as pool:
+            # libraries and kernels are loaded once: that is no part of the rate
+            sweep(scene, vary, runs=100, executor=pool)
+            executor = KernelTime(pool)
+            began = time.perf_counter()
+            sweep(scene, vary, runs=asked.runs, executor=executor)
+            wall = time.perf_counter() - began
+        least = executor.seconds / cores
+        rate = asked.runs / wall
+        rows.append([name, f"{wall:.1f}", f"{least:.1f}", f"{wall / least:.2f}", f"{rate:.0f}"])
+    head = [f"{asked.runs} runs", "wall time s", "kernels / cores s", "ratio", "runs/s"]
+    return [f"{cores} processes on {cores} cores.", "", table(head, rows)]
+
+
+def trust(asked: Namespace, _: Path) -> list[str]:
+    """Runs of the map at several tolerances, against a much finer one."""
+    scene = load_scene("tilt_0")
+    vary = SWEEPS["tilt_0, approaches"][1]
+    runs = max(asked.runs // 20, 10)
+
+    def at(rtol: float):
+        return sweep(scene, vary, {"run.rtol": rtol}, runs=runs)
+
+    fine, rows = at(1e-11), []
+    for rtol in (1e-4, 1e-5, 1e-6, 1e-8):
+        found = at(rtol)
+        deviation = (found["nearest_distance"] - fine["nearest_distance"]).abs() * 1e3
+        force = (found["max_normal_force"] / fine["max_normal_force"] - 1.0).abs()
+        rows.append(
+            [
+                f"{rtol:.0e}",
+                int((found["verdict"] != fine["verdict"]).sum()),
+                f"{deviation.median():.1e}",
+                f"{deviation.max():.1e}",
+                f"{np.nanmedian(force):.1e}",
+                f"{np.nanmax(force):.1e}",
+            ]
+        )
+    head = ["rtol", "other verdict", "closest approach: median mm", "worst mm"]
+    return [
+        f"{runs} approaches to tilt_0, against rtol 1e-11:",
+        "",
+        table([*head, "peak force: median", "worst"], rows),
+    ]
+
+
+if __name__ == "__main__":
+    write_parts(
+        "sweep_checked",
+        __doc__,
+        {"speed": speed, "trust": trust},
+        runs=(10_000, "of each sweep"),
+    )
