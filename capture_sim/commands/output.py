@@ -109,10 +109,10 @@ class Progress:
             if name not in self._tasks:
                 self._tasks[name] = self._bar.add_task(name, total=count, rate="")
             self._bar.update(self._tasks[name], completed=done, total=count, rate=rate)
-        elif now - self._said > _PAUSE:
+        elif speed and now - self._said > _PAUSE:
             self._said = now
-            left = f", {rate}, about {(count - done) / speed:.0f} s left" if speed else ""
-            print(f"{name}: {done} of {count} {self._unit}{left}", file=sys.stderr, flush=True)
+            left = f"{rate}, about {(count - done) / speed:.0f} s left"
+            print(f"{name}: {done} of {count} {self._unit}, {left}", file=sys.stderr, flush=True)
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -119,7 +119,7 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (["view"], ["tilt_0", "--window", "nan", "1"], "a number"),
         (["resimulate"], ["x.mcap", "--tolerance", "nan"], "a number >= 0"),
         (["identify"], ["x.mcap", "mu", "--starts", "0x10"], "whole number"),
-        (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be both or none"),
+        (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be given both or neither"),
         (DESIGN, ["--stroke=0", "--torsion=1"], "'0': must be a number > 0, in mm"),
         (DESIGN, ["--stroke=5", "--torsion=nan"], "'nan': must be a number > 0, in mrad"),
         (DESIGN, ["--stroke=5 deg", "--torsion=2"], "in mm"),
