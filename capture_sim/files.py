@@ -93,6 +93,8 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     except OSError as error:
         if isinstance(error, FileExistsError) and path.exists():
             raise
+        if error.filename is not None and error.filename not in map(str, (part, path, path.parent)):
+            raise  # another file, e.g. one that is read
         raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:
         with suppress(OSError):
@@ -111,12 +113,24 @@ def _take_name(part: Path, path: Path) -> None:
 
 
 def why_not_writable(folder: Path) -> str:
-    """Make a folder if need be; return why nothing can be written into it, empty if it can."""
+    """Return why no file can be written into a folder, empty if one can.
+
+    A folder that does not exist is not made: a command that is rejected later leaves nothing.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        nearest = next(each for each in (folder, *folder.parents) if _is_taken(each))
+        if not nearest.is_dir():
+            return "it is a file" if nearest == folder else f"{nearest} is a file"
+        with tempfile.TemporaryFile(dir=nearest):
             return ""
-    except (FileExistsError, NotADirectoryError):
-        return "it is a file"
     except OSError as error:
         return error.strerror or str(error)
+
+
+def _is_taken(path: Path) -> bool:
+    """Return True if a path exists, be it a link to nowhere; OSError if no file can have it."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True

@@ -10,7 +10,7 @@ from capture_sim.commands import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scene_of
 from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
-from capture_sim.errors import SceneError
+from capture_sim.errors import SceneError, one_line
 from capture_sim.messages.convert import stamp_seconds
 from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.recording.measured import release_of
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     changed = _limits_changed(options.overrides)
     recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, options.scene, options.overrides)
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             since = _since(status, released)
             reported = status.t - released
             late = f", reported at {reported:.3f} s" if status.time_in_state > _TICK else ""
-            echo(f"{since:10.3f} s  {status.state.label:9} {status.reason}{late}")
+            echo(f"{since:10.3f} s  {status.state.label:9} {one_line(status.reason)}{late}")
             state = status.state
     verdict = statuses[-1]
     since = _since(verdict, released)
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     since_before = _since(before, released)
     same = before.state is verdict.state and abs(since_before - since) < _TICK
     echo(
-        f"recorded: {before.state.label} since {since_before:.3f} s ({before.reason})"
+        f"recorded: {before.state.label} since {since_before:.3f} s ({one_line(before.reason)})"
         + ("; the same" if same else "; DIFFERENT")
     )
     if same or changed or options.scene is not None:

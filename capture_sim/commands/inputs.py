@@ -230,8 +230,12 @@ def is_recording(source: str) -> bool:
     """
     if source.endswith(".mcap"):
         return True
-    folder = Path(source)
-    if source in scene_names() or not folder.is_dir():
+    return source not in scene_names() and is_bag(Path(source))
+
+
+def is_bag(folder: Path) -> bool:
+    """Return True if a path is a folder with a recording in it."""
+    if not folder.is_dir():
         return False
     return (folder / "metadata.yaml").is_file() or any(folder.glob("*.mcap"))
 
@@ -335,6 +339,8 @@ def open_runs(
     SceneError
         There is no such experiment.
     """
+    if scene is not None:
+        load_scene(scene)  # also where every recording contains its own
     opened = [
         _open_recording(source, scene, release, remaps)
         if is_recording(source)

@@ -24,6 +24,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from capture_sim.errors import one_line
 from capture_sim.files import whole_file
 
 if TYPE_CHECKING:
@@ -40,13 +41,13 @@ _PAUSE = 10.0
 
 
 def echo(text: str) -> None:
-    """Print a line at once, also into a pipe."""
-    print(text, flush=True)
+    """Print lines at once, also into a pipe; control characters, of a recording say, are blank."""
+    print("".join(c if c.isprintable() or c == "\n" else " " for c in text), flush=True)
 
 
 def warn(text: str) -> None:
     """Print a line about something that is not as it should be."""
-    print(f"capture-sim: {text}", file=sys.stderr, flush=True)
+    print(f"capture-sim: {one_line(text)}", file=sys.stderr, flush=True)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:

@@ -43,6 +43,8 @@ CONE_FRAME = "target/cone"
 HINGE_JOINT = "buffer_hinge"
 SLIDE_JOINT = "buffer_slide"
 
+#: Nodes and packages that a RunInfo may list, and characters of each.
+MOST_NAMES, LONGEST_NAME = 100, 200
 #: Kinds of messages that are remembered at most: a contact's trace has any number of points.
 MOST_KINDS = 200
 
@@ -146,7 +148,7 @@ class RunDescription:
         Raises
         ------
         MessageError
-            A rate is none.
+            A rate is none, or there are more or longer names than a bench has.
         """
         values: dict[str, Any] = {f.name: getattr(info, f.name) for f in fields(cls)}
         for name in ("state_rate", "rate"):
@@ -154,6 +156,13 @@ class RunDescription:
             if not 0.0 < value < math.inf:
                 raise MessageError(f"RunInfo.{name} = {value:g} Hz: must be above 0")
         values |= {n: tuple(values[n]) for n in ("software", "publishers", "consumers")}
+        for name in ("software", "publishers", "consumers"):
+            longest = max(map(len, values[name]), default=0)
+            if len(values[name]) > MOST_NAMES or longest > LONGEST_NAME:
+                raise MessageError(
+                    f"RunInfo.{name} = {len(values[name])} texts of up to {longest} characters: "
+                    f"must be at most {MOST_NAMES} of {LONGEST_NAME}"
+                )
         return cls(**values)
 
     @property

@@ -35,8 +35,10 @@ QUEUE_BYTES = 64 * 1024 * 1024
 FLUSH_PERIOD = 0.5
 #: Seconds between looks at the queue.
 WRITE_PERIOD = 0.05
-#: Seconds that take() waits for a stalled disk.
+#: Seconds that take() waits while a stalled disk keeps the queue full.
 STALL_LIMIT = 10.0
+#: Seconds without a message written after which close() gives up: shorter than a node's shutdown.
+CLOSE_LIMIT = 5.0
 
 
 def open_new(
@@ -230,6 +232,10 @@ class LiveRecorder:
 _Waiting = tuple[Topic, bytes, int | None]
 
 
+def _stalled(limit: float) -> str:
+    return f"the disk has written nothing for {limit:g} s: the recording ends there"
+
+
 class _WriteQueue:
     """Hands messages to the file in a thread of its own, in batches, in bounded memory.
 
@@ -245,6 +251,7 @@ class _WriteQueue:
         self._closing: dict[str, str] | None = None
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
+        self._last_written = time.monotonic()
 
     def begin(self, first: _Waiting, *where: Any) -> Path:
         """Open the file and start writing: the first message, then what waits; return its path."""
@@ -259,7 +266,7 @@ class _WriteQueue:
         return writer.path
 
     def put(self, *message: *_Waiting) -> None:
-        """Append a message; waits while the queue is full."""
+        """Append a message; wait while the queue is full and the disk writes."""
         with self._lock:
             if self._bytes >= self._limit and self._thread is not None:
                 self._lock.wait_for(
@@ -270,18 +277,24 @@ class _WriteQueue:
                 raise RecordingError(
                     "no run is announced that the waiting messages could belong to"
                     if self._thread is None
-                    else f"the disk has not written anything for {STALL_LIMIT:g} s"
+                    else _stalled(STALL_LIMIT)
                 )
             self._waiting.append(message)
             self._bytes += len(message[1])
 
     def close(self, closing: dict[str, str]) -> None:
-        """Write all that waits, then the closing metadata, and close the files."""
+        """Write all that waits, then the closing metadata, and close the file.
+
+        RecordingError if the disk stalls: the file then ends with what it has taken.
+        """
         with self._lock:
             self._closing = closing
+            self._last_written = time.monotonic()
             self._lock.notify_all()
-        if self._thread is not None:
-            self._thread.join()
+        while self._thread is not None and self._thread.is_alive():
+            self._thread.join(WRITE_PERIOD)
+            if time.monotonic() - self._last_written > CLOSE_LIMIT:
+                raise RecordingError(_stalled(CLOSE_LIMIT))
         self._check()
 
     def _check(self) -> None:
@@ -299,6 +312,7 @@ class _WriteQueue:
                     self._lock.notify_all()
                 for message in batch:
                     writer.write(*message)
+                    self._last_written = time.monotonic()
                 if time.monotonic() - flushed > FLUSH_PERIOD:
                     writer.flush()
                     flushed = time.monotonic()

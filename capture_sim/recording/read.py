@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.exact import CaptureState, CaptureStatus
-from capture_sim.errors import RecordingError
+from capture_sim.errors import RecordingError, one_line
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import columns, sequence_of
 from capture_sim.messages.convert import CRITERIA, RunDescription, stamp_seconds
@@ -135,7 +135,8 @@ class Run:
     def problems(self) -> tuple[str, ...]:
         """One line for everything that is wrong with the recording; empty when complete."""
         lost = self._contents.metadata.get(RECOVERY_METADATA, {}).get("lost", "")
-        return (*self.damage, *(f"not recovered: {x}" for x in lost.splitlines()), *self.missing)
+        not_recovered = (f"not recovered: {line}" for line in lost.splitlines())
+        return tuple(map(one_line, (*self.damage, *not_recovered, *self.missing)))
 
     @property
     def left_out(self) -> tuple[str, ...]:

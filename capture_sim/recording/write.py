@@ -70,6 +70,7 @@ class RunWriter:
         remaps: Mapping[Topic, str] | None = None,
     ) -> None:
         self.path = path
+        self._shown_path = path.with_name(name) if name else path
         self._run = run
         #: Entries for the metadata record at the end.
         self.closing: dict[str, str] = {}
@@ -102,7 +103,7 @@ class RunWriter:
             Log and publish time, ns; None for the latest so far.
         """
         if self._file is None:
-            raise RecordingError(f"{self.path}: already closed")
+            raise RecordingError(f"{self._shown_path}: already closed")
         if time is None:
             time = self.bag.span[1] if self.bag.span else EPOCH_NS
         try:
@@ -155,7 +156,7 @@ class RunWriter:
                     self._file.close()
                 self._file = None
             reason = error.strerror or error
-            raise RecordingError(f"{self.path}: cannot write: {reason}") from error
+            raise RecordingError(f"{self._shown_path}: cannot write: {reason}") from error
 
 
 def describing(run: RunDescription) -> dict[str, str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import struct
+import time
 import tracemalloc
 import zlib
 from collections import Counter
@@ -262,6 +263,34 @@ def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
         assert read_run(recorder.path).complete
     assert {p.name for p in tmp_path.iterdir()} == {"runs"}
     assert len(list(out.iterdir())) == len(names)
+
+
+@pytest.mark.parametrize("name", ["publishers", "consumers", "software"])
+@pytest.mark.parametrize("texts", [["a"] * 100_000, ["a" * 10_000]])
+def test_announcement_of_more_than_a_bench_is_rejected_at_once(name, texts, tmp_path):
+    _, _, data = serialised(RUN_INFO, run_id="r", **{name: texts})
+    recorder, began = LiveRecorder(tmp_path), time.monotonic()
+    with pytest.raises(RecordingError, match=rf"RunInfo.{name} = \d+ texts .*must be at most 100"):
+        recorder.take(RUN_INFO, data)
+    assert time.monotonic() - began < 5.0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_texts_from_a_recording_reach_the_terminal_without_escapes(tmp_path, capsys):
+    """A publisher's name, the reason of an end, of a verdict."""
+    escape = "x\x1b[2J\nverdict: captured"
+    info = serialised(RUN_INFO, publishers=[escape])
+    counts = serialised(STREAM_COUNTS, publisher=escape, complete=False, reason=escape)
+    status = serialised(CAPTURE_STATUS, reason=escape)
+    _, *rest = some_messages()
+    others = [serialised(topic) for topic in rest if topic not in (STREAM_COUNTS, CAPTURE_STATUS)]
+    file = make(tmp_path / "x.mcap", [info, *others, status, counts])
+    for command in ("detect", "export", "report"):
+        out = [] if command == "detect" else ["--out", str(tmp_path / f"{command}.html")]
+        main([command, str(file), *out])
+        printed = capsys.readouterr()
+        assert "\x1b" not in printed.out + printed.err, command
+        assert "verdict: captured" not in (printed.out + printed.err).splitlines(), command
 
 
 def test_topics_of_one_file_name_are_exported_to_two(tmp_path):

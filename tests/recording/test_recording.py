@@ -9,6 +9,7 @@ import os
 import re
 import resource
 import sys
+import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -337,8 +338,9 @@ def file_size_limit(size):
 
 def test_a_file_that_did_not_become_whole_has_no_name(result, tmp_path):
     path = tmp_path / "full.mcap"
-    with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write"):
+    with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write") as caught:
         write_run(result, path)
+    assert str(caught.value).startswith(f"{path}: ")  # not the name of a hidden part
     assert list(tmp_path.iterdir()) == []
 
 
@@ -507,6 +509,48 @@ def test_disk_that_fills_stops_the_live_recorder(sent, tmp_path):
     with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write"):
         record(tmp_path, sent).close()
     assert len(read_run(tmp_path / f"{NAME}.mcap").samples) > 0
+
+
+def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
+    """It neither hangs nor loses what the disk has taken."""
+    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    stalled, write = threading.Event(), RunWriter.write
+
+    def write_or_stall(writer, topic, data, stamp):
+        if topic is STREAM_COUNTS:
+            writer.flush()
+            stalled.wait(30.0)
+        write(writer, topic, data, stamp)
+
+    monkeypatch.setattr(RunWriter, "write", write_or_stall)
+    recorder = record(tmp_path, sent)
+    began = time.monotonic()
+    with pytest.raises(
+        RecordingError, match=r"written nothing for 0.3 s: the recording ends there"
+    ):
+        recorder.close()
+    assert time.monotonic() - began < 10.0
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
+    stalled.set()
+    counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
+    assert sum(read_run(copy).topics.values()) == len(sent) - counts
+
+
+def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    write = RunWriter.write
+
+    def write_slowly(writer, *message):
+        time.sleep(0.01)
+        write(writer, *message)
+
+    monkeypatch.setattr(RunWriter, "write", write_slowly)
+    began = time.monotonic()
+    counts = [message for message in sent if message[0] is STREAM_COUNTS]
+    report = record(tmp_path, [*sent[:100], *counts]).close()
+    assert time.monotonic() - began > 1.0
+    assert sum(read_run(report.path).topics.values()) == 100 + len(counts)
 
 
 def test_killed_recorder_leaves_all_but_the_last_half_second(sent, tmp_path, monkeypatch):
