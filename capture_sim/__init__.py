@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from capture_sim.bench import Bench, drive
+    from capture_sim.detection.exact import CaptureState
     from capture_sim.errors import (
         CaptureSimError,
         MissingPackageError,
@@ -37,6 +38,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Bench",
     "CaptureSimError",
+    "CaptureState",
     "EventKind",
     "MissingPackageError",
     "Phase",
@@ -56,6 +58,7 @@ __all__ = [
 # loaded when first used: what needs no kernels does not pay for the compiler
 _MODULES = {
     "bench": ("Bench", "drive"),
+    "detection.exact": ("CaptureState",),
     "errors": (
         "CaptureSimError",
         "MissingPackageError",

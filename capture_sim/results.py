@@ -19,8 +19,8 @@ def first_cluster(touches: np.ndarray) -> np.ndarray:
 
     A light tip chatters on the wall before it slides.  The first contact is with the wall met
     first and ends when the other wall is met, or when the tip stays off for longer than it has
-    chattered (from the first touch's start to the last one's).  Of a single touch so far that
-    cannot be said: it bounced if the pause behind it is shorter than the contact that follows.
+    chattered (from the first touch's start to the last one's).  A single touch has not chattered
+    yet: it bounced if the pause after it is shorter than the contact that follows.
 
     Parameters
     ----------
@@ -282,8 +282,9 @@ def summarize(
 
 
 def _sample_rate(samples: np.ndarray) -> float:
-    """Return how often a run was sampled, Hz, by its median interval; 0 for one sample."""
-    return 1.0 / float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
+    """Return how often a run was sampled, Hz, by its median interval; 0 where that is not known."""
+    interval = float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
+    return 1.0 / interval if interval > 0.0 else 0.0
 
 
 def _largest(values: np.ndarray) -> float | None:

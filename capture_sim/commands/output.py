@@ -243,7 +243,7 @@ def _save_rrd(runs: Sequence[ViewableRun], path: Path, labels: Sequence[str]) ->
 
 
 def remove_earlier(paths: Iterable[Path]) -> None:
-    """Remove files that show other runs than those that lie beside them now, and say so."""
+    """Remove files of earlier runs, and print their names."""
     for path in paths:
         if path.is_file():
             path.unlink()

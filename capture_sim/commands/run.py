@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     scenes = load_all(options.experiments, options.overrides)
     if not options.no_record:
         # loaded here: to import it takes longer than a run without

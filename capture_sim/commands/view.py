@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     window = None if options.window is None else (options.window[0], options.window[1])
     if window is not None and not window[0] < window[1]:
         raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: must be FROM < TO")

@@ -1,6 +1,6 @@
-"""What comes of a run to its verdict, or to the end of its first contact, and no further.
+"""Outcomes of runs: to the verdict, to the end, or to the end of the first contact.
 
-These are the units of work of design and scans.  Contact and verdict are those of
+These are the units of work of studies.  Contact and verdict are those of
 :func:`capture_sim.simulate`: same engine, same detector, same measurements.
 """
 

@@ -1,4 +1,4 @@
-"""What pictures of runs are made of: the cone and the tip's way in it, quantities over time."""
+"""What pictures of runs are made of: the cone and the tip's path in it, quantities over time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 
 def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
-    """Draw the ways of the tip's centre in the cone, one for each that differs."""
+    """Draw the paths of the tip's centre; each cone that differs is drawn once."""
     several, scenes = len(shown) > 1, [plotted.run.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
@@ -64,11 +64,11 @@ def draw_path(
 ) -> None:
     """Draw the path of the tip's centre; its line tells what holds the tip."""
     (left, right), (low, high) = frame_bounds(scene)
-    way = tip_in_cone(samples) * _MM
+    path = tip_in_cone(samples) * _MM
     # what lies far outside of the frame needs no line
-    near = (way > (left - 50.0, low - 50.0)).all(axis=1)
-    near &= (way < (right + 50.0, high + 50.0)).all(axis=1)
-    for name, part in split(way[near], holds[near]).items():
+    near = (path > (left - 50.0, low - 50.0)).all(axis=1)
+    near &= (path < (right + 50.0, high + 50.0)).all(axis=1)
+    for name, part in split(path[near], holds[near]).items():
         axes.plot(*part.T, color=colour, zorder=5, **line_look(name, _PATH))
 
 

@@ -110,7 +110,7 @@ buffer_results = partial(
 
 
 def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw the way of the tip's centre in the cone (Figures 7 and 8c), all in one cone."""
+    """Draw the path of the tip's centre in the cone (Figures 7 and 8c), all in one cone."""
     shown = plotted_runs(runs, labels)
     figure, [[axes]] = subplots(7.4, 7.6, grid=None)
     draw_trajectory(axes, shown)
@@ -118,7 +118,7 @@ def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
 
 
 def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw the ways of the tip's centre side by side, each in its own cone (Figure 13)."""
+    """Draw the paths of the tip's centre side by side, each in its own cone (Figure 13)."""
     shown = plotted_runs(runs, labels)
     figure, [row] = subplots(5.4 * len(shown), 6.2, 1, len(shown), grid=None, sharey=True)
     for axes, plotted in zip(row, shown, strict=True):
@@ -245,7 +245,7 @@ def snapshots(
     key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_way_line, shown))
     figure.legend(
         key,
-        ["walls of the cone", "way of the tip's centre"],
+        ["walls of the cone", "path of the tip's centre"],
         handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
         loc="outside lower center",
         ncols=2,

@@ -150,18 +150,18 @@ def _of_run(one: Opened) -> dict[str, Any]:
         wall = "+y wall" if event.wall > 0 else "-y wall"
         detail = event.detail or (wall if event.kind is EventKind.TOUCH else "")
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
-    said = f"{headline(run, one.label)}."
+    course = f"{headline(run, one.label)}."
     decided = decided_at(run)
     if decided is not None:
         reason = next((s.reason for s in run.statuses if s.final), "")
-        said += f" Decided at {decided:.3f} s: {reason}."
+        course += f" Decided at {decided:.3f} s: {reason}."
     return {
         "name": one.label,
         "title": run.scene.title,
         "source": one.source,
         "problems": one.problems,
         "error": _MEASURED if one.measured else error_statement(run),
-        "said": said,
+        "course": course,
         "events": lines,
         "event_head": (f"since the {start_word(run.scene)} [s]", "event", ""),
     }

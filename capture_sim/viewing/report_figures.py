@@ -77,7 +77,7 @@ def over_time(name: str, shown: Sequence[PlottedRun]) -> Drawn:
 
 
 def trajectories(shown: Sequence[PlottedRun]) -> Drawn:
-    """Draw the ways of the tip's centre side by side, each in its own cone."""
+    """Draw the paths of the tip's centre side by side, each in its own cone."""
     figure = make_subplots(1, len(shown), subplot_titles=[plotted.label for plotted in shown])
     for i, plotted in enumerate(shown, 1):
         hidden: dict[str, Any] = {"showlegend": False, "row": 1, "col": i}
@@ -88,13 +88,13 @@ def trajectories(shown: Sequence[PlottedRun]) -> Drawn:
             dash = "dot" if shape.dashed else "solid"
             line = (shape.line or shape.fill, dash, shape.width)
             _add_line(figure, shape.points.T * 1e3, line, **look, **hidden)
-        way = tip_in_cone(plotted.run.samples) * 1e3
-        near = np.abs(way).max(axis=1) < 150.0
+        path = tip_in_cone(plotted.run.samples) * 1e3
+        near = np.abs(path).max(axis=1) < 150.0
         look = {
             "customdata": _some(plotted.run.samples["t"][near]),
             "hovertemplate": "%{x:.2f}, %{y:.2f} mm at %{customdata:.3f} s",
         }
-        for word, part in split(way[near], plotted.holds[near]).items():
+        for word, part in split(path[near], plotted.holds[near]).items():
             style_of_line = style.LINES[word]
             line = (plotted.colour, style_of_line.plotly, 3.5 * style_of_line.width)
             name = f"{plotted.label}, {word}"
@@ -102,7 +102,7 @@ def trajectories(shown: Sequence[PlottedRun]) -> Drawn:
         figure.update_yaxes(range=(-80, 80), scaleanchor=f"x{i}", row=1, col=i)
         figure.update_xaxes(range=(-90, 30), title="x from BE  [mm]", row=1, col=i)
     figure.update_yaxes(title="y in the cone's frame  [mm]", col=1)
-    return drawn(figure, "trajectories", "Way of the tip's centre in the cone", "wide")
+    return drawn(figure, "trajectories", "Path of the tip's centre in the cone", "wide")
 
 
 def load_stroke(shown: Sequence[PlottedRun]) -> Drawn:
