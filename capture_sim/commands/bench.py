@@ -29,13 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number(FACTORS),
         default=0.0,
         metavar="FACTOR",
-        help="real-time factor, up to 1000; 0 runs as fast as it goes (default: 0)",
+        help="set the real-time factor, up to 1000; 0 runs without pacing (default: 0)",
     )
     parser.add_argument(
         "--namespace",
         type=reader(_namespace, "a ROS name such as lab: letters, digits, _ and /"),
         metavar="NAME",
-        help="of all nodes and topics, beside another suite in one ROS_DOMAIN_ID (default: none)",
+        help="put all nodes and topics in this namespace, e.g. to run two suites in one "
+        "ROS_DOMAIN_ID (default: none)",
     )
 
 

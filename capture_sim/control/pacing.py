@@ -14,8 +14,8 @@ from capture_sim.scene.quantities import Range
 
 #: Allowed simulated (or recorded) seconds per second; 0 does not wait at all.
 FACTORS = Range(0.0, 1000.0)
-#: What a run is late by more than this is given up, not caught up with, s (wall).
-MOST_BEHIND = 1.0
+#: Delays beyond this are skipped instead of recovered, s (wall).
+MAX_RECOVERED_DELAY = 1.0
 #: Ticks whose lateness is kept at most.
 _KEPT = 1_000_000
 
@@ -30,7 +30,7 @@ class Lateness(NamedTuple):
 
 
 class Pacer:
-    """Says when ticks are due, and keeps how late they came; what is late is caught up with.
+    """Computes when ticks are due, and keeps how late they came; delays are recovered.
 
     The due time of every tick is counted from one origin, so that an error of one tick does
     not move the others.  The first tick after :meth:`reset` is due at once.
@@ -48,7 +48,7 @@ class Pacer:
         Simulated time of the last tick, s; NaN before the first.
     ticks : int
         Ticks that were paced.
-    given_up : float
+    skipped_delay : float
         Wall time by which the run fell behind for good, s.
     """
 
@@ -61,7 +61,7 @@ class Pacer:
         """Begin anew, without a memory of what was paced before."""
         self.t = math.nan
         self.ticks = 0
-        self.given_up = 0.0
+        self.skipped_delay = 0.0
         self._origin: float | None = None  # wall, when simulated time t_origin was due
         self._t_origin = math.nan
         self._wall = self._simulated = 0.0  # s, while it ran
@@ -89,7 +89,7 @@ class Pacer:
         """Return in how many seconds (wall) simulated time ``t`` (s) is due; <= 0 if it is."""
         now = self._clock()
         if self._origin is None:
-            # what was late before a pause is not caught up with
+            # a delay before a pause is not recovered
             self._t_origin = float(np.fmin(np.fmax(self._t_origin, self.t), t))
             self._origin = now
         if self._factor == 0.0:
@@ -108,8 +108,8 @@ class Pacer:
         if len(self._late) == _KEPT:
             del self._late[: _KEPT // 2]
         self._late.append(late)
-        if late > MOST_BEHIND and self._origin is not None:
-            self.given_up += late
+        if late > MAX_RECOVERED_DELAY and self._origin is not None:
+            self.skipped_delay += late
             self._wall += late
             self._origin += late
 

@@ -1,4 +1,4 @@
-"""How the simulator is doing, on the topic diagnostics."""
+"""The simulator's pace, lateness and integrator statistics, on the topic diagnostics."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from capture_sim.nodes.stepping import Stepping
 
 #: Published this often, s (wall).
 PERIOD = 1.0
-#: Progress is said every so many of them.
-_SAY_EVERY = 5
+#: Progress is logged every so many of them.
+_LOG_EVERY = 5
 #: The achieved factor may differ by this much, relative, before it is a warning.
 _SLACK = 0.01
 
@@ -46,7 +46,7 @@ class SimulatorDiagnostics:
         self._ticks = self._rounds = 0
 
     def end(self) -> None:
-        """Publish the figures of the whole run."""
+        """Publish the numbers of the whole run."""
         self._on = False
         self._publish(whole=True)
 
@@ -54,7 +54,7 @@ class SimulatorDiagnostics:
         self._publish(whole=not self._on)
         self._rounds += 1
         playing = self._on and self._control.state is State.PLAYING
-        if playing and self._run is not None and self._rounds % _SAY_EVERY == 0:
+        if playing and self._run is not None and self._rounds % _LOG_EVERY == 0:
             scene = self._run.bench.scene
             text = f"{scene.name}: {self._run.figures}, at most {scene.run.t_end:g} s"
             self._node.get_logger().info(text)
@@ -89,11 +89,11 @@ class SimulatorDiagnostics:
             "figures of": "the whole run" if whole else f"the last {PERIOD:g} s",
             "simulated time [s]": f"{stepping.t:.6f}",
             "samples sent": stepping.count,
-            "real-time factor wanted": f"{factor:g}",
+            "real-time factor requested": f"{factor:g}",
             "real-time factor achieved": f"{achieved:.6f}",
             "ticks": pacer.ticks,
             "late ticks (more than a period)": pacer.late_ticks(period) if whole else "",
-            "given up [s]": f"{pacer.given_up:.6f}",
+            "skipped [s]": f"{pacer.skipped_delay:.6f}",
             "integrator steps": statistics.steps,
             "integrator steps rejected": statistics.rejected,
             "evaluations": statistics.evaluations,
@@ -104,5 +104,5 @@ class SimulatorDiagnostics:
                 values[f"tick lateness {key} [us]"] = f"{1e6 * late:.1f}"
         settled = factor > 0.0 and pacer.wall > PERIOD and not whole
         if settled and abs(achieved / factor - 1.0) > _SLACK:
-            return self._status.WARN, f"not as fast as wanted: {achieved:.3f} of {factor:g}"
+            return self._status.WARN, f"real-time factor {achieved:.3f}, requested {factor:g}"
         return self._status.OK, f"{scene.name}: {stepping.figures}"

@@ -127,7 +127,7 @@ class LauncherNode(Participant):
             self._release(launcher)
 
     def end(self, reason: str) -> list[str]:
-        """Say how much was sent, when it has arrived; hold a bench's chaser again."""
+        """Report the counts when all messages have arrived; hold a bench's chaser again."""
         self._hold(True)
         self._asked = False
         self.drain(1.0)
@@ -145,7 +145,7 @@ class LauncherNode(Participant):
         self.publish(*self._telemetry.status(0.0, launcher.release()))
 
     def _abort(self, launcher: Launcher, t: float) -> None:
-        """Tell everybody that the launch is given up."""
+        """Publish that the launch is aborted."""
         self._hold(True)
         self.publish(self._telemetry.command(t, LaunchAction.ABORT, launcher.plan))
         self.publish(*self._telemetry.status(t, launcher.status))

@@ -1,4 +1,4 @@
-"""What every node of the bench does: publish what must arrive, take what comes."""
+"""The base of all nodes of the bench: publishers that lose nothing, and subscriptions."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, Topic
 from capture_sim.nodes.parameters import ParameterNode
 
-#: Of what is latched a subscriber keeps so many until they are taken, however few are sent again.
-UNTAKEN = 100
+#: A subscriber of a latched topic keeps this many messages until its callback has run.
+MIN_DEPTH = 100
 #: A new publisher waits this long for the readers of the one it replaces, s (wall).
 MATCHING_TIMEOUT = 1.0
 #: Messages still on their way when the process is asked to end get this long to arrive, s (wall).
 LAST_DRAIN = 0.5
-#: Of messages of a topic that are refused one is named in so many s (wall), the others counted.
-REFUSING = 5.0
+#: Rejected messages of a topic are logged at most this often, s (wall); the others are counted.
+REJECTION_PERIOD = 5.0
 #: The last message, for those who come later.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: What numbers, lists and bytes raise in a callback that no one had in mind.
+#: What unexpected numbers, lists and bytes raise in a callback.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
 
 
@@ -82,7 +82,7 @@ def overridable(topic: Topic) -> QoSOverridingOptions | None:
 
 
 class BenchNode(ParameterNode):
-    """A node of the bench: publishers by topic, from which nothing is lost, and subscriptions.
+    """A node of the bench: publishers by topic, which lose nothing, and subscriptions.
 
     Attributes
     ----------
@@ -94,14 +94,14 @@ class BenchNode(ParameterNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.created = time.monotonic()  # others are discovered from here on
+        self.created = time.monotonic()  # other nodes are discovered from here on
         self.messages = Messages()
         self.failure: Exception | None = None  # that ended the callbacks
         self.reader_timeout = 10.0  # s (wall), then a reader that reads nothing is dropped
         self.dropped_readers: list[str] = []  # nodes that had stopped reading
         self._senders: dict[Topic, Any] = {}
         self._retired: list[Any] = []
-        self._refused: dict[Topic, tuple[float, int]] = {}  # when last said, and how many since
+        self._rejections: dict[Topic, tuple[float, int]] = {}  # last log (s), messages since
 
     def work(self) -> int:
         """Do the node's work in the main thread; return the exit status."""
@@ -156,7 +156,7 @@ class BenchNode(ParameterNode):
                 self.fail(error)
 
         qos = qos_of(topic, latched=latched)
-        qos.depth = max(qos.depth, UNTAKEN)
+        qos.depth = max(qos.depth, MIN_DEPTH)
         self.create_subscription(
             message_class(topic.type_name),
             topic.name,
@@ -168,16 +168,16 @@ class BenchNode(ParameterNode):
         )
 
     def refuse(self, topic: Topic, error: Exception) -> None:
-        """Say that a message is refused, at most once in :data:`REFUSING` s of each topic."""
+        """Log that a message is rejected, at most once in :data:`REJECTION_PERIOD` a topic."""
         kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
-        said, more = self._refused.get(topic, (-math.inf, 0))
+        last_logged, count = self._rejections.get(topic, (-math.inf, 0))
         now = time.monotonic()
-        if now - said < REFUSING:
-            self._refused[topic] = said, more + 1
+        if now - last_logged < REJECTION_PERIOD:
+            self._rejections[topic] = last_logged, count + 1
             return
-        self._refused[topic] = now, 0
-        unsaid = f" ({more} more before it)" if more else ""
-        self.get_logger().error(one_line(f"{topic.name}: refused: {kind}{error}{unsaid}"))
+        self._rejections[topic] = now, 0
+        unlogged = f" ({count} more before it)" if count else ""
+        self.get_logger().error(one_line(f"{topic.name}: refused: {kind}{error}{unlogged}"))
 
     def fail(self, error: Exception) -> None:
         """Let the main thread end the node because of an error in a callback."""

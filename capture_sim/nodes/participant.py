@@ -1,4 +1,4 @@
-"""What launcher, detector, recorder and viewer share: they take part in trials.
+"""What launcher, detector, recorder and viewer have in common: they take part in trials.
 
 A trial begins with a RunInfo and ends with the announcer's StreamCounts, with a RunInfo without
 run, or when the announcer has gone.  The simulator announces its runs, a player those that were
@@ -75,7 +75,7 @@ READ: dict[str, tuple[Topic, ...]] = {
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"
 _EARLY = "ended early: "
-#: ... and that somebody asked the simulator to end: nothing has failed.
+#: ... and why one ends on request: nothing has failed.
 _AS_ASKED = tuple(_EARLY + reason for reason in (RESET, STOPPED, QUITTING))
 #: Characters of a run's name that are taken.
 LONGEST_NAME = 200
@@ -100,7 +100,7 @@ class Participant(BenchNode):
     Parameters
     ----------
     role
-        The node's name unless it is remapped, and what it is to the others whatever its name.
+        The node's name unless it is remapped, and its role in a run whatever its name.
     """
 
     def __init__(self, role: str) -> None:
@@ -112,7 +112,7 @@ class Participant(BenchNode):
         drain_timeout = self.declare(
             "drain_timeout",
             5.0,
-            "s (wall) without a message, after which a run that was ended is given up",
+            "s (wall) without a message, after which an ended run is closed as incomplete",
             low=0.1,
             high=600.0,
         )
@@ -139,10 +139,10 @@ class Participant(BenchNode):
     # what a subclass fills in
 
     def begin(self, info: Any, scene: Scene) -> None:
-        """Take up a run."""
+        """Begin a run."""
 
     def end(self, reason: str) -> list[str]:
-        """End the run; return what was wrong with it, one line each.
+        """End the run; return its problems, one line each.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class Participant(BenchNode):
         return [reason] if reason else []
 
     def complete(self) -> bool:
-        """Whether all has arrived that the announcer says it has sent."""
+        """Return True if all messages that the announcer has reported have arrived."""
         return not self.missing()
 
     # what a subclass calls

@@ -40,7 +40,7 @@ class RunState:
     Parameters
     ----------
     drain_timeout
-        s (wall) without a message, after which a run that was ended is given up.
+        s (wall) without a message, after which an ended run is overdue.
     clock
         A steady clock, s.
 
@@ -67,7 +67,7 @@ class RunState:
         self._requested_id = ""
         self._announcers = 0
         self._last_ended_id = ""
-        self._deadline = math.inf  # when the run is given up ...
+        self._deadline = math.inf  # when the run is overdue ...
         self._last_deadline = math.inf  # ... though messages still come
 
     @property
@@ -127,7 +127,7 @@ class RunState:
             self._extend()
 
     def set_announcers(self, count: int) -> None:
-        """So many nodes announce runs now; without any, a run that is on is soon given up."""
+        """The number of announcers has changed; without any, a run is soon overdue."""
         self._announcers = count
         if self.info is not None and self.counts is None:
             self._deadline = math.inf if count else self._clock() + GONE_TIMEOUT
@@ -157,7 +157,7 @@ class RunState:
 
     @property
     def is_overdue(self) -> bool:
-        """Whether the run is to be given up: nothing has come for too long."""
+        """Whether nothing has come for too long: the run is to be finished as incomplete."""
         return self._begun and self._clock() >= self._deadline
 
     def _extend(self) -> None:

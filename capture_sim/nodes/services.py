@@ -26,8 +26,8 @@ FEATURES = {
     "STEP_SIMULATION_SINGLE": 31,
     "STEP_SIMULATION_MULTIPLE": 32,
 }
-#: An answer arrives within this long, s (wall).
-GOOD_BYE = 0.5
+#: A response arrives within this long, s (wall).
+ANSWER_TIMEOUT = 0.5
 
 
 def definitions() -> str:
@@ -42,17 +42,17 @@ def definitions() -> str:
 class SimulationServices:
     """Serves ``<node>/set_simulation_state`` and its kin.
 
-    Their callbacks are coroutines, which wait for a step to be taken, say, and hold up nobody: the
-    node needs an executor that runs coroutines.
+    Their callbacks are coroutines, which wait e.g. for a step without blocking others: the node
+    needs an executor that runs coroutines.
 
     Parameters
     ----------
     node
         The simulator; the services carry its name.
     control
-        Asked to do what is wanted.
+        Carries the requests out.
     info
-        What is said beside the features.
+        Text beside the features.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class SimulationServices:
     def close(self) -> None:
         """Answer all that wait, and give the answers time to arrive; callbacks still run."""
         self._control.close()
-        time.sleep(max(0.0, self._answered + GOOD_BYE - time.monotonic()))
+        time.sleep(max(0.0, self._answered + ANSWER_TIMEOUT - time.monotonic()))
 
     def _features(self, _: Any, response: Any) -> Any:
         response.features.features = [

@@ -58,24 +58,23 @@ INFO = (
 )
 #: Nodes that may be awaited.
 ROLES = (RECORDER, CAPTURE_DETECTOR, LAUNCHER)
-#: After a run the others get this long to close their files, s (wall).
-CLOSING_TIME = 60.0
-#: The word on a run's end arrives within this long, s (wall).
-IN_TIME = 1.0
+#: After a run the other nodes get this long to close their files, s (wall).
+END_TIMEOUT = 60.0
+#: The counts that end a run arrive within this long, s (wall).
+COUNTS_TIMEOUT = 1.0
 #: Python hands over between threads this often, s; its own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
 #: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
 #: (wall): longer than DDS needs to notice (config/fast_dds*.xml, leaseDuration).
 SECOND_SIMULATOR_TIMEOUT = 8.0
-#: Others are found within this long after a node was created, or asked, s (wall), before it is
-#: said that nobody is there.
+#: Nodes discover each other within this long after one was created, s (wall), as a rule.
 DISCOVERY = 0.3
 _RUN_ID = re.compile("[0-9a-f]{32}")
 
 
 @dataclass
 class _Run:
-    """A run that is announced: what is run, and what the launcher has said about it."""
+    """A run that is announced: its scene, and the commands of the launcher."""
 
     scene: Scene
     id: str = ""
@@ -86,10 +85,10 @@ class _Run:
 class SimulatorNode(BenchNode):
     """Runs scenes one after another.
 
-    Alone it launches by its own plan and publishes; a launcher that is there takes over.  Whom
-    else it waits for is said by ``consumers``.  Nobody who subscribes with KEEP_ALL is outrun.
-    Simulated time starts at the release, so no delay before it, and no pace after it, changes a
-    number.
+    Alone it launches by its own plan and publishes; a launcher that is there takes over.  The
+    parameter ``consumers`` names the nodes that a run waits for.  No subscriber with KEEP_ALL loses
+    a message.  Simulated time starts at the release, so neither a delay before it nor the real-time
+    factor changes a number.
 
     The main thread steps the bench; callbacks have a thread of their own.
     """
@@ -101,7 +100,7 @@ class SimulatorNode(BenchNode):
         names = self.declare(
             "scenes",
             ["tilt_0"],
-            "experiments, in turn: names in config/scenes, or files; changed while stopped",
+            "scenes, in turn: names in config/scenes, or files; changed while stopped",
             read_only=False,
             allowed="names of scenes or YAML files, each once",
         )
@@ -115,7 +114,7 @@ class SimulatorNode(BenchNode):
         factor = self.declare(
             "rtf",
             1.0,
-            "real-time factor: simulated seconds per second; 0 as fast as it goes",
+            "real-time factor: simulated seconds per second; 0 runs without pacing",
             low=FACTORS.low,
             high=FACTORS.high,
             read_only=False,
@@ -123,20 +122,20 @@ class SimulatorNode(BenchNode):
         state = self.declare(
             "initial_state",
             "playing",
-            "of the simulation, when the node has started",
+            "state of the simulation when the node has started",
             choices=("stopped", "playing", "paused"),
         )
         consumers = self.declare(
-            "consumers", list, "whom every run waits for, by role", choices=ROLES
+            "consumers", list, "roles of the nodes that every run waits for", choices=ROLES
         )
         self.reader_timeout = self.declare(
             "consumer_timeout",
             10.0,
-            "s (wall), after which a subscriber that takes nothing is left behind",
+            "s (wall), after which a run continues without a subscriber that reads nothing",
             low=1.0,
             high=600.0,
         )
-        self._patience = self.declare(
+        self._start_timeout = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
         )
         self._exit_when_done = self.declare(
@@ -220,7 +219,7 @@ class SimulatorNode(BenchNode):
     # in the main thread
 
     def work(self) -> int:
-        """Run all scenes, as often as is asked for; return the exit status."""
+        """Run all scenes, as often as requested; return the exit status."""
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
@@ -236,7 +235,10 @@ class SimulatorNode(BenchNode):
                 if done and self._exit_when_done:
                     break
                 if done and self.control.state is State.STOPPED:
-                    self.get_logger().info("all runs are over; play runs them again, Ctrl-C ends")
+                    self.get_logger().info(
+                        "all runs finished; set the state to playing to repeat them, or press "
+                        "Ctrl-C to exit"
+                    )
         finally:
             self._served.close()
         return status
@@ -285,7 +287,7 @@ class SimulatorNode(BenchNode):
         )
 
     def _go_through_all(self) -> tuple[bool, bool]:
-        """Run the scenes in turn; return whether they are through, and whether one failed."""
+        """Run the scenes in turn; return whether all have been run, and whether one failed."""
         failed = False
         for scene in self._scenes:
             again = True
@@ -305,7 +307,7 @@ class SimulatorNode(BenchNode):
         return True, failed
 
     def _go_through(self, announced: _Run) -> tuple[str, bool, bool]:
-        """Go through a run; return why it failed, whether it begins anew, and was stopped."""
+        """Go through a run; return why it failed, whether it is to be repeated, and was stopped."""
         gc.collect()
         with self.control.changed:
             self._run = announced
@@ -313,7 +315,7 @@ class SimulatorNode(BenchNode):
         self.control.begin()
         failure, cut = "", None
         try:
-            self._barrier.wait(name, self._barrier.all_there, self._patience)
+            self._barrier.wait(name, self._barrier.all_there, self._start_timeout)
             launched_by_hand = self._begin_run()
             self.control.ready()
             if launched_by_hand:
@@ -321,10 +323,10 @@ class SimulatorNode(BenchNode):
             failure = self._simulate(
                 Bench(announced.scene, _plan(announced.scene, self._run.armed))
             )
-        except RunCut as asked:
-            cut = asked
-            if not asked.asked_for:
-                failure = str(asked)
+        except RunCut as request:
+            cut = request
+            if not request.asked_for:
+                failure = str(request)
         except CaptureSimError as error:
             failure = str(error)
         except KeyboardInterrupt:
@@ -335,12 +337,12 @@ class SimulatorNode(BenchNode):
             self.get_logger().error(f"{name}: {failure}")
         if self._telemetry is not None:
             self._end_run(failure or ("" if cut is None else str(cut)))
-            failure = failure or self._see_off(name)
+            failure = failure or self._await_participants(name)
         self.control.end(failure)
         return failure, cut is not None and cut.again, cut is not None and not cut.again
 
     def _begin_run(self) -> bool:
-        """Announce the run; return whether a launcher is there to arm and release."""
+        """Announce the run; return True if a launcher is there to arm and release."""
         scene = self._run.scene
         launcher = self.publishers_of(LAUNCH_COMMAND) > 0
         reporting = [SIMULATOR, *[LAUNCHER] * launcher]
@@ -357,7 +359,7 @@ class SimulatorNode(BenchNode):
         return launcher
 
     def _simulate(self, bench: Bench) -> str:
-        """Send the whole run; return why it failed, or nothing."""
+        """Send the run; return why it failed, or nothing."""
         assert self._telemetry is not None
         name = bench.scene.name
         self.get_logger().info(f"{name}: released")
@@ -374,7 +376,7 @@ class SimulatorNode(BenchNode):
         return "" if self._run.armed and self._run.released else "waiting for the release"
 
     def _end_run(self, reason: str) -> None:
-        """Say how much was sent, when it has arrived."""
+        """Wait until all that was sent has arrived, then report the counts."""
         assert self._telemetry is not None
         for sent in self._telemetry.rest():
             self.publish(sent)
@@ -384,11 +386,11 @@ class SimulatorNode(BenchNode):
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         self._telemetry = None
 
-    def _see_off(self, name: str) -> str:
-        """Give the others time to take in and write what was sent; return what failed."""
+    def _await_participants(self, name: str) -> str:
+        """Wait until the other nodes have received and written the run; return what failed."""
         try:
-            self.drain(IN_TIME, [STREAM_COUNTS])
-            self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
+            self.drain(COUNTS_TIMEOUT, [STREAM_COUNTS])
+            self._barrier.wait(name, self._barrier.all_ended, END_TIMEOUT)
         except RunCut:
             pass
         except CaptureSimError as error:
@@ -413,7 +415,7 @@ def _plan(scene: Scene, armed: Any) -> LaunchPlan:
 
 
 def _load(names: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
-    """Return the scenes; refuses here what could not be launched later."""
+    """Return the scenes; rejects those that could not be launched later."""
     if not names:
         raise ParameterError("parameter scenes = []: must be names of scenes, one at least")
     scenes = [load_scene(name, list(overrides)) for name in names]

@@ -1,4 +1,4 @@
-"""One run, stepped in time: what is computed, paced, gated and handed out."""
+"""One run, stepped in time: computed ahead in blocks, paced, and sent sample by sample."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Stepping:
         self._control = control
 
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
-        """Send the whole run; return why it failed, or nothing.
+        """Send the run; return why it failed, or nothing.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class Stepping:
 
     @property
     def figures(self) -> str:
-        """How far the run is and how fast it went, in words."""
+        """How far and how fast the run is, in words."""
         pacer = self._control.pacer
         text = f"{self.t:.2f} s simulated in {pacer.wall:.2f} s ({pacer.achieved:.5g} x real time)"
         late = None if pacer.running else pacer.lateness()

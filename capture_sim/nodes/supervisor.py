@@ -73,7 +73,7 @@ def run_suite(
     record
         Whether the recorder takes part.
     rtf
-        Simulated seconds per second; 0 as fast as it goes.
+        Simulated seconds per second; 0 runs without pacing.
     namespace
         Of all nodes and topics, e.g. beside another suite in the domain.
 

@@ -221,7 +221,7 @@ def test_younger_simulator_ends_when_the_older_one_begins_a_run_later(start):
         simulation.set(State.PLAYING)
         assert younger.status() == 1
         assert "another simulator publishes /bench/state: use another" in younger.text
-        older.wait_for("all runs")
+        older.wait_for("all runs finished")
         simulation.set(State.QUITTING)
         assert older.status() == 0, older.text
 
@@ -268,7 +268,7 @@ def test_run_waits_for_its_release_and_a_latecomer_gets_how_it_ended(start_all):
     nodes["simulator"].wait_for("waiting for the release")
     with Client() as client:
         assert client.set("launcher", auto_release=True) == (True, "")
-        nodes["simulator"].wait_for("all runs are over")
+        nodes["simulator"].wait_for("all runs finished")
         topics = CAPTURE_VERDICT, LAUNCHER_PHASE, RUN_INFO
         verdicts, phases, infos = (client.listen(topic) for topic in topics)
         wait_until(lambda: verdicts and phases and infos)
@@ -307,7 +307,7 @@ def test_streams_and_their_last_state_are_echoed_without_a_warning(start_all):
         nodes["simulator"].wait_for("released")
         echoed = [echo_once(client, topic) for topic in (CAPTURE_STATUS, LAUNCHER_STATE)]
         wait_until(lambda: all(messages for messages, _ in echoed))
-        nodes["simulator"].wait_for("all runs")
+        nodes["simulator"].wait_for("all runs finished")
         echoed += [echo_once(client, topic) for topic in (CAPTURE_VERDICT, LAUNCHER_PHASE)]
         wait_until(lambda: all(messages for messages, _ in echoed))
         assert not any(warnings for _, warnings in echoed)
