@@ -100,9 +100,11 @@ class RecorderNode(Participant):
         report = self._recorder.close()
         self._recorder = None
         self._early.clear()
-        seen = sum(entry.seen for entry in report.topics.values())
+        received = sum(entry.received for entry in report.topics.values())
         written = sum(entry.written for entry in report.topics.values())
-        count = f"{seen} messages" if written == seen else f"{written} of {seen} messages"
+        count = (
+            f"{received} messages" if written == received else f"{written} of {received} messages"
+        )
         state = "complete" if report.complete else "INCOMPLETE"
         self.get_logger().info(f"{report.path}: {count}, {state}")
         problems = [*super().end(reason), *report.problems]

@@ -87,7 +87,7 @@ def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
     if a.extremes is not None and b.extremes is not None:
         first = first._replace(loads=loads_of(a.extremes, a.touches))
         second = second._replace(loads=loads_of(b.extremes, b.touches))
-    return _seen_as_well(first, second), _seen_as_well(second, first)
+    return _without_unresolved_touches(first, second), _without_unresolved_touches(second, first)
 
 
 def rate_of(series: Series) -> float:
@@ -95,7 +95,7 @@ def rate_of(series: Series) -> float:
     return 1.0 / series.interval if series.interval else 0.0
 
 
-def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
+def characteristics(side: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
     """Return the run in a few numbers, by name with the unit; what was not measured is absent.
 
     Forces and times are those of the touches located between samples, where the recording
@@ -103,14 +103,14 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
 
     Parameters
     ----------
-    of
+    side
         From :func:`comparable`.
     sampled
         Whether the largest sample of the force is listed as well, as nothing else is known of the
         other run.
     """
-    found = {"first contact, s": Figure(of.contact, of.contact_source)}
-    touches = of.run.touches
+    found = {"first contact, s": Figure(side.contact, side.contact_source)}
+    touches = side.run.touches
     if touches.size:
         first = first_cluster(touches)
         for name, value in (
@@ -121,13 +121,13 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
             found[name] = Figure(float(value), topics.BENCH_EVENT.name)
-    elif contact := of.run.columns(topics.CONTACT_STATE):
+    elif contact := side.run.columns(topics.CONTACT_STATE):
         found["peak normal force, N"] = Figure(
             float(contact["peak_force"].max()), topics.CONTACT_STATE.name
         )
-    if sampled and "force" in of.series:
-        largest = float(of.series["force"].values.max())
-        found[SAMPLED_FORCE] = Figure(largest, of.sources["force"])
+    if sampled and "force" in side.series:
+        largest = float(side.series["force"].values.max())
+        found[SAMPLED_FORCE] = Figure(largest, side.sources["force"])
     measured = {
         "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
         "max_axial_stroke_out": ("stroke", lambda x: x.max()),
@@ -138,11 +138,11 @@ def characteristics(of: Comparable, *, sampled: bool = False) -> dict[str, Figur
         quantity, value_in = measured.get(load.key, ("", None))
         name = f"{load.meaning}, {load.shown_in}"
         for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
-            if value := of.loads.get(key):
+            if value := side.loads.get(key):
                 found[name + when] = Figure(value * load.factor, "integration")
-        if not of.loads and value_in is not None and quantity in of.series:
-            value = float(value_in(of.series[quantity].values))
-            found[name] = Figure(value * load.factor, of.sources[quantity])
+        if not side.loads and value_in is not None and quantity in side.series:
+            value = float(value_in(side.series[quantity].values))
+            found[name] = Figure(value * load.factor, side.sources[quantity])
     return found
 
 
@@ -203,13 +203,13 @@ def _comparable(
     )
 
 
-def _seen_as_well(of: Comparable, other: Comparable) -> Comparable:
+def _without_unresolved_touches(side: Comparable, other: Comparable) -> Comparable:
     """Return a run without its touches if the force they are from misses such as the other has."""
-    if of.touches is None or other.touches is None:
-        return of
+    if side.touches is None or other.touches is None:
+        return side
     shortest = float(np.nanmin(other.touches.lasted, initial=np.inf))
-    if not of.touches.may_miss(shortest):
-        return of
-    source = of.touch_source.partition(", which")[0]
+    if not side.touches.may_miss(shortest):
+        return side
+    source = side.touch_source.partition(", which")[0]
     reason = f"{source}: too slow for touches of {shortest * 1e3:.3g} ms as the other has"
-    return of._replace(touches=None, touch_source=reason)
+    return side._replace(touches=None, touch_source=reason)

@@ -12,8 +12,8 @@ from capture_sim.messages.topics import Topic, topic_named
 class TopicCount:
     """What is known of one stream."""
 
-    seen: int = 0  # messages that came
-    written: int = 0  # messages handed to the file; fewer than seen while a recorder is paused
+    received: int = 0  # messages that came
+    written: int = 0  # messages handed to the file; fewer than received while a recorder is paused
     # messages that were sent, as their publisher said at the end; None as long as it has not
     expected: int | None = None
     next_seq: int = 0  # sequence number that should come next
@@ -56,7 +56,7 @@ class Completeness:
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = TopicCount()
-        entry.seen += 1
+        entry.received += 1
         entry.written += written
         if seq is None:
             return
@@ -92,7 +92,7 @@ class Completeness:
     def satisfied(self) -> bool:
         """Whether all publishers have ended and all that they sent has come."""
         return set(self.publishers) <= set(self._ended) and all(
-            entry.expected is None or entry.seen >= entry.expected
+            entry.expected is None or entry.received >= entry.expected
             for entry in self._topics.values()
         )
 
@@ -113,16 +113,16 @@ class Completeness:
             # by the numbers a stream may begin late without a loss: what was sent is known better
             lost = entry.missing
             if entry.expected is not None:
-                lost = entry.expected - entry.seen + entry.out_of_order
+                lost = entry.expected - entry.received + entry.out_of_order
             if lost > 0:
                 lines.append(f"{topic.name}: {lost} messages missing{_where(topic, entry)}")
-            if entry.expected is not None and entry.seen > entry.expected:
+            if entry.expected is not None and entry.received > entry.expected:
                 lines.append(
-                    f"{topic.name}: {entry.seen} messages came, {entry.expected} were sent"
+                    f"{topic.name}: {entry.received} messages came, {entry.expected} were sent"
                 )
-            if entry.written < entry.seen:
+            if entry.written < entry.received:
                 lines.append(
-                    f"{topic.name}: {entry.seen - entry.written} messages not written, paused"
+                    f"{topic.name}: {entry.received - entry.written} messages not written, paused"
                 )
             if entry.out_of_order:
                 lines.append(f"{topic.name}: {entry.out_of_order} messages repeated or disordered")

@@ -13,12 +13,14 @@ from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import CONTACT_TRACE
 from capture_sim.recording.measured import times_of
 from capture_sim.recording.read import Run
-from capture_sim.samples import TRACE, columns_of
+from capture_sim.samples import TOUCH, TRACE, columns_of
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
 TIME = "t"
 #: Column of the log times.
 LOG_TIME = "log_time_ns"
+#: Name of the table of the located touches, s since the release and SI units.
+TOUCHES = "touches"
 #: Kinds of files.
 KINDS = ("csv", "npz", "parquet")
 
@@ -43,7 +45,7 @@ def save_tables(
     to
         One of KINDS.  Numbers in CSV are written so that reading gives the same bits.
     topics
-        Those that are written; all that make tables unless given.
+        Those that are written; all that make tables unless given, and the touches.
     columns
         Those that are written beside the time; all unless given.  ``q`` stands for ``q.x_S``
         and all others of ``q``.
@@ -65,10 +67,13 @@ def save_tables(
             f"{run.path}: makes no table of {', '.join(unknown)}; must be one of {', '.join(known)}"
         )
     tables = {topic: _with(columns, table(run, topic)) for topic in wanted}
+    if run.touches.size and not topics:
+        recorded = [name for name in TOUCH.names or () if name != "rate_ratio"]  # in no message
+        tables[TOUCHES] = _with(columns, {name: run.touches[name] for name in recorded})
     there = {name for found in tables.values() for name in columns_of(found)}
     if missing := [name for name in columns if not any(map(_covers(name), there))]:
         raise RecordingError(f"{run.path}: no table has a column {', '.join(missing)}")
-    tables = {topic: found for topic, found in tables.items() if found.keys() != {TIME}}
+    tables = {topic: found for topic, found in tables.items() if found.keys() - {TIME}}
     if to == "npz":
         path = folder / f"{file_name(run.path.stem)}.npz"
         _save_npz(run, tables, path)

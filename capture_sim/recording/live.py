@@ -70,7 +70,9 @@ class RecordingReport:
     # the file; None when no run was announced, so that nothing was written
     path: Path | None
     complete: bool  # every publisher has ended its streams and every message came
-    topics: Mapping[str, TopicCount]  # messages seen, written, expected and missing, by topic name
+    topics: Mapping[
+        str, TopicCount
+    ]  # messages received, written, expected and missing, by topic name
     problems: tuple[str, ...]  # one line for everything that is wrong; empty when complete
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,10 +91,10 @@ def release_of(run: Run, after: float | None = None) -> int:
     recorded = release_recorded(run)
     if recorded is not None:
         return recorded
-    poses, told = _poses(run), _told(run)
+    poses, reference = _poses(run), _reference_event(run)
     if poses is None:
         return EPOCH_NS
-    return int(poses[0].min()) if told is None else told[1] + _ahead(run)
+    return int(poses[0].min()) if reference is None else reference.arrival + _clock_offset_ns(run)
 
 
 def release_recorded(run: Run) -> int | None:
@@ -101,13 +102,13 @@ def release_recorded(run: Run) -> int | None:
 
     That is the launcher's, else that of simulated runs, if it is of the clock of the poses.
     """
-    told, poses = _told(run), _poses(run)
-    if told is None or poses is None:
-        return told and told[0]
+    reference, poses = _reference_event(run), _poses(run)
+    if reference is None or poses is None:
+        return reference and reference.stamp
     if run.announced is not None and topics.SIMULATOR in run.announced.publishers:
-        return told[0]  # one clock for all, however late a recording begins
+        return reference.stamp  # one clock for all, however late a recording begins
     first, last = int(poses[0].min()), int(poses[0].max())
-    return told[0] if first - LATE_POSE <= told[0] <= last else None
+    return reference.stamp if first - LATE_POSE <= reference.stamp <= last else None
 
 
 def times_of(run: Run, topic: str | Topic) -> np.ndarray:
@@ -118,38 +119,45 @@ def times_of(run: Run, topic: str | Topic) -> np.ndarray:
     """
     columns, release = run.columns(topic), release_of(run)
     if not {"clock.sec", "header.stamp.sec"} & set(columns):
-        return (run.log_times(topic) - (release - _ahead(run))) / 1e9
-    stamps, told = stamps_of(columns), _told(run)
-    of_the_trial = release if told is None else told[0]
-    is_nearer = np.abs(stamps - of_the_trial) < np.abs(stamps - release)
-    return (stamps - np.where(is_nearer, of_the_trial, release)) / 1e9
+        return (run.log_times(topic) - (release - _clock_offset_ns(run))) / 1e9
+    stamps, reference = stamps_of(columns), _reference_event(run)
+    trial_release = release if reference is None else reference.stamp
+    is_nearer = np.abs(stamps - trial_release) < np.abs(stamps - release)
+    return (stamps - np.where(is_nearer, trial_release, release)) / 1e9
 
 
-def _ahead(run: Run) -> int:
-    """Return by how much poses' stamps are ahead of their arrival, ns; 0 without poses.
+class _ReferenceEvent(NamedTuple):
+    """The release, else the announcement of the run."""
 
-    Of those nearest to the release: a bench's clock may run slow or fast.
+    stamp: int  # ns
+    arrival: int  # ns
+
+
+def _clock_offset_ns(run: Run) -> int:
+    """Return the stamps of the poses less their arrivals, ns; 0 without poses.
+
+    Of the poses nearest to the release: a bench's clock may run slow or fast.
     """
-    poses, told = _poses(run), _told(run)
+    poses, reference = _poses(run), _reference_event(run)
     if poses is None:
         return 0
     stamps, arrivals = poses
-    since = arrivals - (arrivals[0] if told is None else told[1])
+    since = arrivals - (arrivals[0] if reference is None else reference.arrival)
     near = np.argsort(np.abs(since), kind="stable")[:NEAR]
     return int(np.median((stamps - arrivals)[near]))
 
 
-def _told(run: Run) -> tuple[int, int] | None:
-    """Return stamp and time of arrival of the release, else of the run's announcement, ns."""
+def _reference_event(run: Run) -> _ReferenceEvent | None:
+    """Return the release, else the run's announcement; None if neither is recorded."""
     commands = run.columns(topics.LAUNCH_COMMAND)
     if commands:
         released = np.flatnonzero(commands["action"] == LaunchAction.RELEASE)
         if released.size:
             stamps, arrivals = stamps_of(commands), run.log_times(topics.LAUNCH_COMMAND)
-            return int(stamps[released[0]]), int(arrivals[released[0]])
+            return _ReferenceEvent(int(stamps[released[0]]), int(arrivals[released[0]]))
     for topic in (topics.RUN_INFO, topics.BENCH_STATE):
         if run.raw(topic):
-            return EPOCH_NS, int(run.log_times(topic)[0])
+            return _ReferenceEvent(EPOCH_NS, int(run.log_times(topic)[0]))
     return None
 
 

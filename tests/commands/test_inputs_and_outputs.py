@@ -1,5 +1,8 @@
 """Where commands read and write: nothing into a bag, nothing left by a rejected command."""
 
+import csv
+
+import numpy as np
 import pytest
 from bags import in_two_files
 
@@ -29,6 +32,19 @@ def test_tables_of_a_bag_are_written_beside_it(path, tmp_path, monkeypatch):
     (folder / "bag_0.mcap").rename(path)
     assert main(["export", str(path)]) == 0
     assert len(list(folder.iterdir())) == len(before) - 1
+
+
+def test_touches_are_a_table(tmp_path):
+    result = capture_sim.simulate(capture_sim.load_scene("tilt_0"))
+    path = write_run(result, tmp_path / "tilt_0.mcap")
+    assert main(["export", str(path), "--columns", "impulse", "wall", "--out", str(tmp_path)]) == 0
+    with (tmp_path / "touches.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["impulse"]) for row in rows] == result.touches["impulse"].tolist()
+    assert [int(row["wall"]) for row in rows] == result.touches["wall"].tolist()
+    assert main(["export", str(path), "--to", "npz", "--out", str(tmp_path)]) == 0
+    with np.load(tmp_path / "tilt_0.npz") as arrays:
+        assert arrays["touches/peak_force"].tolist() == result.touches["peak_force"].tolist()
 
 
 def test_missing_input_is_named_where_an_output_is_written(tmp_path):

@@ -164,7 +164,7 @@ def test_messages_of_another_encoding_are_left_out_with_a_word(recorded, tmp_pat
     path = copied(bare, tmp_path / "json.mcap", change=beside_json)
     told, plain = read_run(path), read_run(bare)
     assert told.topics == plain.topics
-    assert told.damage == ""
+    assert told.damage == ()
     assert [line.split(":")[0] for line in told.left_out] == ["/bench/state", "/contact/wrench"]
     for topic in STANDARD:
         assert told.raw(topic) == plain.raw(topic)

@@ -600,7 +600,7 @@ def test_paused_recorder_counts_what_it_does_not_write(sent, tmp_path):
     run = read_run(report.path)
     for name, entry in report.topics.items():
         if name != "bench/stream_counts":
-            assert (entry.seen, entry.written) == (seen[name], seen[name] - skipped[name])
+            assert (entry.received, entry.written) == (seen[name], seen[name] - skipped[name])
             assert len(run.raw(name)) == entry.written
     assert f"bench/state: {skipped['bench/state']} messages not written, paused" in report.problems
     # the file itself tells where
