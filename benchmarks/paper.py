@@ -192,7 +192,6 @@ def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Outcome:
     cone, tip = scene.cone, scene.probe.tip_radius
     lateral_offset = cone.R_c + b * math.sin(cone.half_angle) - tip * math.cos(cone.half_angle)
     near = placed(scene, 0.0, -lateral_offset, _SPEED, _RUN_UP)
-    assert near is not None  # every b tried lies on the wall
     return run_to_verdict(changed(near, "run.rtol", _RTOL))
 
 

@@ -159,8 +159,8 @@ class Bench:
     @property
     def touches(self) -> np.ndarray:
         """All touches that have ended so far, (n,) of dtype TOUCH."""
-        self._read_events()
-        return np.array(self._touches, dtype=TOUCH)
+        ended = (raw["touch"][raw["kind"] == EventKind.LIFT_OFF] for raw in self._unread)
+        return np.concatenate([np.array(self._touches, dtype=TOUCH), *ended])
 
     @property
     def trace(self) -> np.ndarray:

@@ -83,9 +83,22 @@ def nearest(names: Sequence[str], name: str) -> str:
 
 def changed(part: Any, path: str, value: Any) -> Any:
     """Return a scene, or a part of one, with another value at a path."""
-    name, _, rest = path.partition(".")
-    new = changed(getattr(part, name), rest, value) if rest else value
-    return dataclasses.replace(part, **{name: new})
+    return with_values(part, {path: value})
+
+
+def with_values(part: Any, values: Mapping[str, Any]) -> Any:
+    """Return a scene, or a part of one, with other values by path; each part is made once."""
+    fields: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        if rest:
+            inner.setdefault(name, {})[rest] = value
+        else:
+            fields[name] = value
+    for name, of_part in inner.items():
+        fields[name] = with_values(getattr(part, name), of_part)
+    return dataclasses.replace(part, **fields)
 
 
 def range_of(scene: Scene, path: str) -> tuple[float, float]:

@@ -242,14 +242,15 @@ class Recipe:
         SceneError
             A value is out of its range.
         """
-        scene, approach = self.scene, self._approach
-        for name, value in zip(self.names, values, strict=True):
-            if name in APPROACH:
-                approach = paths.changed(approach, name.removeprefix("approach."), value)
-            else:
-                scene = paths.changed(scene, name, value)
-        if approach is None:
+        given = dict(zip(self.names, values, strict=True))
+        fields = {name: value for name, value in given.items() if name not in APPROACH}
+        scene: Scene = paths.with_values(self.scene, fields)
+        if self._approach is None:
             return scene
+        approach: Approach = paths.with_values(
+            self._approach,
+            {n.removeprefix("approach."): x for n, x in given.items() if n in APPROACH},
+        )
         return placed(scene, approach.angle, approach.offset, approach.speed, _RUN_UP)
 
     def overrides_of(self, values: Sequence[Any]) -> list[str]:
