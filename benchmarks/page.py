@@ -87,7 +87,10 @@ def targets(results: Results) -> str:
         ours, best = f"{c.own}: {seconds(c.own_seconds)}", f"{c.rival}: {seconds(c.rival_seconds)}"
         at, against = f"{c.error:.0e} m at {c.t_end:g} s", f"SciPy, {GROUP_NAMES[c.group]}"
         met = "busy" if is_busy(results.others) else "yes" if c.met else "**no**"
-        rows.append([at, against, ours, best, _ratios(c), f"{c.target:g}", met])
+        wanted = f"{c.target:g}"
+        if math.isnan(c.target):
+            wanted = met = "-"
+        rows.append([at, against, ours, best, _ratios(c), wanted, met])
     head = ["position error", "against", "ours", "its best", "ratio (quartiles)", "wanted", "met"]
     return table(head, rows)
 

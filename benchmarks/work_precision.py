@@ -48,7 +48,10 @@ class Plan:
 
 
 FULL = (
-    Plan(t_end=0.35, targets=(("compiled", 1e-6, 75.0), ("numpy", 1e-6, 1000.0))),
+    Plan(
+        t_end=0.35,
+        targets=(("compiled", 1e-6, 75.0), ("compiled", 1e-9, math.nan), ("numpy", 1e-6, 1000.0)),
+    ),
     Plan(
         t_end=1.5,
         targets=(("compiled", 1e-8, 60.0),),

@@ -1,0 +1,115 @@
+"""What the integration of whole runs takes, beside an earlier state, in turn with it.
+
+    .venv/bin/python -m benchmarks.kernel_times --before CHECKOUT      # two minutes
+
+Only ``Bench.advance`` is timed, in one process a state, both kept running.  In a round each state
+takes the least processor time of some runs of every scene; shown are medians over the rounds, of the
+ratios too.  Writes the part ``kernels`` of docs/benchmark.md.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import statistics
+import subprocess
+import sys
+import time
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.before import ROOT, environment, python
+from benchmarks.pages import ratio, table, write_parts
+
+_STIFF = ["contact.law=exact", "contact.restitution=1e-3"]
+#: Scene, what is changed in it, and where the run ends (s; 0: where the scene has it).
+CASES = {
+    "paper_designed to 0.35 s": ("paper_designed", [], 0.35),
+    "the same at rtol 1e-6": ("paper_designed", ["run.rtol=1e-6"], 0.35),
+    "paper_designed": ("paper_designed", [], 0.0),
+    "tilt_0": ("tilt_0", [], 0.0),
+    "tilt_p10": ("tilt_p10", [], 0.0),
+    "tilt_m10": ("tilt_m10", [], 0.0),
+    "paper_designed to 0.6 s, mu = 2": ("paper_designed", ["friction.mu=2"], 0.6),
+    "the same, probe of 27 kg/m^3": ("paper_designed", ["probe.density=27"], 0.6),
+    "the same, exact law with e = 1e-3": ("paper_designed", _STIFF, 0.6),
+}
+#: The scenes that a change of the integrator is judged by: the median of their ratios.
+JUDGED = ("paper_designed", "tilt_0", "tilt_p10", "tilt_m10")
+
+
+def serve(times: int) -> None:
+    """Answer each line on standard input with the least times of all cases, ms, as JSON."""
+    from capture_sim import load_scene
+    from capture_sim.bench import Bench
+
+    scenes = [(load_scene(name, changes), t_end) for name, changes, t_end in CASES.values()]
+    gc.disable()
+    for _ in sys.stdin:
+        found = []
+        for scene, t_end in scenes:
+            spent = []
+            for _ in range(times):
+                bench = Bench(scene)
+                until = np.array([t_end] if t_end else [])
+                began = time.process_time()
+                bench.advance(until)
+                spent.append(time.process_time() - began)
+            found.append(1e3 * min(spent))
+        print(json.dumps(found), flush=True)
+
+
+def kernels(asked: Namespace, _: Path) -> list[str]:
+    """Both states in turn."""
+    states = [ROOT] if asked.before is None else [asked.before.resolve(), ROOT]
+    command = [str(Path(__file__).resolve()), "--serve", str(asked.times)]
+    servers = [
+        subprocess.Popen(
+            [python(state), *command],
+            env=environment(state) | {"PYTHONPATH": f"{state}:{ROOT}"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for state in states
+    ]
+    rounds = []
+    for _ in range(asked.rounds):
+        answers = []
+        for server in servers:
+            assert server.stdin is not None
+            assert server.stdout is not None
+            print(file=server.stdin, flush=True)
+            answers.append(json.loads(server.stdout.readline()))
+        rounds.append(answers)
+    for server in servers:
+        server.communicate()
+    spent = np.array(rounds)  # round, state, case
+    ratios = np.median(spent[:, -1] / spent[:, 0], axis=0)
+    rows = [
+        [name, *(f"{ms:.3g}" for ms in np.median(spent, axis=0)[:, k]), ratio(ratios[k])]
+        for k, name in enumerate(CASES)
+    ]
+    judged = statistics.median(ratios[list(CASES).index(name)] for name in JUDGED)
+    head = ["run, ms of a processor", *(["before", "now"] if len(states) > 1 else ["now"])]
+    return [
+        table([*head, "now / before"], rows),
+        "",
+        f"Median of {', '.join(JUDGED)}: {ratio(judged)}.",
+    ]
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--serve"]:
+        serve(int(sys.argv[2]))
+    else:
+        write_parts(
+            "benchmark",
+            __doc__,
+            {"kernels": kernels},
+            before=(None, "checkout of an earlier state"),
+            rounds=(11, "of all runs"),
+            times=(3, "that a run is repeated in a round"),
+        )
