@@ -2,9 +2,9 @@
 
     .venv/bin/python -m benchmarks.kernel_times --before CHECKOUT      # two minutes
 
-Only ``Bench.advance`` is timed, in one process a state, both kept running.  In a round each state
-takes the least processor time of some runs of every scene; shown are medians over the rounds, of the
-ratios too.  Writes the part ``kernels`` of docs/benchmark.md.
+Only ``Bench.advance`` is timed, in one process per state; both stay alive.  In a round each
+state takes the least processor time of some runs of every scene.  The table has medians over the
+rounds, of the ratios too.  Writes the part ``kernels`` of docs/benchmark.md.
 """
 
 from __future__ import annotations
