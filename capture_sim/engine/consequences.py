@@ -14,6 +14,7 @@ from capture_sim.model.equations import (
     NO_TOUCH,
     ROLLING,
     accelerate_sticking,
+    balance,
     gap_and_rate,
     slip_of,
     tip_in_cone,
@@ -135,7 +136,8 @@ def may_rest(w, which):
     first = 8 if which == 0 else 13
     for i in range(first, first + 3):
         w.y_x[i] = 0.0
-    return ratio_of_limit(w.y_x, w.system, which) < _REST_SHARE
+    balance(w.y_x, w.system.spare[0], w.system)
+    return ratio_of_limit(w.y_x, w.system.par, w.system.out.hold, which) < _REST_SHARE
 
 
 @kernel

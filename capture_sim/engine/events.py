@@ -33,6 +33,8 @@ _NEWTON_DONE = 1e-9
 _SLIP_FLOOR = 1e-10
 #: Of v_eps: below it a vehicle may be put at rest; see docs/model.md, supports.
 _REST_SPEED = 5.0
+#: Of the way from an event to the end of a step taken again: how far before that end it is sought.
+_NEARBY = 3.0
 _NOWHERE = 2.0  # beyond every place in a step
 
 
@@ -176,14 +178,16 @@ def is_slow(y, par, which, times):
 
 
 @kernel
-def ratio_of_limit(y, system, which):
-    """Return which share of its supports' limit a vehicle needs to stand still."""
-    sx, sy, sm, tx, ty, tm = balance(y, system.spare[0], system)
+def ratio_of_limit(y, par, hold, which):
+    """Return which share of its supports' limit a vehicle needs to stay at rest.
+
+    ``hold`` (6,) is what the supports must hold at ``y``, see ``OUT``.
+    """
     if which == 0:
         s, c = sine_cosine(y[2])
-        return load_factor(sx, sy, sm, c, s, system.par.balls_S)
+        return load_factor(hold[0], hold[1], hold[2], c, s, par.balls_S)
     s, c = sine_cosine(y[7])
-    return load_factor(tx, ty, tm, c, s, system.par.balls_T)
+    return load_factor(hold[3], hold[4], hold[5], c, s, par.balls_T)
 
 
 @kernel
@@ -203,7 +207,8 @@ def slip_margin(y, system, i):
 def holds(y, system, kind, which):
     """Return whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
     if kind == EventKind.MOVING:
-        return ratio_of_limit(y, system, which) > 1.0
+        balance(y, system.spare[0], system)
+        return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
     if kind == EventKind.AT_REST:
         return is_slow(y, system.par, which, 1.0)
     return slip_margin(y, system, which) <= 0.0
@@ -306,9 +311,30 @@ def search_step(w):
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(w.stepper.y_new, w.system, which) > 1.0:
+            if resting and ratio_of_limit(w.stepper.y_new, par, step.hold, which) > 1.0:
                 x = first_holding(w, EventKind.MOVING, which, 1.0)
                 note_event(w, x, EventKind.MOVING, which)
             if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
                 x = first_holding(w, EventKind.AT_REST, which, 1.0)
                 note_event(w, x, EventKind.AT_REST, which)
+
+
+@kernel
+def search_again(w, kind, which, x):
+    """Find the first event in a step taken again, to just past the one that was found before.
+
+    That one is near ``x``; where it is not, all of the step is searched.
+    """
+    event, par = w.event, w.system.par
+    x_a = 1.0 - _NEARBY * (1.0 - x)
+    has_distance = kind != EventKind.STICK and kind != EventKind.MOVING
+    if has_distance and kind != EventKind.AT_REST:
+        g_b, _ = event_value(w.stepper.y_new, par, kind, which)
+        if g_b < 0.0:
+            g_a, _ = value_inside(w, x_a, kind, which)
+            if g_a > 0.0:
+                event.place = refine(w, kind, which, x_a, 1.0, x)
+                event.kind = kind
+                event.which = which
+                return
+    search_step(w)

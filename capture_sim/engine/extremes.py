@@ -19,6 +19,7 @@ from capture_sim.model.contact import normal_force
 from capture_sim.model.equations import (
     N_STATE,
     axial_force,
+    gap_acceleration,
     gap_and_rate,
     hinge_torque,
     stop_force,
@@ -34,6 +35,8 @@ _BRACKET, _PARABOLAS, _NEAREST = 0.25, 0.05, 1e-6
 #: Of the sum of both slopes: no cubic rises above its ends by more than 4/27 of it; and by how
 #: much the quantity may rise above the cubic.
 _CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
+#: Of the rates at a touch's ends and middle: how much larger one inside may be.
+_RATE_RISE = 1.0
 #: Of the step: a move along the motion that shows a rate.
 _SMALL_MOVE = 1e-4
 
@@ -225,47 +228,72 @@ def watch_extremes(w):
 
 
 @kernel
-def force_and_rate(gap, gap_rate, gap_acceleration, K, chi):
-    """Return the normal force (N) and its rate (N/s)."""
-    force, _ = normal_force(-gap, -gap_rate, K, chi)
+def force_and_rate(depth, rate, acceleration, K, chi):
+    """Return the normal force (N) and its rate (N/s) by the penetration and its derivatives."""
+    force, _ = normal_force(depth, rate, K, chi)
     if force <= 0.0:
         return 0.0, 0.0
-    root = math.sqrt(-gap)
-    rise = -1.5 * root * gap_rate * (K - chi * gap_rate)
-    return force, rise + chi * gap * root * gap_acceleration
+    root = math.sqrt(depth)
+    return force, root * (1.5 * rate * (K + chi * rate) + chi * depth * acceleration)
 
 
 @kernel
 def watch_touch(w, i):
     """Keep penetration, its rate and the normal force of wall ``i``, largest inside the segment."""
-    step, totals, row = w.step, w.totals, w.system.mode.latched
-    start, end, K = step.start, step.end, w.system.par.K
+    step, stepper, K = w.step, w.stepper, w.system.par.K
+    start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
-    p_a, r_a, a_a = -start.gap[i], -start.gap_rate[i], -start.gap_acceleration[i]
-    p_b, r_b, a_b = -end.gap[i], -end.gap_rate[i], -end.gap_acceleration[i]
-    if step.x_end < 1.0:
-        # accelerations are those of the whole step's end
-        before = value_at(w, (1.0 - _SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
-        a_b = (r_b - before) / (_SMALL_MOVE * step.x_end * step.h)
+    width = step.x_end * step.h
+    p_a, r_a = -start.gap[i], -start.gap_rate[i]
+    p_b, r_b = -end.gap[i], -end.gap_rate[i]
     watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
     touch.largest_rate = max(touch.largest_rate, r_b)
-    _, touch.largest_rate = rise_inside(
-        w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
-    )
-    f_a, d_a = force_and_rate(-p_a, -r_a, -a_a, K, touch.chi)
-    f_b, d_b = force_and_rate(-p_b, -r_b, -a_b, K, touch.chi)
-    if f_b > touch.peak_force:
-        touch.peak_force = f_b
+    force, _ = normal_force(p_b, r_b, K, touch.chi)
+    if force > touch.peak_force:
+        touch.peak_force = force
         touch.peak_time = step.t1
-    if step.x_end < 1.0 and step.t0 == touch.start:
-        # all of the touch may lie in this segment, its force flat at both ends
-        x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end)
+    # the rate in the middle of the cubic, and how far from these rates it may be inside
+    r_m = 1.5 * (p_b - p_a) / width - 0.25 * (r_a + r_b)
+    swing = abs(r_a) + abs(r_b) + abs(r_m)
+    rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
+    depth = max(p_a, p_b) + _CUBIC_RISE * width * swing
+    force, _ = normal_force(depth, rate, K, touch.chi)
+    if rate > touch.largest_rate or force > touch.peak_force:
+        a_a = -gap_acceleration(stepper.y, stepper.K[0], w.system.par, i)
+        if step.x_end == 1.0:
+            a_b = -gap_acceleration(w.y_end, stepper.K[stepper.stages], w.system.par, i)
+        else:
+            before = value_at(w, (1.0 - _SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
+            a_b = (r_b - before) / (_SMALL_MOVE * width)
+        _, touch.largest_rate = rise_inside(
+            w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
+        )
+        f_a, d_a = force_and_rate(p_a, r_a, a_a, K, touch.chi)
+        f_b, d_b = force_and_rate(p_b, r_b, a_b, K, touch.chi)
+        if step.x_end < 1.0 and step.t0 == touch.start:
+            # all of the touch may lie in this segment, its force flat at both ends
+            x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end)
+        else:
+            x, peak = rise_inside(
+                w, Watched.NORMAL_FORCE, side, touch.peak_force, f_a, d_a, f_b, d_b
+            )
+        if peak > touch.peak_force:
+            touch.peak_force = peak
+            touch.peak_time = step.t0 + x * step.h
+    slot = NORMAL_FORCE_PLUS_Y + i
+    keep(w.totals, w.system.mode.latched, slot, touch.peak_force, touch.peak_time)
+
+
+@kernel
+def move_buffer(y, f, t, latched, moved):
+    """Write the state a small time ``t`` later: all of it if latched, else the buffer's part."""
+    if latched:
+        for k in range(N_STATE):
+            moved[k] = y[k] + t * f[k]
     else:
-        x, peak = rise_inside(w, Watched.NORMAL_FORCE, side, touch.peak_force, f_a, d_a, f_b, d_b)
-    if peak > touch.peak_force:
-        touch.peak_force = peak
-        touch.peak_time = step.t0 + x * step.h
-    keep(totals, row, NORMAL_FORCE_PLUS_Y + i, touch.peak_force, touch.peak_time)
+        for k in range(2, 5):
+            moved[k] = y[k] + t * f[k]
+            moved[8 + k] = y[8 + k] + t * f[8 + k]
 
 
 @kernel
@@ -275,8 +303,7 @@ def watch_loads(w):
     y_a, y_b, par, small = stepper.y, w.y_end, system.par, _SMALL_MOVE * step.h
     # rates by small moves along the motion: they only decide where to look
     near = stepper.y_stage
-    for k in range(N_STATE):
-        near[k] = y_a[k] + small * stepper.K[0, k]
+    move_buffer(y_a, stepper.K[0], small, system.mode.latched, near)
     force_a, torque_a = buffer_force_at(y_a, system), buffer_torque_at(y_a, par)
     force_rate_a = (buffer_force_at(near, system) - force_a) / small
     torque_rate_a = (buffer_torque_at(near, par) - torque_a) / small
@@ -285,8 +312,7 @@ def watch_loads(w):
         latch_a = latch_force_at(y_a, system)
         latch_rate_a = (latch_force_at(near, system) - latch_a) / small
     if step.x_end == 1.0:
-        for k in range(N_STATE):
-            near[k] = y_b[k] - small * stepper.K[stepper.stages, k]
+        move_buffer(y_b, stepper.K[stepper.stages], -small, system.mode.latched, near)
     else:
         state_inside(w, step.x_end - _SMALL_MOVE)
         near = w.y_x

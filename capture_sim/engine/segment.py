@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 from capture_sim.engine.consequences import draw_consequences
-from capture_sim.engine.events import ratio_of_limit, search_step
+from capture_sim.engine.events import ratio_of_limit, search_again, search_step
 from capture_sim.engine.extremes import watch_extremes, watch_loads
 from capture_sim.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
     measure,
-    measure_accelerations,
     path_to_events,
     step_length,
     take_step,
@@ -43,12 +42,12 @@ def begin_equations(w):
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
     step.equations_changed = 0
-    measure_accelerations(w, step.start, w.stepper.y, w.stepper.K[0])
     if w.system.par.has_supports:
         # a change of forces may ask more of the supports at once than they can hold
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(w.stepper.y, w.system, which) > 1.0:
+            hold = w.system.out.hold
+            if resting and ratio_of_limit(w.stepper.y, w.system.par, hold, which) > 1.0:
                 step.h = 0.0
                 step.t1 = step.t0
                 event.kind = EventKind.MOVING
@@ -149,13 +148,15 @@ def plan_step(w):
     if event.place < _NEAR_END and par.fixed_step == 0.0 and in_contact:
         h = min(_PAST_EVENT * event.place * step.h, step.h)
         if h > SMALLEST_STEP:
-            h_next = step.h_next
+            h_next, kind, which = step.h_next, event.kind, event.which
             status = take_step(w, h)
             if status != Status.SERVED:
                 return status
             if step.h == h:
                 step.h_next = h_next
-            search_step(w)
+                search_again(w, kind, which, 1.0 / _PAST_EVENT)
+            else:
+                search_step(w)
     return end_segment(w)
 
 

@@ -50,7 +50,6 @@ DISTANCES = np.dtype(
     [
         ("gap", "f8", (3,)),  # of both walls and to the latch, m
         ("gap_rate", "f8", (3,)),
-        ("gap_acceleration", "f8", (2,)),  # of a wall in touch, m/s^2
         ("tip_speed", "f8"),  # against the target, m/s
     ],
     align=True,
@@ -72,6 +71,7 @@ STEP = np.dtype(
         ("substeps", "i8"),  # events located within one fixed step
         ("start", DISTANCES),
         ("start_measured", "i8"),  # ``start`` belongs to t0
+        ("hold", "f8", (6,)),  # what the supports must hold at the end of the step
         ("end", DISTANCES),
     ],
     align=True,

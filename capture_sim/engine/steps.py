@@ -9,7 +9,6 @@ from capture_sim.kernels import kernel
 from capture_sim.model.equations import (
     N_STATE,
     N_TOTAL,
-    gap_acceleration,
     gap_and_rate,
     rate_of_change,
     tip_in_cone,
@@ -23,7 +22,7 @@ _CONTACT_ANGLE = 5.0
 #: the cubic through stroke and rate at its ends shows when one is met.
 _STROKE_ANGLE = 2.0
 #: Of the penetration: the error allowed for a step in contact; with more, forces have no meaning.
-_DEPTH_SHARE = 0.01
+_DEPTH_SHARE = 0.03
 #: Of the way to the end of the run: the last step is cut there, so that no sliver is left over.
 _BEYOND_END = 1.01
 #: Of the tip's radius, or the latch's: closer than this to a wall, a step is no longer than it.
@@ -77,21 +76,11 @@ def measure(w, y):
 
 
 @kernel
-def measure_accelerations(w, distances, y, f):
-    """Keep the second derivatives of the gaps of walls in touch at ``y``, with ``f`` = dy/dt."""
-    for i in range(2):
-        if w.system.mode.touch[i].on:
-            distances.gap_acceleration[i] = gap_acceleration(y, f, w.system.par, i)
-
-
-@kernel
 def advance_distances(step):
     """Make the distances of the next segment those of the present one."""
     for i in range(3):
         step.start.gap[i] = step.end.gap[i]
         step.start.gap_rate[i] = step.end.gap_rate[i]
-    for i in range(2):
-        step.start.gap_acceleration[i] = step.end.gap_acceleration[i]
     step.start.tip_speed = step.end.tip_speed
     step.start_measured = 1
 
@@ -195,7 +184,9 @@ def take_step(w, h):
     step.h = h
     step.t1 = step.t0 + h
     measure(w, stepper.y_new)
-    measure_accelerations(w, step.end, stepper.y_new, stepper.K[stepper.stages])
+    if par.has_supports:
+        for i in range(6):
+            step.hold[i] = w.system.out.hold[i]
     if totals.steps + totals.rejected > par.max_steps:
         return Status.TOO_MANY_STEPS
     return Status.SERVED

@@ -76,6 +76,7 @@ OUT = np.dtype(
         ("stop", "f8"),
         ("normal", "f8", (2,)),  # forces of both walls, N
         ("friction_force", "f8", (2,)),
+        ("hold", "f8", (6,)),  # Fx, Fy (N), M (N m) of the chaser, then of the target
     ],
     align=True,
 )
@@ -204,11 +205,10 @@ def tip_forces(y, system, px, py, wx, wy):
 
 @kernel
 def accelerate(y, f, system):
-    """Write accelerations into f[8:16]; return what the supports must hold.
+    """Write accelerations into f[8:16], and powers and forces into ``system.out``.
 
-    Returns (Fx, Fy, M of the chaser; Fx, Fy, M of the target): the generalised forces on
-    the vehicles, supports apart, as they would act on a vehicle standing still.  They
-    are what the supports must balance to keep it there, N and N m about the body's
+    ``out.hold`` receives the generalised forces on the vehicles, supports apart, as they would
+    act on a vehicle at rest: what the supports must balance to keep it there, about the body's
     centre of mass.
     """
     par, mode, out = system.par, system.mode, system.out
@@ -333,7 +333,13 @@ def accelerate(y, f, system):
         f[13] = tx * par.inverse_m_T
         f[14] = ty * par.inverse_m_T
         f[15] = tm * par.inverse_I_T
-    return hold_x, hold_y, hold_m, -gx, -gy, target
+    if par.has_supports:
+        out.hold[0] = hold_x
+        out.hold[1] = hold_y
+        out.hold[2] = hold_m
+        out.hold[3] = -gx
+        out.hold[4] = -gy
+        out.hold[5] = target
 
 
 @inline_kernel
@@ -496,15 +502,16 @@ def accelerate_sticking(y, f, system):
     determinant = a00 * a11 - a01 * a10
     out.friction_force[0] = -(b0 * a11 - b1 * a01) / determinant
     out.friction_force[1] = -(b1 * a00 - b0 * a10) / determinant
-    return accelerate(y, f, system)
+    accelerate(y, f, system)
 
 
 @kernel
 def balance(y, f, system):
-    """Write accelerations into f[8:16]; return what the supports must hold (:func:`accelerate`)."""
+    """Do what :func:`accelerate` does, with the friction that holds a sticking tip."""
     if system.mode.touch[0].sticking or system.mode.touch[1].sticking:
-        return accelerate_sticking(y, f, system)
-    return accelerate(y, f, system)
+        accelerate_sticking(y, f, system)
+    else:
+        accelerate(y, f, system)
 
 
 @kernel

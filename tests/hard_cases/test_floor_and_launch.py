@@ -24,7 +24,7 @@ def test_vehicle_at_rest_stays_for_a_thousand_seconds(method):
     assert np.all(result.q == result.q[0])
     assert np.all(result.v == 0.0)
     assert np.all(result.samples["at_rest"] == 3)
-    assert result.statistics.evaluations < (500 if method != "rk4" else 700_000)
+    assert result.statistics.evaluations < (500 if method != "rk4" else 500_000)
 
 
 def test_vehicles_loaded_below_the_limit_do_not_move():
