@@ -169,9 +169,9 @@ def test_messages_of_another_encoding_are_left_out_with_a_word(recorded, tmp_pat
     for topic in STANDARD:
         assert told.raw(topic) == plain.raw(topic)
         assert told.columns(topic).keys() == plain.columns(topic).keys()
-    assert set(Playback(path).topics) == set(STANDARD)
+    assert set(Playback(path).types) == set(STANDARD)
     assert main(["export", str(path), "--to", "npz", "--out", str(tmp_path)]) == 0
-    assert "/bench/state: messages encoded as 'json' are left out" in capsys.readouterr().err
+    assert "/bench/state: left out: messages are encoded as 'json'" in capsys.readouterr().err
 
 
 def test_missing_topic_is_named(recorded, tmp_path):
