@@ -12,8 +12,8 @@
 import math
 
 import capture_sim
-from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import Walls
+from capture_sim.hardware.law import Walls
+from capture_sim.hardware.stage import LoopStage
 from capture_sim.model.contact import returned_restitution
 
 
@@ -38,13 +38,13 @@ def first_peak(scene, law, step):
     peak = 0.0
     while stage.t < scene.run.t_end:
         tip, fx, fy = stage.tip, 0.0, 0.0
-        for wall in walls.touching(tip):
-            force = law(wall.penetration, wall.rate)
+        for wall in walls.penetrations(tip):
+            force = law(wall.depth, wall.rate) if wall.depth > 0.0 else 0.0
             fx, fy = fx + force * wall.nx, fy + force * wall.ny
         if peak > 0.0 and fx == fy == 0.0:
             break
         peak = max(peak, math.hypot(fx, fy))
-        stage.advance((fx, fy, 0.0))
+        stage.advance(fx, fy, 0.0)
     return peak
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from capture_sim import load_scene
 from capture_sim.commands.compiling import compile_first
-from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.hardware.stage import LoopStage
 
 
 def _claim_domain():

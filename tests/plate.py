@@ -1,8 +1,25 @@
-"""A contact outside of the bench, as a rig has it: what it feels, and its first touch."""
+"""A contact outside of the bench: a plate, its closed forms, and a loop on it in one process."""
 
-from capture_sim.hardware.closed_loop import Loop, close, late
-from capture_sim.hardware.in_the_loop import LoopStage
-from capture_sim.hardware.walls import contact_rig
+import cmath
+import math
+
+from capture_sim import load_scene
+from capture_sim.hardware.answers import Limits
+from capture_sim.hardware.law import NO_LAW, WallLaw
+from capture_sim.hardware.loop import Loop, run_in_process
+from capture_sim.hardware.rig import IDEAL, Rig, Transport
+from capture_sim.hardware.stage import LoopStage
+from capture_sim.model.contact import exact_factor
+
+STEP = 1e-3  # s
+SPEED = 0.1  # m/s
+#: Limits that none of these contacts reaches.
+WIDE = Limits(energy=1e3, force=1e6, torque=1e6, speed=100.0, acceleration=1e6, latency=1.0)
+
+
+def plate_scene(*overrides):
+    """A stiff probe, 20 mm before the plate, so that a slow servo is at speed when it comes."""
+    return load_scene("_loop", ["initial.target.x=0.4825", "buffer.k_A=1e7", *overrides])
 
 
 def plate_mass(scene):
@@ -12,8 +29,59 @@ def plate_mass(scene):
     return 1.0 / (yields + off**2 / scene.target.inertia)
 
 
-def first_touch(scene, law, lag, step, t_end, substeps, mass=None):
-    """Close the loop in one process, a rig that answers ``lag`` steps late; its first touch."""
-    loop = Loop(LoopStage(scene, step, substeps), mass=mass)
-    close(loop, late(contact_rig(scene, law), lag), t_end, touches=1)
-    return loop.touches[0]
+def plate_law(mass, duration, restitution=1.0, offset=0.0):
+    """Return the plate whose elastic touch lasts so long (s), with this restitution at 0.1 m/s."""
+    stiffness = mass * (math.pi / duration) ** 2
+    damping = exact_factor(restitution) * stiffness / SPEED if restitution < 1.0 else 0.0
+    return WallLaw(stiffness, damping=damping, offset=offset)
+
+
+def close(scene, rig, method="none", law=NO_LAW, limits=WIDE, t_end=1.0, mass=None, step=STEP):
+    """Close a loop in one process; return it and why it stopped."""
+    mass = mass or plate_mass(scene)
+    loop = Loop(LoopStage(scene, step, max(1, round(step / 2.5e-5))), method, law, limits, mass)
+    return loop, run_in_process(loop, rig, t_end)
+
+
+def ideal_rig(scene, law, delay=0.0, **figures):
+    """Return a rig without servo, noise and bias that answers so late, s."""
+    servo, cell, _ = IDEAL
+    return Rig(scene, law, servo, cell, Transport(delay, 0.0, 0.0, 0.0), **figures)
+
+
+def predicted_restitution(duration, response):
+    """Return the restitution of an elastic plate through a rig, in closed form.
+
+    ``response(s)`` is the transfer function from the tip to where the rig has it when the force
+    comes back.  The root of s^2 + (pi / T)^2 response(s) = 0 next to j pi / T, s = a + j b, gives
+    exp(pi a / b): what the oscillation grows by in its half period.
+    """
+    w = math.pi / duration
+    s = 1j * w
+    for _ in range(200):
+        new = 1j * w * cmath.sqrt(response(s))
+        s = 0.5 * (s + new)
+    return math.exp(math.pi * s.real / s.imag)
+
+
+def response_of(rig, latency, prediction_lag=None):
+    """Return the transfer function of a rig, of the hold of a step, and of the prediction.
+
+    ``latency`` (s) is that of the transport, in whole steps.
+    """
+
+    def response(s):
+        servo, cell = rig.servo, rig.cell
+        delay = servo.delay + latency + rig.hidden_lag + 0.5 * STEP
+        value = cmath.exp(-s * delay)
+        if servo.bandwidth:
+            w = 2.0 * math.pi * servo.bandwidth
+            value *= cmath.exp(-0.5 * s * STEP)  # it holds each command for a step
+            value *= w * w / (s * s + 2.0 * servo.damping_ratio * w * s + w * w)
+        if cell.cutoff:
+            value /= 1.0 + s / (2.0 * math.pi * cell.cutoff)
+        if prediction_lag is not None:
+            value *= 2.0 - cmath.exp(-s * prediction_lag)
+        return value
+
+    return response

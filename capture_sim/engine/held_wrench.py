@@ -1,9 +1,9 @@
-"""Motion with a wrench on the tip from outside the model, and with a law of the walls.
+"""Motion with a wrench on the tip from outside the model, or with a law of the walls.
 
 For hardware in the loop: steps of fixed length.  The wrench from outside is held over a step; the
 law of the walls is evaluated at every stage of every Runge-Kutta step.  Stroke stops and the latch
-are met where their distance passes zero: the Runge-Kutta step is cut there, inside the step of the
-loop, of which nobody has been told yet.
+are met where their distance passes zero: the Runge-Kutta step ends there, inside the step of the
+loop, before its result is sent.
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ import numpy as np
 from capture_sim.engine.events import event_value
 from capture_sim.kernels import entry_kernel, inline_kernel, kernel
 from capture_sim.model.equations import (
+    AXIAL,
+    LATCH,
     N_TOTAL,
+    STOP,
+    TORSION,
     buffer_energy,
     gap_and_rate,
     rate_of_change,
@@ -26,32 +30,32 @@ from capture_sim.model.observe import kinetic_energy
 from capture_sim.model.trig import hyperbolic_tangent
 from capture_sim.samples import EventKind
 
-#: The state of the free phases and, behind it: the integral of the force's size (N s), and how
-#: far the tip has moved against the target under the wrench held (m, m, rad).
-N_LOOP = N_TOTAL + 4
-IMPULSE_SIZE, MOVED = N_TOTAL, N_TOTAL + 1
+#: The state of the free phases, followed by the integral of the force's magnitude (N s).
+N_LOOP = N_TOTAL + 1
+IMPULSE_SIZE = N_TOTAL
 
-#: Contact of the tip with either wall; see :class:`capture_sim.hardware.walls.WallLaw`.
+#: Contact of the tip with either wall; see :class:`capture_sim.hardware.law.WallLaw`.
 LAW = np.dtype(
     [
         ("stiffness", "f8"),  # N/m^exponent
         ("exponent", "f8"),
         ("damping", "f8"),  # N s/m^(exponent + 1)
-        ("drag", "f8"),  # N s/m
+        ("offset", "f8"),  # m, of the walls towards the tip
         ("friction", "f8"),
         ("slip_speed", "f8"),  # m/s
-        ("gated", "i8"),  # the wrench from outside acts only while the law is in touch
     ],
     align=True,
 )
 
-#: Columns of a trace: pose of the tip and its rates in the target's frame, force on the tip.
-TRACE_COLUMNS = 8
+#: Columns of a trace: pose of the tip and its rates in the target's frame, force on the tip, all
+#: at the begin of a Runge-Kutta step; energy at its end, as :func:`stored_energy` has it.
+TRACE_COLUMNS = 9
+ENERGY = 8
 
 
 @inline_kernel
 def _drive(y, system, law, fx, fy, torque):
-    """Set the wrench on the tip: that of the law, and the one held; return if the latter acts.
+    """Set the wrench on the tip: that of the law and the one held.
 
     Latched, the walls have let go: neither acts.
     """
@@ -61,43 +65,32 @@ def _drive(y, system, law, fx, fy, torque):
         mode.wrench[0] = 0.0
         mode.wrench[1] = 0.0
         mode.wrench[2] = 0.0
-        return False
-    touched = False
-    wx = wy = wt = 0.0
-    if law.stiffness > 0.0 or law.drag > 0.0:
+        return
+    wx, wy, wt = fx, fy, torque
+    if law.stiffness > 0.0:
         par = system.par
         px, py, vx, vy = tip_in_cone(y, par)
         spin = y[11] - y[15]
         for i in range(2):
             gap, rate, nx, ny = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, par)
-            if gap < 0.0:
-                touched = True
-                force = (-gap) ** law.exponent * (law.stiffness - law.damping * rate)
-                force = max(force, 0.0) - law.drag * rate
+            depth = law.offset - gap
+            if depth > 0.0:
+                force = depth**law.exponent * (law.stiffness - law.damping * rate)
+                force = max(force, 0.0)
                 slip = slip_speed(gap, nx, ny, vx, vy, spin, par)
                 friction = -law.friction * force * hyperbolic_tangent(slip / law.slip_speed)
                 wx += force * nx - friction * ny
                 wy += force * ny + friction * nx
                 wt -= (gap + par.R_t) * friction
-    acts = touched or not law.gated
-    if acts:
-        wx += fx
-        wy += fy
-        wt += torque
     mode.wrench[0] = wx
     mode.wrench[1] = wy
     mode.wrench[2] = wt
-    return acts
 
 
 @kernel
 def _rate(y, f, system, law, fx, fy, torque):
-    acts = _drive(y, system, law, fx, fy, torque)
+    _drive(y, system, law, fx, fy, torque)
     rate_of_change(0.0, y, f, system)
-    _, _, wx, wy = tip_in_cone(y, system.par)
-    f[MOVED] = wx if acts else 0.0
-    f[MOVED + 1] = wy if acts else 0.0
-    f[MOVED + 2] = y[11] - y[15] if acts else 0.0
     wrench = system.mode.wrench
     f[IMPULSE_SIZE] = math.sqrt(wrench[0] * wrench[0] + wrench[1] * wrench[1])
 
@@ -191,35 +184,9 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
     return high
 
 
-@entry_kernel
-def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
-    """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
-
-    ``y`` (N_LOOP,) is changed; ``stages`` (6, N_LOOP) is overwritten; ``trace`` (n, 8) receives
-    tip and force at the begin of each.  The wrench held is in the target's axes.
-    """
-    system = systems[0]
-    law = laws[0]
-    for k in range(trace.shape[0]):
-        left = h
-        while left > 0.0:
-            _rate(y, stages[0], system, law, fx, fy, torque)
-            if left == h:
-                _note(y, trace[k], system)
-            left -= _meet(y, stages, system, law, left, fx, fy, torque)
-
-
-@entry_kernel
-def tip_state(systems, y):
-    """Return the tip in the target's frame: x, y (m), heading, and their rates against it."""
-    px, py, wx, wy = tip_in_cone(y, systems[0].par)
-    return px, py, y[3] - y[7], wx, wy, y[11] - y[15]
-
-
-@entry_kernel
-def stored_energy(systems, laws, y):
-    """Return kinetic energy and that of the springs of buffer, stops, latch and law, J."""
-    p, mode, law = systems[0].par, systems[0].mode, laws[0]
+@kernel
+def _energy(y, system, law):
+    p, mode = system.par, system.mode
     stroke, torsion = y[4] - p.h_0, y[3] - y[2]
     axial, turning = buffer_energy(stroke, torsion, p)
     energy = kinetic_energy(y, p) + axial + turning
@@ -232,6 +199,41 @@ def stored_energy(systems, laws, y):
     elif law.stiffness > 0.0:
         for i in range(2):
             gap, _, _, _ = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, p)
-            if gap < 0.0:
-                energy += law.stiffness * (-gap) ** (law.exponent + 1.0) / (law.exponent + 1.0)
-    return energy
+            depth = law.offset - gap
+            if depth > 0.0:
+                energy += law.stiffness * depth ** (law.exponent + 1.0) / (law.exponent + 1.0)
+    return energy + y[AXIAL] + y[TORSION] + y[LATCH] + y[STOP]
+
+
+@entry_kernel
+def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
+    """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
+
+    ``y`` (N_LOOP,) is changed; ``stages`` (6, N_LOOP) is overwritten; ``trace`` (n, 9) receives
+    tip, force and energy.  The wrench held is in the target's axes.
+    """
+    system = systems[0]
+    law = laws[0]
+    for k in range(trace.shape[0]):
+        left = h
+        while left > 0.0:
+            _rate(y, stages[0], system, law, fx, fy, torque)
+            if left == h:
+                _note(y, trace[k], system)
+            left -= _meet(y, stages, system, law, left, fx, fy, torque)
+        trace[k, ENERGY] = _energy(y, system, law)
+
+
+@entry_kernel
+def tip_state(systems, y):
+    """Return the tip in the target's frame: x, y (m), heading, and their rates against it."""
+    px, py, wx, wy = tip_in_cone(y, systems[0].par)
+    return px, py, y[3] - y[7], wx, wy, y[11] - y[15]
+
+
+@entry_kernel
+def stored_energy(systems, laws, y):
+    """Return the kinetic energy, that of the springs of buffer, stops, latch and law, and what the
+    dampers of buffer, stops and latch have dissipated, J.
+    """
+    return _energy(y, systems[0], laws[0])

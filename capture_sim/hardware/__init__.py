@@ -1,1 +1,1 @@
-"""The seams for real hardware: the loop through a contact rig, and what sensors add."""
+"""Hardware in the loop: the loop through a contact rig, and such a rig in software."""

@@ -22,6 +22,7 @@ class Rate(Enum):
     SENSOR = "sensor"  # at the rate of the sensor, scene.sensors
     EVENT = "event"  # when something happens
     ONCE = "once"  # once a run and publisher
+    CONTROL = "control"  # with every step of a control loop; only the newest ``depth`` are kept
 
 
 class Stamp(Enum):

@@ -1,14 +1,21 @@
-"""The node that stands for contact hardware: it answers the tip's place with a wrench."""
+"""The node that stands for contact hardware: it answers the tip's position with a wrench."""
 
 from __future__ import annotations
 
-from collections import deque
 from functools import partial
 from typing import Any
 
-from capture_sim.hardware.in_the_loop import CONTACT_RIG, TIP, TIP_WRENCH
-from capture_sim.hardware.loop_messages import tip_of, wrench_message
-from capture_sim.hardware.walls import TipState, WallLaw, contact_rig
+from capture_sim.hardware.law import WallLaw
+from capture_sim.hardware.messages import (
+    CONTACT_RIG,
+    RIG_TIP,
+    TIP,
+    TIP_WRENCH,
+    tip_message,
+    tip_of,
+    wrench_message,
+)
+from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
@@ -17,27 +24,58 @@ from capture_sim.nodes.start import OK
 
 
 class ContactRigNode(BenchNode):
-    """Walls with a law, see :func:`capture_sim.hardware.walls.contact_rig`."""
+    """A rig of the real kind: servo, load cell, walls, transport; see docs/hardware_in_the_loop.md.
+
+    `-p ideal:=true` is a rig without servo, noise, bias and delay.
+    """
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)
         name = self.declare("scene", "_loop", "whose cone it is: name in config/scenes, or file")
         overrides = self.declare(
-            "overrides", list, "changes of the scene, as cone.half_angle=0.8 (SI)"
+            "overrides", list, "changes of the scene, e.g. cone.half_angle=0.8 (SI)"
         )
-        stiffness = self.declare("stiffness", 2000.0, "N/m^exponent, of a wall", low=0.0, high=1e12)
+        number = partial(self.declare, low=0.0)
+        ideal = self.declare("ideal", False, "true: without servo, noise, bias and delays")
+        stiffness = number("stiffness", 2000.0, "N/m^exponent, of a wall", high=1e12)
         exponent = self.declare(
             "exponent", 1.0, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
         )
-        damping = self.declare(
-            "damping", 0.0, "s/m, by which the force grows with the rate", low=0.0, high=1e6
+        damping = number("damping", 0.0, "s/m, by which the force grows with the rate", high=1e6)
+        offset = self.declare(
+            "wall_offset", 0.0, "m, of the walls towards the tip", low=-0.1, high=0.1
         )
-        friction = self.declare("friction", 0.0, "coefficient, of a wall", low=0.0, high=10.0)
-        lag = self.declare("lag", 0, "messages that it answers late, on purpose", low=0, high=1000)
-        law = WallLaw(stiffness, exponent, stiffness * damping, friction=friction)
-        self._rig = contact_rig(load_scene(name, overrides), law)
-        self._places: deque[TipState] = deque(maxlen=lag + 1)
-        self.open((TIP_WRENCH,))
+        friction = number("friction", 0.0, "coefficient, of a wall", high=10.0)
+        law = WallLaw(stiffness, exponent, stiffness * damping, offset, friction)
+
+        def figure(name: str, standard: float, description: str, high: float = 1e6) -> Any:
+            return number(name, 0.0 if ideal else standard, description, high=high)
+
+        servo = Servo(
+            figure("servo_bandwidth", Servo.bandwidth, "Hz, of the servo; 0: no servo", 1e4),
+            figure("servo_delay", Servo.delay, "s, of the servo", 1.0),
+            number("servo_acceleration", Servo.acceleration, "m/s^2, where it saturates", high=1e6),
+        )
+        cell = Cell(
+            figure("cell_cutoff", Cell.cutoff, "Hz, of the cell's low-pass; 0: none"),
+            figure("cell_noise", Cell.noise, "N, standard deviation of a force component"),
+            figure("cell_torque_noise", Cell.torque_noise, "N m, of a torque component"),
+            figure("cell_bias", Cell.bias, "N, of each force component"),
+            figure("cell_resolution", Cell.resolution, "N and N m; 0: not quantised"),
+            number("cell_range", Cell.force_range, "N, where the cell saturates", high=1e9),
+        )
+        transport = Transport(
+            figure("transport_delay", Transport.delay, "s, there and back", 10.0),
+            figure("transport_jitter", Transport.jitter, "s, standard deviation", 1.0),
+            figure("drops", Transport.drops, "share of the answers that are lost", 1.0),
+            figure("doubles", Transport.doubles, "share of the answers that come twice", 1.0),
+        )
+        hidden_lag = number("hidden_lag", 0.0, "s, by which the force is older than sent", high=1.0)
+        sends_tip = self.declare("sends_tip", True, "whether loop/rig_tip is sent")
+        seed = self.declare("seed", 0, "of noise and transport", low=0, high=2**31 - 1)
+        scene = load_scene(name, overrides)
+        self._rig = Rig(scene, law, servo, cell, transport, hidden_lag, sends_tip, seed)
+        self.open((TIP_WRENCH, RIG_TIP))
         self.listen(TIP, self._answer)
 
     def work(self) -> int:
@@ -47,9 +85,10 @@ class ContactRigNode(BenchNode):
         return OK
 
     def _answer(self, message: Any) -> None:
-        self._places.append(tip_of(message))
-        place = self._places[0]
-        self.send(TIP_WRENCH, wrench_message(self.messages, place.t, self._rig(place)))
+        for stamp, wrench, tip in self._rig.answer(tip_of(message)):
+            if tip is not None:
+                self.send(RIG_TIP, tip_message(self.messages, stamp, tip))
+            self.send(TIP_WRENCH, wrench_message(self.messages, stamp, wrench))
 
 
 main = partial(run, ContactRigNode)

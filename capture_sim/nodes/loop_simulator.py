@@ -3,189 +3,230 @@
 from __future__ import annotations
 
 import json
-import threading
+import math
 import time
+from collections import deque
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.closed_loop import Loop
-from capture_sim.hardware.compensation import compensation
-from capture_sim.hardware.in_the_loop import (
+import numpy as np
+
+from capture_sim.errors import CaptureSimError, MessageError
+from capture_sim.hardware.answers import Limits
+from capture_sim.hardware.law import TipState, WallLaw, Wrench
+from capture_sim.hardware.loop import METHODS, N_AT_REST, Loop
+from capture_sim.hardware.messages import (
     LOOP_SIMULATOR,
+    RIG_TIP,
     TIP,
     TIP_WRENCH,
-    LoopStage,
-    SafeStopError,
-    WrenchHold,
+    stamp_of,
+    tip_message,
+    tip_of,
+    wrench_of,
 )
-from capture_sim.hardware.loop_messages import stamp_of, tip_message, wrench_of
-from capture_sim.hardware.walls import WallLaw
+from capture_sim.hardware.stage import LoopStage, SafeStopError
 from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import FAILED, OK
 
-#: The tip's first place is sent this often until it is answered, s (wall).
-KNOCK = 0.02
+#: The tip's first position is sent this often, s (wall).
+FIRST_POSE_PERIOD = 0.005
+#: Lateness up to this share of a step is caught up with: positions are never closer than 0.8 step.
+MAX_JITTER = 0.2
+#: A Runge-Kutta step is about this long, s.
+SUBSTEP = 2.5e-5
 
 
 class LoopSimulatorNode(BenchNode):
-    """Sends where the tip is, and goes on with the wrench that has come, step by step.
+    """Simulates vehicles and buffer; the contact comes from a rig on loop/wrench.
 
-    It starts when the first place has been answered.  A wrench is held until a newer one
-    comes; without one for ``timeout``, with one beyond ``force_limit``, or when the loop has made
-    more energy than ``energy_limit``, the vehicles are stopped and the node ends with exit
-    status 1.
+    It takes bias and noise of the load cell at rest, then sends the tip's position on loop/tip with
+    every step and goes on with the newest wrench. A step that is late shifts all later ones. At a
+    limit of energy, force, torque, speed, acceleration, latency or lateness it stops and exits
+    with status 1.
     """
 
     def __init__(self) -> None:
         super().__init__(LOOP_SIMULATOR)
+        number = partial(self.declare, low=0.0)
         name = self.declare("scene", "_loop", "name in config/scenes, or file")
-        overrides = self.declare("overrides", list, "changes of the scene, as buffer.c_A=13 (SI)")
+        overrides = self.declare("overrides", list, "changes of the scene, e.g. buffer.c_A=13 (SI)")
         rate = self.declare("rate", 1000.0, "Hz, of steps and messages", low=10.0, high=10000.0)
         self._rtf = self.declare(
-            "rtf",
-            1.0,
-            "real-time factor: simulated seconds per second",
-            low=0.001,
-            high=1.0,
+            "rtf", 1.0, "real-time factor: simulated seconds per second", low=0.001, high=1.0
         )
-        timeout = self.declare(
-            "timeout", 0.02, "s, age up to which a wrench is held", low=0.001, high=10.0
+        limits = Limits(
+            number("energy_limit", Limits().energy, "J, given to the vehicles in all", high=1e6),
+            number("force_limit", Limits().force, "N, on the rig", high=1e9),
+            number("torque_limit", Limits().torque, "N m, on the rig", high=1e9),
+            number("speed_limit", Limits().speed, "m/s, of the commanded position", high=1e3),
+            number("acceleration_limit", Limits().acceleration, "m/s^2, of the same", high=1e6),
+            self.declare("timeout", 0.05, "s, latency of a wrench in use", low=0.001, high=10.0),
         )
-        force_limit = self.declare(
-            "force_limit", 500.0, "N, beyond which a wrench is a fault", low=0.0, high=1e9
+        self._max_lateness = self.declare(
+            "lateness_limit", 0.05, "s (wall), of a step", low=0.0001, high=10.0
         )
-        mass = self.declare(
-            "mass", 0.0, "kg, that the contact feels; 0: the tip's", low=0.0, high=1e6
+        mass = number("mass", 0.0, "kg, that the contact feels; 0: the tip's", high=1e6)
+        threshold = number(
+            "touch_threshold", 0.0, "N; 0: six standard deviations of the noise at rest", high=1e6
         )
-        energy_limit = self.declare(
-            "energy_limit", 0.1, "J, that the loop may make", low=0.0, high=1e6
-        )
-        way = self.declare(
-            "compensation",
-            "none",
-            "of the delay: none, passivity, hybrid, prediction1, prediction2, model, or several "
-            "joined by +",
-            check=compensation,
-        )
-        stiffness = self.declare(
-            "stiffness",
-            0.0,
-            "N/m^exponent, of the walls: what model begins with (0: the scene's contact), and the "
-            "virtual spring of hybrid",
-            low=0.0,
-            high=1e12,
+        method = self.declare("compensation", "none", "of the delay", choices=METHODS)
+        stiffness = number(
+            "stiffness", 0.0, "N/m^exponent, model starts with; 0: the scene's contact", high=1e12
         )
         exponent = self.declare(
-            "exponent",
-            1.5,
-            "of the penetration, for stiffness: 1 a spring, 1.5 Hertz",
-            low=1.0,
-            high=3.0,
+            "exponent", 1.5, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
         )
-        drag = self.declare(
-            "drag", 0.0, "N s/m, of the virtual damper of hybrid", low=0.0, high=1e9
+        damping = number("damping", 0.0, "N s/m^(exponent + 1), model starts with", high=1e12)
+        offset = self.declare(
+            "wall_offset", 0.0, "m, towards the tip, model starts with", low=-0.1, high=0.1
         )
-        self._patience = self.declare(
-            "start_timeout", 60.0, "s (wall), wait for the first wrench", low=0.1, high=86400.0
+        self._start_timeout = self.declare(
+            "start_timeout", 60.0, "s (wall), wait for the answers at rest", low=0.1, high=86400.0
         )
-        self._report = self.declare("report", "", "JSON file of what was measured; none if empty")
-        substeps = max(1, round(40.0 * 1000.0 / rate))
+        self._report = self.declare("report", "", "JSON file of the measured values; empty: none")
         scene = load_scene(name, overrides)
-        self._stage = LoopStage(scene, 1.0 / rate, substeps)
-        chosen = compensation(way)
-        law = WallLaw(stiffness, exponent, drag=drag)
-        if chosen.model:
-            law = WallLaw(stiffness or scene.contact_stiffness, exponent)
-        self._loop = Loop(self._stage, chosen, law, energy_limit, mass or None)
-        self._hold = WrenchHold(timeout, force_limit)
-        self._lock = threading.Lock()
-        self._now = 0.0  # of the loop, s
+        self._stage = LoopStage(scene, 1.0 / rate, max(1, round(1.0 / rate / SUBSTEP)))
+        law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset)
+        self._loop = Loop(self._stage, method, law, limits, mass or None, threshold)
+        self._inbox: deque[tuple[float, float, Wrench]] = deque()  # arrival (wall), stamp, wrench
+        self._rig_tips: dict[float, TipState] = {}
         self._sent: dict[float, float] = {}  # wall time by the tip's time
+        self._ages: list[float] = []
         self._round_trips: list[float] = []
+        self._late_steps, self._largest_lateness, self._reported_notes = 0, 0.0, 0
         self.open((TIP,))
-        self.listen(TIP_WRENCH, self._wrench_came)
+        self.listen(RIG_TIP, self._receive_tip)
+        self.listen(TIP_WRENCH, self._receive_wrench)
 
-    def _wrench_came(self, message: Any) -> None:
-        came = time.monotonic()
-        stamp = stamp_of(message)
-        wrench = wrench_of(message)
-        with self._lock:
-            reason = self._hold.offer(stamp, self._now, wrench)
-            sent = self._sent.pop(round(stamp, 9), None)
-        if sent is not None and not reason:
-            self._round_trips.append(came - sent)
+    def _receive_tip(self, message: Any) -> None:
+        tip = tip_of(message)
+        self._rig_tips[round(tip.t, 9)] = tip
+        while len(self._rig_tips) > 200:
+            del self._rig_tips[next(iter(self._rig_tips))]
+
+    def _receive_wrench(self, message: Any) -> None:
+        try:
+            self._inbox.append((time.monotonic(), stamp_of(message), wrench_of(message)))
+        except MessageError:
+            self._loop.answers.reject("in another frame")
+            raise
+
+    def _take_answers(self) -> None:
+        """Give the loop what has arrived."""
+        while self._inbox:
+            arrival, stamp, wrench = self._inbox.popleft()
+            key = round(stamp, 9) if math.isfinite(stamp) else 0.0
+            self._loop.receive(stamp, wrench, self._rig_tips.pop(key, None))
+            sent = self._sent.pop(key, None)
+            if sent is not None:
+                self._round_trips.append(arrival - sent)
 
     def work(self) -> int:
         """Run the loop to the scene's end; return the exit status."""
-        self._await_first()
-        stopped, late = "", 0
-        began = time.monotonic()
-        steps = round(self._stage.scene.run.t_end / self._stage.step)
+        stopped = ""
         try:
-            for k in range(steps):
-                due = began + k * self._stage.step / self._rtf
-                delay = due - time.monotonic()
-                if STOP.wait(max(0.0, delay)):
-                    raise KeyboardInterrupt
-                late += delay < -self._stage.step / self._rtf
-                with self._lock:
-                    stamp, wrench = self._hold.at(self._now)
-                place = self._loop.advance(stamp, wrench)
-                with self._lock:
-                    self._now = place.t
-                    self._sent[round(place.t, 9)] = time.monotonic()
-                self.send(TIP, tip_message(self.messages, place))
+            self._await_rest()
+            self._run()
         except SafeStopError as stop:
-            stopped = str(stop)
+            stopped = f"stopped at t = {self._stage.t:.6g} s: {stop}"
             self.get_logger().error(stopped)
-        self._report_result(stopped, late)
+        self._report_result(stopped)
         return FAILED if stopped else OK
 
-    def _await_first(self) -> None:
+    def _await_rest(self) -> None:
+        """Send the first position until the rig has answered it often enough."""
         self.get_logger().info("waiting for the first wrench")
-        deadline = time.monotonic() + self._patience
-        while True:
-            with self._lock:
-                received = self._hold.received
-            if received:
-                self.get_logger().info("the first wrench has come: the loop is closed")
-                return
+        deadline = time.monotonic() + self._start_timeout
+        while self._loop.answers.n_at_rest < N_AT_REST:
             if time.monotonic() > deadline:
-                raise CaptureSimError(f"no wrench came for {self._patience:g} s")
-            self.send(TIP, tip_message(self.messages, self._stage.tip))
-            if STOP.wait(KNOCK):
+                n, rejected = self._loop.answers.n_at_rest, dict(self._loop.answers.rejections)
+                raise CaptureSimError(
+                    f"answers at rest = {n} within {self._start_timeout:g} s: must be >= "
+                    f"{N_AT_REST}" + (f"; rejected: {rejected}" if rejected else "")
+                )
+            self.send(TIP, tip_message(self.messages, 0.0, self._stage.tip))
+            if STOP.wait(FIRST_POSE_PERIOD):
                 raise KeyboardInterrupt
+            self._take_answers()
+        self._loop.begin()
+        bias = ", ".join(f"{value:.3g}" for value in self._loop.answers.bias[:3])
+        self.get_logger().info(
+            f"the loop is closed; load cell at rest: bias {bias} N, noise "
+            f"{self._loop.answers.noise:.3g} N; a touch begins at {self._loop.threshold:.3g} N"
+        )
 
-    def _report_result(self, stopped: str, late: int) -> None:
-        """Say what was measured, and write it where that is asked for."""
-        touches = [
-            {**asdict(touch), "restitution": touch.restitution} for touch in self._loop.touches
-        ]
-        found: dict[str, Any] = {
+    def _run(self) -> None:
+        period = self._stage.step / self._rtf
+        due = time.monotonic()
+        for _ in range(round(self._stage.scene.run.t_end / self._stage.step)):
+            if STOP.wait(max(0.0, due - time.monotonic())):
+                raise KeyboardInterrupt
+            lateness = time.monotonic() - due
+            if lateness > MAX_JITTER * period:  # never caught up with: the rig would be hurried
+                self._late_steps += 1
+                self._largest_lateness = max(self._largest_lateness, lateness)
+                due += lateness
+                if lateness > self._max_lateness:
+                    raise SafeStopError(
+                        f"lateness of a step = {lateness:.3g} s: must be <= {self._max_lateness:g}"
+                    )
+            self._take_answers()
+            pose = self._loop.advance()
+            self._ages.append(self._stage.t - self._stage.step - self._loop.answers.latest.stamp)
+            self._sent[round(pose.t, 9)] = time.monotonic()
+            self.send(TIP, tip_message(self.messages, pose.t, pose))
+            for note in self._loop.notes[self._reported_notes :]:
+                self.get_logger().warning(note)
+            self._reported_notes = len(self._loop.notes)
+            due += period
+
+    def _report_result(self, stopped: str) -> None:
+        """Log what was measured, and write it where that is asked for."""
+        loop, ages = self._loop, sorted(self._ages) or [0.0]
+        rejections = dict(loop.answers.rejections)
+        report: dict[str, Any] = {
             "stopped": stopped,
+            "notes": loop.notes,
             "steps": round(self._stage.t / self._stage.step),
-            "late_steps": late,
-            "refused": self._hold.refused,
-            "ages": self._hold.ages,
+            "late_steps": self._late_steps,
+            "largest_lateness": self._largest_lateness,
+            "refused": sum(rejections.values()),
+            "rejections": rejections,
+            "ages": self._ages,
             "round_trips": self._round_trips,
-            "work": self._loop.work,
-            "touches": touches,
+            "lag": {"servo": loop.servo_lag, "force": loop.estimate.lag, "whole": loop.lag},
+            "load_cell": {
+                "bias": loop.answers.bias,
+                "noise": loop.answers.noise,
+                "threshold": loop.threshold,
+            },
+            "energy_excess": loop.energy_excess,
+            "energy_withheld": loop.energy_withheld,
+            "rig_peak_force": loop.rig_peak_force,
+            "vehicle_peak_force": max((touch.peak_force for touch in loop.touches), default=0.0),
+            "law": loop.estimate.law._asdict(),
+            "touches": [
+                {**asdict(touch), "restitution": touch.restitution} for touch in loop.touches
+            ],
         }
         if self._report:
-            Path(self._report).write_text(json.dumps(found), encoding="utf-8")
-        ages = sorted(self._hold.ages) or [0.0]
+            text = json.dumps(report, default=np.ndarray.tolist)
+            Path(self._report).write_text(text, encoding="utf-8")
         self.get_logger().info(
-            f"{found['steps']} steps, wrench {ages[len(ages) // 2] * 1e3:.1f} ms old (median), "
-            f"{ages[-1] * 1e3:.1f} ms (most); work of the wrench {self._loop.work:.4g} J"
+            f"{report['steps']} steps, latency {ages[len(ages) // 2] * 1e3:.1f} ms (median), "
+            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {loop.lag * 1e3:.1f} ms; the rig bore "
+            f"{loop.rig_peak_force:.4g} N; energy given to the vehicles {loop.energy_excess:.3g} J"
         )
-        if touches:
-            first = self._loop.touches[0]
+        if rejections:
+            self.get_logger().warning(f"wrenches rejected: {rejections}")
+        if loop.touches:
+            first = loop.touches[0]
             self.get_logger().info(f"first touch: restitution {first.restitution:.4f}")
 
 

@@ -29,7 +29,7 @@ from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import STOP
 from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, Topic
+from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, Rate, Topic
 from capture_sim.nodes.parameters import ParameterNode
 
 #: A subscriber of a latched topic keeps this many messages until its callback has run.
@@ -64,8 +64,9 @@ def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
         Whether a subscriber wants what is kept of a latched topic; as the topic is unless given.
     """
     latched = topic.latched if latched is None else latched
+    keeps_last = (topic.latched and latched) or topic.rate is Rate.CONTROL
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST if topic.latched and latched else HistoryPolicy.KEEP_ALL,
+        history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
@@ -156,7 +157,8 @@ class BenchNode(ParameterNode):
                 self.fail(error)
 
         qos = qos_of(topic, latched=latched)
-        qos.depth = max(qos.depth, MIN_DEPTH)
+        if topic.rate is not Rate.CONTROL:  # a queue would only delay the newest message
+            qos.depth = max(qos.depth, MIN_DEPTH)
         self.create_subscription(
             message_class(topic.type_name),
             topic.name,

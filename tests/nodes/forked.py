@@ -19,7 +19,7 @@ from importlib import import_module
 
 from capture_sim import load_scene
 from capture_sim.bench import compile_kernels
-from capture_sim.hardware.in_the_loop import LoopStage
+from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.definitions import typestore
 
 NODES = ("simulator", "launcher", "capture_detector", "recorder", "player", "viewer")

@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import State
-from capture_sim.hardware.in_the_loop import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
+from capture_sim.hardware.messages import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS
 from capture_sim.nodes.node import message_class, qos_of
 from capture_sim.recording.offline import write_run

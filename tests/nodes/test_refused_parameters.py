@@ -102,7 +102,7 @@ AT_THE_START = {
     "no such way": (
         "loop_simulator",
         {"compensation": "magic"},
-        ["compensation = 'magic': must be one of none, passivity, hybrid"],
+        ["compensation = 'magic'", "none, prediction, model"],
     ),
     "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output"]),
     "no such state": ("simulator", {"initial_state": "gone"}, ["'gone'", "stopped, playing"]),

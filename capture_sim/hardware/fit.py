@@ -1,0 +1,210 @@
+"""Fit of a law of contact to one touch of the rig: stiffness, loss, position of the wall, lag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.hardware.law import WallLaw
+
+#: Standard deviations before the first touch: ln stiffness, loss at the approach speed, offset
+#: (m), lag (s).
+_PRIOR_DEVIATIONS = np.array([2.3, 3.0, 2e-4, 5e-3])
+#: By at least so much a contact may change from touch to touch.
+_DRIFT = np.array([0.05, 0.1, 2e-6, 2e-4])
+#: A touch of a law is not known better than this share of its peak force.
+_MODEL_ERROR = 1e-3
+_MAX_LOSS = 30.0  # damping times speed over stiffness; restitution 0.03
+_MAX_ITERATIONS = 30
+#: Mean square of the misfit over the noise at which no other beginning is tried.
+_FOUND = 2.0
+
+
+@dataclass(frozen=True)
+class LawEstimate:
+    """A law, and what is known of it.
+
+    Attributes
+    ----------
+    law
+        Of the walls; never generates energy.
+    lag
+        s, by which the force is later than the tip's position that came with it.
+    lag_deviation
+        s, standard deviation.
+    restitution, restitution_deviation
+        At the approach speed of the touch.
+    residual
+        N, rms of what the law does not describe.
+    peak_force
+        N, measured.
+    deviations
+        Standard deviations of the four parameters of the fit.
+    """
+
+    law: WallLaw
+    lag: float = 0.0
+    lag_deviation: float = math.inf
+    restitution: float = 1.0
+    restitution_deviation: float = math.inf
+    residual: float = 0.0
+    peak_force: float = 0.0
+    deviations: np.ndarray | None = None
+
+
+def fit_touch(
+    samples: np.ndarray, prior: LawEstimate, speed: float, noise: float, threshold: float
+) -> Generator[None, None, LawEstimate]:
+    """Fit a law to a touch; yields after each iteration, so that a loop need not wait for it.
+
+    Least squares with the prior as one more measurement (Levenberg and Marquardt's steps).  The
+    force is later than the tip by a lag, which is told from a loss by its shape: a lag shifts the
+    wall between entering and leaving, a loss does not.
+
+    Parameters
+    ----------
+    samples
+        (n, 6): time (s), penetration (m, below 0 outside) and its rate, normal force, tangential
+        force (N), slip (m/s).  One force at least reaches the threshold.
+    prior
+        What is known before this touch; its law's exponent stays.
+    speed
+        m/s, of the approach.
+    noise
+        N, standard deviation of a measured force.
+    threshold
+        N, from which on a force is one.
+    """
+    t, depth, rate, force, tangential, slip = samples.T
+    p = prior.law.exponent
+    peak = float(force.max())
+    sigma = max(noise, _MODEL_ERROR * peak)
+    widths = _PRIOR_DEVIATIONS
+    if prior.deviations is not None:
+        widths = np.minimum(np.hypot(2.0 * prior.deviations, _DRIFT), widths)
+    loss = min(prior.law.damping * speed / prior.law.stiffness, _MAX_LOSS)
+    mean = np.array([math.log(prior.law.stiffness), loss, prior.law.offset, prior.lag])
+
+    def at(lag: float) -> tuple[np.ndarray, np.ndarray]:
+        return _interpolated(t, depth, rate, t - lag)
+
+    def predicted(theta: np.ndarray, path: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        inside = np.maximum(path[0] + theta[2], 0.0)
+        return np.exp(theta[0]) * inside**p * np.maximum(1.0 + theta[1] * path[1] / speed, 0.0)
+
+    def cost(theta: np.ndarray) -> float:
+        misfit = (force - predicted(theta, at(theta[3]))) / sigma
+        return float(misfit @ misfit + (((theta - mean) / widths) ** 2).sum())
+
+    def jacobian(theta: np.ndarray, now: np.ndarray) -> np.ndarray:
+        path = at(theta[3])
+        inside = np.maximum(path[0] + theta[2], 0.0)
+        grip = np.maximum(1.0 + theta[1] * path[1] / speed, 0.0)
+        slope = np.exp(theta[0]) * p * np.where(inside > 0.0, inside, 1.0) ** (p - 1.0)
+        columns = (
+            now,
+            np.exp(theta[0]) * inside**p * path[1] / speed * (grip > 0.0),
+            slope * grip * (inside > 0.0),
+            (predicted(theta, at(theta[3] + 1e-5)) - now) / 1e-5,
+        )
+        return np.stack(columns, axis=1)
+
+    best, least, normal = mean, math.inf, np.diag(widths**-2.0)
+    for theta in _first_guesses(t, depth, rate, force, threshold, p, mean):
+        reached, damping = cost(theta), 1e-3
+        for _ in range(_MAX_ITERATIONS):
+            now = predicted(theta, at(theta[3]))
+            J = jacobian(theta, now)
+            here = J.T @ J / sigma**2 + np.diag(widths**-2.0)
+            gradient = J.T @ (force - now) / sigma**2 - (theta - mean) / widths**2
+            if reached < least:
+                best, least, normal = theta, reached, here
+            yield
+            trial = theta + np.linalg.solve(here + damping * np.diag(np.diag(here)), gradient)
+            trial[1] = min(max(trial[1], 0.0), _MAX_LOSS)
+            new = cost(trial)
+            if not new <= reached:
+                damping *= 10.0
+                if damping > 1e8:
+                    break
+                continue
+            converged = reached - new < 1e-3 and damping <= 1e-3
+            theta, reached, damping = trial, new, 0.1 * damping
+            if converged:
+                break
+        if least < _FOUND * len(t):
+            break
+    theta = best
+    residual = math.sqrt(float(np.mean((force - predicted(theta, at(theta[3]))) ** 2)))
+    spread = max(1.0, residual / sigma)
+    deviations = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
+    stiffness = math.exp(theta[0])
+    law = prior.law._replace(
+        stiffness=stiffness,
+        damping=float(theta[1]) * stiffness / speed,
+        offset=float(theta[2]),
+        friction=_friction(force, tangential, slip, prior.law, sigma),
+    )
+    restitution = law.restitution(speed)
+    lossier = law._replace(damping=law.damping + deviations[1] * stiffness / speed)
+    return LawEstimate(
+        law,
+        float(theta[3]),
+        float(deviations[3]),
+        restitution,
+        abs(restitution - lossier.restitution(speed)),
+        residual,
+        peak,
+        deviations,
+    )
+
+
+def _first_guesses(
+    t: np.ndarray,
+    depth: np.ndarray,
+    rate: np.ndarray,
+    force: np.ndarray,
+    threshold: float,
+    exponent: float,
+    mean: np.ndarray,
+) -> Iterator[np.ndarray]:
+    """Yield where the fit may begin: the force's first and last sample give wall and lag."""
+    loaded = np.flatnonzero(force >= threshold)
+    first, last = loaded[0], loaded[-1]
+    speeds = rate[first] - rate[last]
+    shift = mean[3]
+    if speeds > 0.0:
+        shift = float(np.clip((depth[first] - depth[last]) / speeds, 0.0, t[last] - t[first]))
+    peak = int(np.argmax(force))
+    for loss in (mean[1], 1.0, 3.0, 0.0):
+        for lag in (shift, mean[3]):
+            offset = -(depth[first] - rate[first] * lag)
+            inside = max(float(depth[peak]) + offset, 1e-6)
+            stiffness = float(force[peak]) / inside**exponent / (1.0 + loss)
+            yield np.array([math.log(max(stiffness, 1e-9)), loss, offset, lag])
+
+
+def _interpolated(
+    t: np.ndarray, x: np.ndarray, v: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Hermite's cubics through x with the slopes v, and their slopes; straight outside."""
+    inside = np.clip(times, t[0], t[-1])
+    i = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+    h = t[i + 1] - t[i]
+    u = (inside - t[i]) / h
+    a = x[i + 1] - x[i]
+    b, c = h * v[i] - a, a - h * v[i + 1]
+    value = x[i] + u * a + u * (1.0 - u) * ((1.0 - u) * b + u * c)
+    slope = (a + (1.0 - 2.0 * u) * ((1.0 - u) * b + u * c) + u * (1.0 - u) * (c - b)) / h
+    return value + slope * (times - inside), slope
+
+
+def _friction(
+    force: np.ndarray, tangential: np.ndarray, slip: np.ndarray, prior: WallLaw, sigma: float
+) -> float:
+    """Return the coefficient of friction, by least squares with the prior as a measurement."""
+    drive = -force * np.tanh(slip / prior.slip_speed) / sigma
+    return max(float((drive @ tangential / sigma + prior.friction) / (drive @ drive + 1.0)), 0.0)

@@ -1,0 +1,206 @@
+"""A rig in software: a servo that carries the tip, a load cell, walls, and the way to the loop."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from capture_sim.hardware.answers import Answer
+from capture_sim.hardware.law import NO_WRENCH, TipState, WallLaw, Walls, Wrench
+from capture_sim.scene.parts import Scene
+
+#: The servo is integrated in steps of at most this, s.
+_SERVO_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Servo:
+    """What moves the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth.
+
+    Attributes
+    ----------
+    bandwidth
+        Hz; 0 for a tip that is where it is commanded.
+    delay
+        s.
+    acceleration
+        m/s^2, at which the drive saturates.
+    damping_ratio
+        zeta.
+    """
+
+    bandwidth: float = 10.0
+    delay: float = 0.010
+    acceleration: float = 50.0
+    damping_ratio: float = 0.7
+
+    @property
+    def lag(self) -> float:
+        """By how much the tip is behind a steady motion, s."""
+        if not self.bandwidth:
+            return self.delay
+        return self.delay + 2.0 * self.damping_ratio / (2.0 * math.pi * self.bandwidth)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The load cell.
+
+    Attributes
+    ----------
+    cutoff
+        Hz, of a low-pass of first order; 0 for none.
+    noise, torque_noise
+        N and N m, standard deviation of each component.
+    bias
+        N, on each component of the force.
+    resolution
+        N and N m.
+    force_range
+        N; beyond it the cell saturates.
+    """
+
+    cutoff: float = 0.0
+    noise: float = 0.1
+    torque_noise: float = 0.005
+    bias: float = 0.5
+    resolution: float = 0.006
+    force_range: float = 1000.0
+
+
+@dataclass(frozen=True)
+class Transport:
+    """The way to the loop and back.
+
+    Attributes
+    ----------
+    delay, jitter
+        s; the jitter is the standard deviation of what is added.
+    drops, doubles
+        Share of the answers that are lost, and that come twice.
+    """
+
+    delay: float = 0.001
+    jitter: float = 0.0003
+    drops: float = 0.001
+    doubles: float = 0.001
+
+
+IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0, 0.0))
+
+
+@dataclass
+class Rig:
+    """Walls of a law on a rig of the real kind; its time is that of the positions it is sent.
+
+    Attributes
+    ----------
+    scene
+        Whose cone it is.
+    law
+        Of the walls.
+    servo, cell, transport
+        See there.
+    hidden_lag
+        s, by which the force is old that is sent with the present position.
+    sends_tip
+        Whether the tip's measured position is sent as well.
+    seed
+        Of noise and transport.
+    """
+
+    scene: Scene
+    law: WallLaw
+    servo: Servo = field(default_factory=Servo)
+    cell: Cell = field(default_factory=Cell)
+    transport: Transport = field(default_factory=Transport)
+    hidden_lag: float = 0.0
+    sends_tip: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._walls = Walls(self.scene)
+        self._rng = np.random.default_rng(self.seed)
+        self._commands: deque[TipState] = deque()  # not yet at the servo
+        self._tip: TipState | None = None
+        self._target = np.zeros(3)
+        self._filtered = NO_WRENCH
+        self._contacts: deque[tuple[float, Wrench]] = deque()  # newest last
+        self._on_the_way: list[tuple[float, Answer]] = []
+        self.peak_force = 0.0  # N, that the walls have exerted
+
+    def answer(self, pose: TipState) -> list[Answer]:
+        """Take a position; return the answers that come until the next one is sent.
+
+        The first position, repeated, is answered at once: nothing moves.
+        """
+        if self._tip is None:
+            self._tip, self._target = pose, np.array(pose[1:4])
+        if self._tip.t >= pose.t:
+            return [self._measured(pose)]
+        self._commands.append(pose)
+        self._move(pose.t)
+        answer, t = self._measured(pose), pose.t
+        way = self.transport
+        if self._rng.random() >= way.drops:
+            due = t + way.delay + abs(self._rng.normal()) * way.jitter
+            n = 2 if self._rng.random() < way.doubles else 1
+            self._on_the_way += [(due, answer)] * n
+        # the loop's next step is half a step later than this, on the mean
+        arrived = [entry for entry in self._on_the_way if entry[0] <= t + 1e-9]
+        self._on_the_way = [entry for entry in self._on_the_way if entry[0] > t + 1e-9]
+        return [answer for _, answer in sorted(arrived, key=lambda entry: entry[0])]
+
+    def _move(self, until: float) -> None:
+        """Move the tip up to a time, and the force on it."""
+        assert self._tip is not None
+        tip, servo = self._tip, self.servo
+        steps = max(1, math.ceil((until - tip.t) / _SERVO_STEP - 1e-9))
+        if not servo.bandwidth and not self.cell.cutoff:
+            steps = 1
+        h, start = (until - tip.t) / steps, tip.t
+        w = 2.0 * math.pi * servo.bandwidth
+        for k in range(1, steps + 1):
+            t = start + k * h
+            command = None
+            while self._commands and self._commands[0].t <= t - servo.delay + 1e-12:
+                command = self._commands.popleft()
+                self._target = np.array(command[1:4])
+            x, v = np.array(tip[1:4]), np.array(tip[4:])
+            if servo.bandwidth:
+                a = w * w * (self._target - x) - 2.0 * servo.damping_ratio * w * v
+                size = math.hypot(a[0], a[1])
+                a *= min(1.0, servo.acceleration / size) if size else 1.0
+                v = v + h * a
+                x = x + h * v
+            elif command is not None:
+                x, v = self._target, np.array(command[4:])
+            tip = TipState(t, *x.tolist(), *v.tolist())
+            if self.cell.cutoff or k == steps:
+                self._feel(tip, h)
+        self._tip = tip
+
+    def _feel(self, tip: TipState, h: float) -> None:
+        """Note what the walls do to the tip, as the cell's filter passes it."""
+        contact = self._walls.wrench(self.law, tip)
+        self.peak_force = max(self.peak_force, contact.force)
+        share = -math.expm1(-h * 2.0 * math.pi * self.cell.cutoff) if self.cell.cutoff else 1.0
+        pairs = zip(self._filtered, contact, strict=True)
+        self._filtered = Wrench(*(old + share * (new - old) for old, new in pairs))
+        self._contacts.append((tip.t, self._filtered))
+        while len(self._contacts) > 1 and self._contacts[1][0] <= tip.t - self.hidden_lag + 1e-9:
+            self._contacts.popleft()
+
+    def _measured(self, pose: TipState) -> Answer:
+        """Return what is sent for a position: the cell's reading, and where the tip is."""
+        cell = self.cell
+        contact = self._contacts[0][1] if self._contacts else NO_WRENCH
+        noise = self._rng.normal(size=6) * np.repeat([cell.noise, cell.torque_noise], 3)
+        read = np.array(contact) + noise + np.repeat([cell.bias, 0.0], 3)
+        read[:3] = np.clip(read[:3], -cell.force_range, cell.force_range)
+        if cell.resolution:
+            read = cell.resolution * np.round(read / cell.resolution)
+        return Answer(pose.t, Wrench(*read.tolist()), self._tip if self.sends_tip else None)
