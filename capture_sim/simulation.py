@@ -93,7 +93,7 @@ class Result:
     --------
     >>> from capture_sim import simulate
     >>> simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
-    Result(paper_designed: stuck after 0.5 s, 6 touches, peak 131.6 N, 501 samples)
+    Result(paper_designed: undecided after 0.5 s, 6 touches, peak 131.6 N, 501 samples)
     """
 
     scene: Scene
@@ -159,7 +159,7 @@ class Result:
 
     @property
     def verdict(self) -> CaptureState:
-        """The detector's last word."""
+        """The detector's verdict, or undecided."""
         return self.statuses[-1].state
 
     @cached_property
@@ -179,7 +179,7 @@ class Result:
             self.samples,
             self.touches,
             self.events,
-            self.verdict.label,
+            self.statuses[-1].label,
             self.wall_time,
             self.extremes,
             self.problems,
@@ -189,7 +189,7 @@ class Result:
         end = self.events[-1].t
         peak = self.touches["peak_force"].max(initial=0.0)
         text = (
-            f"{self.scene.name}: {self.verdict.label} after {end:.6g} s, "
+            f"{self.scene.name}: {self.statuses[-1].label} after {end:.6g} s, "
             f"{self.touches.size} touches, peak {peak:.1f} N, {self.samples.size} samples"
         )
         return f"Result({text}{'; ' + self.failure if self.failure else ''})"

@@ -12,12 +12,14 @@ from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError, one_line
 from capture_sim.messages.convert import stamp_seconds
-from capture_sim.recording.detect import detect_again, with_limits
+from capture_sim.recording.detect import detect_again, is_simulated, with_limits
 from capture_sim.recording.measured import release_of
 from capture_sim.scene.parts import Detector
 
 # s: as fine as a float is for stamps that count from 1970
 _TICK = 1e-6
+# s: a bench's messages reach detector and recorder in different orders
+_BENCH_TOLERANCE = 0.1
 
 DESCRIPTION = (
     "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
@@ -57,28 +59,28 @@ def run(options: argparse.Namespace) -> int:
             echo(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
     released = stamp_seconds(release_of(recorded))
-    state = None
+    label = None
     for status in statuses:
-        if status.state is not state:
+        if status.label != label:
             since = _since(status, released)
             reported = status.t - released
             late = f", reported at {reported:.3f} s" if status.time_in_state > _TICK else ""
-            echo(f"{since:10.3f} s  {status.state.label:9} {one_line(status.reason)}{late}")
-            state = status.state
+            echo(f"{since:10.3f} s  {status.label:9} {one_line(status.reason)}{late}")
+            label = status.label
     verdict = statuses[-1]
     since = _since(verdict, released)
-    word = "verdict" if verdict.final else "no verdict, the run was ended in state"
     echo(
-        f"{word}: {verdict.state.label} since {since:.3f} s; nearest "
+        f"verdict: {verdict.label} since {since:.3f} s; nearest "
         f"{verdict.nearest_distance * 1e3:.3f} mm, {len(statuses) - 1} measurements"
     )
     if not recorded.statuses:
         return OK
     before = recorded.statuses[-1]
     since_before = _since(before, released)
-    same = before.state is verdict.state and abs(since_before - since) < _TICK
+    tolerance = _TICK if is_simulated(recorded) else _BENCH_TOLERANCE
+    same = before.state is verdict.state and abs(since_before - since) < tolerance
     echo(
-        f"recorded: {before.state.label} since {since_before:.3f} s ({one_line(before.reason)})"
+        f"recorded: {before.label} since {since_before:.3f} s ({one_line(before.reason)})"
         + ("; the same" if same else "; DIFFERENT")
     )
     if same or changed or options.scene is not None:

@@ -1,27 +1,29 @@
-"""Measurements of several sources brought to common instants.
+"""Measurements of several sources interpolated to common instants.
 
 Simulated poses and buffer states carry the same stamps.  On a real bench each source has
-its own clock, rate and delay, messages get lost and overtake each other.  The chaser's
-stamps are the instants of the statuses; what the other sources did then is interpolated.
+its own clock, rate and delay, messages get lost and overtake each other.  The statuses are
+evaluated at the chaser's stamps; the other sources are interpolated to these instants.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from enum import Enum
 from typing import NamedTuple
 
 Values = tuple[float, ...]
 
-#: Measurements of a source that are kept for those still to come of the others.
+#: Measurements of a source that are kept for the others' measurements still to come.
 ROOM = 1000
+#: A stamp that is later than both other sources' latest ones by more than this is rejected, s.
+MAX_LEAD = 2.0
 
 
 class Source(Enum):
-    """What is measured, each at its own times.
+    """A source of measurements.
 
-    The values are, in this order: of a pose x, y (m), theta (rad) and, where the source
+    Its values are, in this order: of a pose x, y (m), theta (rad) and, where the source
     gives them, their rates in the world; of the buffer stroke (m), torsion (rad) and,
     likewise, their rates.
     """
@@ -32,7 +34,7 @@ class Source(Enum):
 
 
 class Observation(NamedTuple):
-    """One consistent measurement of all sources; the values are those of :class:`Source`."""
+    """Consistent measurements of all sources at one instant; the values are those of `Source`."""
 
     t: float
     chaser: Values
@@ -41,82 +43,98 @@ class Observation(NamedTuple):
 
     @property
     def has_rates(self) -> bool:
-        """Whether every source gives rates; used only where the measurements do not scatter."""
+        """True if every source gives rates; they are used only in the absence of noise."""
         return (len(self.chaser), len(self.target), len(self.buffer)) == (6, 6, 4)
 
 
 class _Track:
     """The latest measurements of a source in the order of their times."""
 
-    def __init__(self, turns: bool) -> None:
+    def __init__(self, *, is_pose: bool) -> None:
         self.times: list[float] = []
         self.values: list[Values] = []
-        self._turns = turns  # the third value is an angle that may wrap
+        self._is_pose = is_pose  # the third value is an angle that may wrap
 
     def add(self, t: float, values: Values) -> bool:
-        """Add a measurement; False for a time that is there already."""
-        place = len(self.times)
-        if place and t <= self.times[-1]:
-            place = bisect_left(self.times, t)
-            if self.times[place] == t:
+        """Add a measurement; return False if there is one of this time already."""
+        index = len(self.times)
+        if index and t <= self.times[-1]:
+            index = bisect_left(self.times, t)
+            if self.times[index] == t:
                 return False
-        self.times.insert(place, t)
-        self.values.insert(place, values)
+        self.times.insert(index, t)
+        self.values.insert(index, values)
         if len(self.times) > ROOM:
             del self.times[0], self.values[0]
         return True
 
-    def at(self, t: float, longest: float) -> Values | None:
-        """Return the values at a time; None where no measurements close enough lie round it."""
+    @property
+    def newest(self) -> float:
+        """The latest time; a single one far ahead of the rest counts once a second follows it."""
+        times = self.times
+        if len(times) > 1 and times[-1] - times[-2] > MAX_LEAD:
+            return times[-2]
+        return times[-1] if times else -math.inf
+
+    def drop_after(self, t: float) -> list[float]:
+        """Remove the measurements later than ``t``; return their times."""
+        first = bisect_right(self.times, t)
+        dropped = self.times[first:]
+        del self.times[first:], self.values[first:]
+        return dropped
+
+    def interpolate(self, t: float, max_gap: float) -> Values | None:
+        """Return the values at a time, or None if the neighbours are further apart than a gap."""
         after = bisect_left(self.times, t)
         if after < len(self.times) and self.times[after] == t:
             return self.values[after]
         if after in (0, len(self.times)):
             return None
         t0, t1 = self.times[after - 1], self.times[after]
-        if t1 - t0 > longest:
+        if t1 - t0 > max_gap:
             return None
         share = (t - t0) / (t1 - t0)
         first, second = self.values[after - 1], self.values[after]
         if len(first) != len(second):
             first, second = first[: len(second)], second[: len(first)]
         mixed = [(1.0 - share) * a + share * b for a, b in zip(first, second, strict=True)]
-        if self._turns:
+        if self._is_pose:
             turn = math.remainder(second[2] - first[2], 2.0 * math.pi)
             mixed[2] = first[2] + share * turn
         return tuple(mixed)
 
-    def covers(self, t: float) -> bool:
-        """Whether a measurement of this time or later is there."""
-        return bool(self.times) and self.times[-1] >= t
-
 
 class Aligner:
-    """Puts together what was measured at the same instant.
+    """Combines what was measured at the same instant.
 
-    An observation is handed out as soon as every source has a measurement of its time or
-    of a later one; a measurement that comes late gives one too, late.  An instant at which
-    a source has a hole is left out and counted in ``skipped``.  Where every source keeps
-    its own order, the result does not depend on how they come between each other.
+    An observation is returned as soon as every source has a measurement of its time or
+    of a later one; a measurement that comes late completes one too, late.  An instant in
+    a gap of a source is left out and counted in ``skipped``.  Where every source keeps
+    its own order, the result does not depend on the order between sources.
 
     Parameters
     ----------
-    gap
-        s, longest hole of a source that is interpolated over.
+    max_gap
+        s, longest gap of a source that is interpolated over.
 
     Attributes
     ----------
     skipped : int
-        Instants that were given up.
+        Instants without an observation.
     repeated : int
-        Measurements with a time that was there already.
+        Measurements rejected because there was one with the same stamp.
+    rejected_leads : dict
+        By source, the stamps that were rejected because they were more than :data:`MAX_LEAD`
+        later than both other sources' latest ones: their number and the largest lead, s.
     """
 
-    def __init__(self, gap: float) -> None:
+    def __init__(self, max_gap: float) -> None:
         self.skipped = 0
         self.repeated = 0
-        self._gap = gap
-        self._tracks = {source: _Track(source is not Source.BUFFER) for source in Source}
+        self.rejected_leads: dict[Source, tuple[int, float]] = {}
+        self._max_gap = max_gap
+        self._tracks = {source: _Track(is_pose=source is not Source.BUFFER) for source in Source}
+        self._last: dict[Source, float] = {}  # stamp of each source's latest message
         self._waiting: list[tuple[float, Values]] = []
 
     def add(self, source: Source, t: float, values: Values) -> list[Observation]:
@@ -125,50 +143,71 @@ class Aligner:
         Parameters
         ----------
         source
-            What was measured.
+            Source of the measurement.
         t
-            When, s.
+            Its stamp, s.
         values
-            See :class:`Source`; such as are not finite are left out.
+            See :class:`Source`; values that are not finite are left out.
         """
         if not (math.isfinite(t) and all(map(math.isfinite, values))):
             self.skipped += source is Source.CHASER
             return []
+        self._last[source] = t
         if not self._tracks[source].add(t, values):
             self.repeated += 1
             return []
         if source is Source.CHASER:
             self._waiting.append((t, values))
             self._waiting.sort()
-        return self._take(whole=False)
+        self._reject_leads(source)
+        return self._complete(is_end=False)
+
+    @property
+    def newest(self) -> float:
+        """The latest stamp of all sources, s."""
+        return max(track.newest for track in self._tracks.values())
 
     def silent(self, longer: float) -> list[Source]:
-        """Return the sources that have fallen behind the newest of all by more than this, s."""
-        known = {source: track.times for source, track in self._tracks.items()}
-        newest = max((times[-1] for times in known.values() if times), default=0.0)
-        oldest = min((times[0] for times in known.values() if times), default=0.0)
+        """Return the sources whose last stamp is older than the newest one by more than this, s."""
+        newest = self.newest
+        oldest = min((t.times[0] for t in self._tracks.values() if t.times), default=0.0)
         return [
             source
-            for source, times in known.items()
-            if newest - (times[-1] if times else oldest) > longer
+            for source, track in self._tracks.items()
+            if newest - (track.newest if track.times else oldest) > longer
         ]
 
     def flush(self) -> list[Observation]:
-        """Return the rest at the end, when nothing more will come."""
-        return self._take(whole=True)
+        """Return the remaining observations at the end of the run."""
+        return self._complete(is_end=True)
 
-    def _take(self, *, whole: bool) -> list[Observation]:
-        found: list[Observation] = []
+    def _reject_leads(self, witness: Source) -> None:
+        """Remove stamps of other sources that the witness's message shows to be far ahead."""
+        for source, track in self._tracks.items():
+            if source is witness or not track.times:
+                continue
+            others = max(t for other, t in self._last.items() if other is not source)
+            if track.times[-1] <= others + MAX_LEAD:
+                continue
+            dropped = track.drop_after(others + MAX_LEAD)
+            count, lead = self.rejected_leads.get(source, (0, 0.0))
+            lead = max(lead, dropped[-1] - others)
+            self.rejected_leads[source] = count + len(dropped), lead
+            if source is Source.CHASER:
+                self._waiting = [item for item in self._waiting if item[0] < dropped[0]]
+
+    def _complete(self, *, is_end: bool) -> list[Observation]:
+        observations: list[Observation] = []
         others = (self._tracks[Source.TARGET], self._tracks[Source.BUFFER])
         while self._waiting:
             t, chaser = self._waiting[0]
-            complete = whole or all(track.covers(t) for track in others)
-            if not complete and len(self._waiting) <= ROOM:
+            is_covered = is_end or all(track.newest >= t for track in others)
+            if not is_covered and len(self._waiting) <= ROOM:
                 break
             del self._waiting[0]
-            target, buffer = (track.at(t, self._gap) for track in others)
+            target, buffer = (track.interpolate(t, self._max_gap) for track in others)
             if target is None or buffer is None:
                 self.skipped += 1
                 continue
-            found.append(Observation(t, chaser, target, buffer))
-        return found
+            observations.append(Observation(t, chaser, target, buffer))
+        return observations

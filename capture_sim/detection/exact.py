@@ -1,9 +1,9 @@
 """Decisions of the capture detector, and the detector for exact measurements.
 
-The criteria (:func:`decide`) are asked one place of the tip after the other.  Where poses and
-buffer are known exactly, as in a simulated run, :class:`ExactDetector` asks them in compiled
-code, a block of samples at a time; :mod:`capture_sim.detection.noisy` asks the same criteria
-about places that it has estimated.
+The criteria (:func:`decide`) are evaluated at one position of the tip after the other.  Where
+poses and buffer are known exactly, as in a simulated run, :class:`ExactDetector` evaluates them in
+compiled code, a block of samples at a time; :mod:`capture_sim.detection.noisy` evaluates the same
+criteria at positions that it has estimated.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
 
-#: A decision must hold for the place moved by so many standard deviations,
+#: Standard deviations by which a decision must hold,
 GUARD = 3.0
-#: ... and for the border of the capture zone, where too far out and too far in weigh alike.
+#: ... and at the border of the capture zone, where errors to either side weigh alike.
 ZONE_GUARD = 1.0
-# time stamps are decimal fractions: 0.2 s may come out a rounding short
+# s; time stamps are decimal fractions: 0.2 s may come out one round-off error short
 _TICK = 1e-9
 
 
@@ -37,25 +37,42 @@ class CaptureState(Named):
     REBOUND = 3
     MISSED = 4
     STUCK = 5
+    UNDECIDED = 6
+
+    @property
+    def is_verdict(self) -> bool:
+        """True for captured, rebound, missed and stuck."""
+        return CaptureState.CONTACT < self < CaptureState.UNDECIDED
 
 
 _STATES = tuple(CaptureState)
 
 
 class Cause(IntEnum):
-    """Why the state is what it is."""
+    """The rule that gave the state; its words are in :func:`reason`."""
 
     NO_CONTACT = 0
     AT_CONE = 1
-    PASSED_BE = 2
+    PASSED_THROAT = 2
     DWELT = 3
     RETREATED = 4
-    PASSED_BY = 5
-    STANDS = 6
-    END_WITHOUT_CONTACT = 7
-    END_MOVING_OUT = 8
-    END_SHORT = 9
-    NOT_MEASURED = 10
+    PASSED_BESIDE = 5
+    AT_REST = 6
+    MOVED_AWAY = 7
+    LEFT_ZONE = 8
+    CAME_OUT = 9
+    END_NOT_APPROACHING = 10
+    END_MOVING_OUT = 11
+    END_AT_REST = 12
+    END_BEFORE_CONTACT = 13
+    END_AFTER_CONTACT = 14
+    NOT_APPROACHED = 15
+    NOT_MEASURED = 16
+    CLOCKS_DIFFER = 17
+
+
+#: In the reason of a capture whose tip is outside the capture zone again.
+_OUTSIDE_AGAIN = "but outside again"
 
 
 class CaptureStatus(NamedTuple):
@@ -73,9 +90,18 @@ class CaptureStatus(NamedTuple):
     time_in_state: float
     reason: str
 
+    @property
+    def label(self) -> str:
+        """The state for tables; of a capture also that the tip has left the zone again."""
+        left = self.state is CaptureState.CAPTURED and _OUTSIDE_AGAIN in self.reason
+        return f"{self.state.label}, left" if left else self.state.label
+
 
 class Criteria(NamedTuple):
-    """What the decisions depend on, m, s and rad; see the scene's ``detector`` and ``cone``."""
+    """The criteria and the geometry that they use, m, s and rad.
+
+    See the scene's ``detector``, ``buffer`` and ``cone``.
+    """
 
     radius: float
     dwell: float
@@ -93,15 +119,15 @@ class Criteria(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Criteria:
-        """Return those of a scene."""
-        limits = scene.detector
+        """Return the criteria of a scene."""
+        part = scene.detector
         return cls(
-            limits.capture_radius,
-            limits.min_dwell,
-            limits.min_retreat,
-            limits.max_contact_gap,
-            limits.max_still_speed,
-            limits.min_still_time,
+            part.capture_radius,
+            part.min_dwell,
+            part.min_retreat,
+            part.max_contact_gap,
+            part.max_still_speed,
+            part.min_still_time,
             scene.probe.tip_radius,
             scene.rest_length,
             scene.buffer.hinge_offset,
@@ -110,7 +136,7 @@ class Criteria(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where the tip is at one instant, and how well that is known.
+    """Position of the tip in the cone's frame at one instant, with its uncertainty.
 
     Attributes
     ----------
@@ -119,11 +145,11 @@ class Place(NamedTuple):
     axial, lateral
         Ahead of BE and off the axis, m.
     axial_rate, lateral_rate
-        In the cone's frame, m/s.
+        m/s.
     axial_variance, lateral_variance
-        m^2; 0 where they are exact.
+        m^2; 0 if exact.
     size
-        Measurements that it was found from.
+        Number of measurements that it was estimated from.
     """
 
     t: float
@@ -136,20 +162,27 @@ class Place(NamedTuple):
     size: int = 1
 
 
-#: What the criteria remember of a run; NaN: not so.
+#: State of the evaluation of one run; NaN in a time: the condition does not hold at present.
 MEMORY = np.dtype(
     [
         ("state", "i8"),
         ("cause", "i8"),
-        ("value", "f8"),  # m, named in the reason; 0 where there is none
-        ("since", "f8"),  # s, in the state
-        ("ahead", "i8"),  # the tip has been ahead of BE
+        ("value", "f8"),  # m, the length named in the reason; 0 if it names none
+        ("since", "f8"),  # s, begin of the state
+        ("has_approached", "i8"),  # before that nothing is evaluated, see decide
+        ("farthest", "f8"),  # m, from BE until then
+        ("has_been_outside", "i8"),  # the tip has been ahead of BE
+        ("crossing_lateral", "f8"),  # m, lateral offset at the last crossing of BE's plane
         ("nearest", "f8"),  # m, to BE
         ("nearest_gap", "f8"),  # m, to a wall, less what the noise may hide
         ("fastest", "f8"),  # m/s
         ("zone_since", "f8"),  # s, in the capture zone
-        ("still_since", "f8"),  # s, standing outside of it
-        ("t", "f8"),  # s, of the last place,
+        ("still_since", "f8"),  # s, at rest outside the zone,
+        ("still_axial", "f8"),  # m, near this position
+        ("still_lateral", "f8"),
+        ("t", "f8"),  # s, of the last position,
+        ("axial", "f8"),  # m, the position itself
+        ("lateral", "f8"),
         ("distance", "f8"),  # m, of the tip from BE then,
         ("speed", "f8"),  # m/s, in the cone's frame,
         ("outwards", "f8"),  # m^2/s, distance times its rate
@@ -160,17 +193,19 @@ _NUMBERS = (
     *("t", "distance", "axial_offset", "lateral_offset", "relative_attitude", "relative_speed"),
     *("nearest_distance", "time_in_state"),
 )
-#: One status in numbers.
+#: A status in numbers.
 _ROW = np.dtype(
     [("state", "i8"), ("cause", "i8"), ("value", "f8"), *((name, "f8") for name in _NUMBERS)]
 )
 
 
-def new_memory() -> np.ndarray:
-    """Return the memory (1,) at the start of a run."""
+def new_memory(*, has_approached: bool) -> np.ndarray:
+    """Return the memory (1,) at the start of a run; see :func:`decide` for the parameter."""
     memory = np.zeros(1, MEMORY)
+    memory["has_approached"] = has_approached
     memory["nearest"] = memory["nearest_gap"] = math.inf
-    memory["zone_since"] = memory["still_since"] = math.nan
+    for name in ("zone_since", "still_since", "axial", "lateral"):
+        memory[name] = math.nan
     return memory
 
 
@@ -191,29 +226,63 @@ def wall_gap(criteria, axial, lateral):
 
 
 @kernel
-def feel_push(criteria, memory, t, axial, lateral):
-    """Note that the buffer is pushed: at the cone that is a contact, far off the launch's jerk."""
+def note_push(criteria, memory, t, axial, lateral):
+    """Enter contact for a pushed buffer near a wall; far from it the launch's jerk pushes."""
     near = wall_gap(criteria, axial, lateral)[0] < criteria.tip_radius
-    if memory.state == CaptureState.APPROACH and near:
+    if memory.state == CaptureState.APPROACH and memory.has_approached and near:
         enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
 
 
 @kernel
-def hit_unseen(criteria, memory, rounding):
-    """Whether a tip that has turned round was so near a wall that it must have hit it.
+def hit_unseen(criteria, memory, corner_time):
+    """Return True if a tip that turned round was so near a wall that it must have hit it.
 
-    Vehicles that coast do not turn round by themselves.  ``rounding`` (s): what smoothing
-    takes off the corner that a hit makes in the path, per m/s.
+    Vehicles that coast do not turn round by themselves.  ``corner_time`` (s): by how much
+    smoothing shortens the corner that a hit makes in the path, per m/s.
     """
-    return memory.nearest_gap < criteria.contact_gap + memory.fastest * rounding
+    return memory.nearest_gap < criteria.contact_gap + memory.fastest * corner_time
 
 
 @kernel
-def decide(criteria, memory, place, stood, rounding):
-    """Ask the criteria about one place of the tip, later than the one before.
+def is_approaching(criteria, memory, distance, unsure):
+    """Return True once the tip has come nearer to BE by the capture radius.
 
-    ``stood``: whether the tip has stood for long enough, where its speed is no matter of one
-    place (``place.size > 1``).  ``rounding``: see :func:`hit_unseen`.
+    On a bench without simulator a trial may begin long before the release, with the chaser
+    at rest, handled, or still being pulled back: none of that says anything about the capture.
+    """
+    if not memory.has_approached:
+        memory.farthest = max(memory.farthest, distance)
+        memory.nearest = distance
+        if memory.farthest - distance - GUARD * unsure > criteria.radius:
+            memory.has_approached = 1
+    return memory.has_approached != 0
+
+
+@kernel
+def watch_capture(criteria, memory, distance, unsure, axial, margin):
+    """Note of a captured tip whether it is outside the capture zone again."""
+    inside = distance + ZONE_GUARD * unsure <= criteria.radius or axial + margin <= 0.0
+    outside = distance - GUARD * unsure > criteria.radius and axial - margin > 0.0
+    if memory.cause == Cause.DWELT or memory.cause == Cause.LEFT_ZONE:
+        before, after = Cause.DWELT, Cause.LEFT_ZONE
+    else:
+        before, after = Cause.PASSED_THROAT, Cause.CAME_OUT
+    if outside:
+        memory.cause = after
+    elif inside:
+        memory.cause = before
+    memory.value = distance if memory.cause == after else 0.0
+
+
+@kernel
+def decide(criteria, memory, place, stood, corner_time):
+    """Evaluate the criteria at one position of the tip, later than the one before.
+
+    Nothing is evaluated before ``memory.has_approached``; a simulated run starts with the
+    release and so has it from the start.
+
+    ``stood``: the tip has been at rest for long enough, where one position says nothing about
+    that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
     var_a, var_l = place.axial_variance, place.lateral_variance
@@ -228,10 +297,19 @@ def decide(criteria, memory, place, stood, rounding):
         else:
             unsure = math.sqrt(max(var_a, var_l))
     speed = math.hypot(place.axial_rate, place.lateral_rate)
-    memory.t, memory.distance, memory.speed = t, distance, speed
+    if memory.axial > 0.0 and axial <= 0.0:
+        share = memory.axial / (memory.axial - axial)
+        memory.crossing_lateral = memory.lateral + share * (lateral - memory.lateral)
+    memory.t, memory.axial, memory.lateral = t, axial, lateral
+    memory.distance, memory.speed = distance, speed
     memory.outwards = axial * place.axial_rate + lateral * place.lateral_rate
+    if not is_approaching(criteria, memory, distance, unsure):
+        return
     memory.nearest = min(memory.nearest, distance)
     memory.fastest = max(memory.fastest, speed)
+    margin = GUARD * math.sqrt(var_a)
+    if memory.state == CaptureState.CAPTURED:
+        watch_capture(criteria, memory, distance, unsure, axial, margin)
     if memory.state > CaptureState.CONTACT:
         return
 
@@ -241,15 +319,19 @@ def decide(criteria, memory, place, stood, rounding):
     if memory.state == CaptureState.APPROACH and gap + gap_unsure < criteria.contact_gap:
         enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
 
-    margin = GUARD * math.sqrt(var_a)
-    passed = memory.ahead != 0 and axial + margin <= 0.0
+    passed = memory.has_been_outside != 0 and axial + margin <= 0.0
     if axial - margin > 0.0:
-        memory.ahead = 1
-    if passed and abs(lateral) < criteria.R_c:
-        enter(memory, CaptureState.CAPTURED, Cause.PASSED_BE, t, 0.0)
+        memory.has_been_outside = 1
+    if passed:
+        # where it crossed BE's plane, not where it is now: it may be far behind
+        beside = abs(memory.crossing_lateral)
+        if beside < criteria.R_c:
+            enter(memory, CaptureState.CAPTURED, Cause.PASSED_THROAT, t, 0.0)
+        else:
+            enter(memory, CaptureState.MISSED, Cause.PASSED_BESIDE, t, beside)
         return
 
-    # who is in is out only when that is sure, and the other way round
+    # a tip inside the zone is outside only when that is sure, and the other way round
     guard = ZONE_GUARD if math.isnan(memory.zone_since) else -ZONE_GUARD
     if distance + guard * unsure > criteria.radius:
         memory.zone_since = math.nan
@@ -259,32 +341,32 @@ def decide(criteria, memory, place, stood, rounding):
         enter(memory, CaptureState.CAPTURED, Cause.DWELT, t, 0.0)
         return
 
-    retreat = distance - memory.nearest - GUARD * unsure
-    if passed or retreat > criteria.leave:
-        met = memory.state == CaptureState.CONTACT or hit_unseen(criteria, memory, rounding)
-        if met and not passed:
+    if distance - memory.nearest - GUARD * unsure > criteria.leave:
+        if memory.state == CaptureState.CONTACT or hit_unseen(criteria, memory, corner_time):
             enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest)
         else:
-            enter(memory, CaptureState.MISSED, Cause.PASSED_BY, t, 0.0)
+            enter(memory, CaptureState.MISSED, Cause.MOVED_AWAY, t, memory.nearest)
         return
 
-    outside = distance - ZONE_GUARD * unsure > criteria.radius
-    if not (outside and place.size == 1 and speed < criteria.still_speed):
+    is_outside = distance - ZONE_GUARD * unsure > criteria.radius
+    if not is_outside or place.size > 1:
         memory.still_since = math.nan
-    elif math.isnan(memory.still_since):
-        memory.still_since = t
-    stood = stood and outside
+    else:
+        moved = math.hypot(axial - memory.still_axial, lateral - memory.still_lateral)
+        if math.isnan(memory.still_since) or moved > criteria.still_speed * criteria.still_time:
+            memory.still_since, memory.still_axial, memory.still_lateral = t, axial, lateral
+    stood = stood and is_outside
     if stood or t - memory.still_since >= criteria.still_time - _TICK:
-        enter(memory, CaptureState.STUCK, Cause.STANDS, t, distance)
+        enter(memory, CaptureState.STUCK, Cause.AT_REST, t, distance)
 
 
 @entry_kernel
 def follow(criteria, memories, samples, y, rows, to_verdict):
-    """Ask the criteria about samples, one after the other.
+    """Evaluate the criteria at each sample; return the number of samples used.
 
-    Fills ``rows`` of dtype _ROW with the statuses, the last one with those that find no room.
-    ``y`` (16,) is room for a state.  Returns how many samples were used: all, or those up to
-    the one that brings the verdict.
+    All samples are used, or, with ``to_verdict``, those up to the verdict.  Fills ``rows`` of
+    dtype _ROW with the statuses; the last row is overwritten if there are more samples than rows.
+    ``y`` (16,) is work space for a state.
     """
     memory, c = memories[0], criteria
     for k in range(samples.size):
@@ -295,7 +377,7 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
             y[8 + i] = sample.v[i]
         _, _, wx, wy = tip_in_cone(y, c)
         if max(abs(sample.axial_stroke), abs(sample.torsion) * c.rest_length) > c.contact_gap:
-            feel_push(c, memory, t, axial, lateral)
+            note_push(c, memory, t, axial, lateral)
         place = Place(t, axial, lateral, -wx, wy, 0.0, 0.0, 1)
         decide(c, memory, place, False, 0.0)
         row = rows[min(k, rows.size - 1)]
@@ -316,33 +398,52 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
 _hit_unseen, _enter = plain(hit_unseen), plain(enter)
 
 
-def decide_at_end(criteria: Criteria, memory: Any, rounding: float) -> None:
-    """Give the verdict of a run that ended with its last place, see :func:`decide`."""
-    still, outwards = memory.speed < criteria.still_speed, memory.outwards > 0.0
-    at_wall = memory.nearest_gap < criteria.contact_gap
-    unseen = _hit_unseen(criteria, memory, rounding)
-    met = memory.state == CaptureState.CONTACT or (still and at_wall) or (outwards and unseen)
-    if not met:
-        state, cause = CaptureState.MISSED, Cause.END_WITHOUT_CONTACT
-    elif outwards and not still:
+def decide_at_end(criteria: Criteria, memory: Any, corner_time: float, *, cut: bool) -> None:
+    """Evaluate a run without verdict that ended with its last position, see :func:`decide`.
+
+    docs/detection.md has the rules.  ``cut``: the run was ended before its time, so that a tip
+    at rest or on its way out proves nothing.
+    """
+    is_still = memory.speed < criteria.still_speed
+    moves_out = memory.outwards > 0.0 and not is_still
+    is_outside = memory.distance > criteria.radius
+    hit = _hit_unseen(criteria, memory, corner_time)
+    has_met = memory.state == CaptureState.CONTACT or (
+        hit if moves_out else is_still and memory.nearest_gap < criteria.contact_gap
+    )
+    state = CaptureState.UNDECIDED
+    if not memory.has_approached:
+        cause = Cause.NOT_APPROACHED
+    elif not cut and has_met and is_outside and is_still:
+        state, cause = CaptureState.STUCK, Cause.END_AT_REST
+    elif not cut and has_met and moves_out and memory.distance - memory.nearest > criteria.radius:
         state, cause = CaptureState.REBOUND, Cause.END_MOVING_OUT
+    elif not cut and not has_met and is_outside and (is_still or moves_out):
+        state, cause = CaptureState.MISSED, Cause.END_NOT_APPROACHING
     else:
-        state, cause = CaptureState.STUCK, Cause.END_SHORT
+        cause = Cause.END_AFTER_CONTACT if has_met else Cause.END_BEFORE_CONTACT
     _enter(memory, state, cause, memory.t, memory.distance)
 
 
 _REASONS = {
     Cause.NO_CONTACT: "no contact yet",
     Cause.AT_CONE: "tip at the cone",
-    Cause.PASSED_BE: "tip passed BE",
+    Cause.PASSED_THROAT: "tip passed BE",
     Cause.DWELT: "within {radius:g} mm of BE for {dwell:g} s",
     Cause.RETREATED: "retreated {leave:g} mm from {value:.2f} mm",
-    Cause.PASSED_BY: "tip passed the cone by",
-    Cause.STANDS: "stands {value:.2f} mm short of BE",
-    Cause.END_WITHOUT_CONTACT: "no contact before the run ended",
+    Cause.PASSED_BESIDE: "tip passed BE {value:.2f} mm beside the axis",
+    Cause.AT_REST: "at rest {value:.2f} mm from BE",
+    Cause.MOVED_AWAY: "moved away without contact, {value:.2f} mm from BE at the nearest",
+    Cause.LEFT_ZONE: "within {radius:g} mm of BE for {dwell:g} s, {outside}: {value:.2f} mm",
+    Cause.CAME_OUT: "tip passed BE, {outside}: {value:.2f} mm",
+    Cause.END_NOT_APPROACHING: "run ended without contact, tip {value:.2f} mm from BE",
     Cause.END_MOVING_OUT: "run ended with the tip {value:.2f} mm from BE and moving out",
-    Cause.END_SHORT: "run ended with the tip {value:.2f} mm short of BE",
+    Cause.END_AT_REST: "run ended with the tip at rest {value:.2f} mm from BE",
+    Cause.END_BEFORE_CONTACT: "run ended before any contact, tip {value:.2f} mm from BE",
+    Cause.END_AFTER_CONTACT: "run ended after a contact, tip {value:.2f} mm from BE",
+    Cause.NOT_APPROACHED: "tip never came {radius:g} mm nearer to BE",
     Cause.NOT_MEASURED: "nothing was measured",
+    Cause.CLOCKS_DIFFER: "clocks of the sources differ by {value:.0f} ms",  # value: s
 }
 
 
@@ -352,18 +453,20 @@ def reason(criteria: Criteria, cause: int, value: float) -> str:
         radius=criteria.radius * 1e3,
         dwell=criteria.dwell,
         leave=criteria.leave * 1e3,
+        outside=_OUTSIDE_AGAIN,
         value=value * 1e3,
     )
 
 
 class ExactDetector:
-    """Follows one run, known exactly, from the approach to a verdict.
+    """Follows one simulated run, known exactly, from the approach to a verdict.
 
     The tip is *captured* when its centre stays within ``detector.capture_radius`` of the centre of
     BE for ``detector.min_dwell``, or passes BE inside the throat; it has *rebounded* when it
     has been in contact and then retreats by ``detector.min_retreat`` from its nearest approach;
     *missed* when it does so without contact or passes BE outside the throat; it is *stuck*
-    when it stands still for ``detector.min_still_time`` outside the radius.
+    when it is at rest for ``detector.min_still_time`` outside the radius.  A run that ends
+    before is *undecided* unless a rule of docs/detection.md applies.
 
     Parameters
     ----------
@@ -382,7 +485,7 @@ class ExactDetector:
 
     def __init__(self, scene: Scene) -> None:
         self._criteria = Criteria.of(scene)
-        self._memory = new_memory()
+        self._memory = new_memory(has_approached=True)
         self._y = np.zeros(16)
         self._row = np.zeros(1, _ROW)  # the last status
         for name in _NUMBERS[1:6]:
@@ -397,8 +500,8 @@ class ExactDetector:
 
     @property
     def final(self) -> bool:
-        """Whether there is a verdict."""
-        return self.state > CaptureState.CONTACT
+        """True if there is a verdict."""
+        return self.state.is_verdict
 
     def update(self, samples: np.ndarray) -> list[CaptureStatus]:
         """Return the status at each of the next samples, (n,) of dtype SAMPLE."""
@@ -425,21 +528,20 @@ class ExactDetector:
         return used
 
     def finish(self, *, cut: bool = False) -> CaptureStatus:
-        """Close the run: a verdict is given even if none was reached.
+        """Close the run and return its last status: a verdict, or undecided.
 
         The status is that of the last sample.
 
         Parameters
         ----------
         cut
-            The run was ended before its end: what was not decided by then stays so.
+            True if the run was ended before its time.
         """
         memory, row = self._memory.view(np.recarray)[0], self._row[0]
         if math.isnan(row["distance"]):
-            if not cut:
-                memory.state, memory.cause = CaptureState.MISSED, Cause.NOT_MEASURED
-        elif not (self.final or cut):
-            decide_at_end(self._criteria, memory, 0.0)
+            memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
+        elif not self.final:
+            decide_at_end(self._criteria, memory, 0.0, cut=cut)
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
         row["time_in_state"] = row["t"] - memory.since
@@ -449,5 +551,5 @@ class ExactDetector:
         state, cause, value, t, *numbers = row
         if self._text[0] != (cause, value):
             self._text = (cause, value), reason(self._criteria, cause, value)
-        final = state > CaptureState.CONTACT
+        final = _STATES[state].is_verdict
         return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1]))

@@ -1,11 +1,10 @@
-"""The capture detector on what a real bench measures: noise, holes and late comers.
+"""The capture detector for measurements with noise, gaps and delays.
 
-How far the measurements scatter is found from themselves: a vehicle of 20 kg moves
-smoothly, so that over four measurements in a row its place is a parabola in time, and
-what is left of the third difference is noise.  Where there is none, the path is the
-measured one.  Where there is, it is a parabola fitted (least squares) to the measurements
-before and after, as many as the noise asks for and the allowed delay permits.
-docs/detection.md has the reasoning in numbers.
+The noise is estimated from the measurements themselves: a vehicle of 20 kg moves smoothly, so
+that over four measurements in a row its position is a parabola in time, and the remainder of
+the third difference is noise.  Without noise the path is the measured one.  With noise it is
+a parabola fitted (least squares) to the measurements before and after, as many as the noise
+requires and ``detector.max_delay`` permits.  docs/detection.md has the reasoning in numbers.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.detection.align import Aligner, Observation, Source, Values
+from capture_sim.detection.clocks import MAX_OFFSET, WARN_OFFSET, ClockOffsets
 from capture_sim.detection.exact import (
     GUARD,
     CaptureState,
@@ -30,36 +30,37 @@ from capture_sim.detection.exact import (
     Place,
     decide,
     decide_at_end,
-    feel_push,
     new_memory,
+    note_push,
     reason,
 )
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
 from capture_sim.scene.parts import Scene
 
-#: Third differences that the noise is estimated from, at most and at least.
+#: Largest and smallest number of third differences for an estimate of the noise.
 MEMORY, ENOUGH = 200, 8
-#: The fit shall know the tip this well where the delay allows it, of the capture radius.
+#: Standard deviation of a fitted position that the window aims at, as a share of the radius.
 ACCURACY = 0.06
-#: A fitted point further off than this many standard deviations is left out.
+#: A measurement further from the fit than this many standard deviations is left out.
 OUTLIER = 5.0
-#: Fitted places are this far apart at least, s: closer ones share nearly all measurements.
+#: Smallest distance of fitted positions, s: closer ones share nearly all measurements.
 SPACING = 0.003
 #: The median of |x| of a normal x with standard deviation 1.
 _MEDIAN = 0.6744897501960817
-#: Measurements of the buffer that are averaged where a single one scatters too much.
+#: Measurements of the buffer that are averaged where a single one is too noisy.
 _SMOOTHED = 12
-#: The buffer is asked at every measurement and answered by a single one: it is pushed by so
-#: many standard deviations.
+#: Standard deviations by which a buffer is pushed: a single measurement of very many decides.
 BUFFER_GUARD = 6.0
-#: Poses that scatter never agree this closely, m and rad.
+#: Two poses of a noisy source never agree this closely, m and rad.
 _SAME = 1e-12
-#: A stand is looked for over this many ``still_time`` as well, where speeds scatter.
+#: Rest is looked for over this many ``still_time`` as well, where speeds are noisy.
 _LONGEST_STAND = 4.0
+#: The clocks of the sources are compared this often, s (wall).
+_CLOCK_PERIOD = 0.1
 
 # a few hundred measurements a second: not worth compiled functions of their own
-_tip_motion, _decide, _feel_push = plain(tip_motion), plain(decide), plain(feel_push)
+_tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
 
 
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:
@@ -77,14 +78,14 @@ def third_difference(t: list[float]) -> tuple[float, float, float, float]:
 
 
 class NoiseEstimate:
-    """The scatter of a smooth signal's measurements, from its third differences.
+    """The noise of a smooth signal's measurements, from its third differences.
 
-    The median makes it blind to the few that a hit makes large.
+    The median makes it insensitive to the few differences that a hit makes large.
 
     Attributes
     ----------
     deviation : float
-        Standard deviation of one measurement; 0 while it is not known.
+        Standard deviation of a measurement; 0 while it is not known.
     """
 
     def __init__(self) -> None:
@@ -102,7 +103,7 @@ class NoiseEstimate:
 
     @property
     def known(self) -> bool:
-        """Whether there are enough measurements."""
+        """True if there are enough measurements."""
         return self._count >= ENOUGH
 
 
@@ -165,6 +166,11 @@ class TipPath:
     def half_window(self) -> float:
         """How long after an instant its place is handed out, s."""
         return self._half_window
+
+    @property
+    def knows_noise(self) -> bool:
+        """True if there were enough measurements to estimate the noise."""
+        return all(noise.known for noise in self._noise)
 
     @property
     def gap(self) -> float:
@@ -292,203 +298,263 @@ class TipPath:
 
 
 class NoisyDetector:
-    """Follows one run, as it is measured, to a verdict; see :class:`ExactDetector` for those.
+    """Follows one run, as it is measured, to a verdict; :class:`ExactDetector` has the verdicts.
 
-    Measurements may scatter, be missing and come late or in any order.  Where they scatter
-    the path is smoothed (:class:`TipPath`): then a status is about an instant up to
-    ``detector.max_delay`` before, and decisions allow for what is left of the noise.
+    Measurements may be noisy, missing, late and in any order.  With noise the path is smoothed
+    (:class:`TipPath`): then a status is about an instant up to ``detector.max_delay`` before, and
+    decisions allow for the remaining noise.
 
     Parameters
     ----------
     scene
         Geometry of buffer and cone, and the ``detector`` part.
+    is_released
+        The run begins with the chaser's release, as simulated ones do.  Else nothing is evaluated
+        before the tip has come nearer to BE by ``detector.capture_radius``.
 
     Attributes
     ----------
     aligner : Aligner
         Of the measurements of :meth:`measure`.
+    clock_offset : tuple or None
+        The source whose clock differs from the others' by more than :data:`WARN_OFFSET`, and by
+        how much, s.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        limits = scene.detector
-        self.aligner = Aligner(limits.max_data_gap)
+    def __init__(self, scene: Scene, *, is_released: bool = True) -> None:
+        part = scene.detector
+        self.aligner = Aligner(part.max_data_gap)
+        self.clock_offset: tuple[Source, float] | None = None
+        self._clocks = ClockOffsets()
+        self._clocks_compared = -math.inf  # s, arrival
         self._scene = scene
         self._criteria = Criteria.of(scene)
-        memory = new_memory()
-        named = zip(memory.dtype.names or (), *memory.tolist(), strict=True)
-        self._memory = SimpleNamespace(**dict(named))
+        memory = new_memory(has_approached=is_released)
+        fields = zip(memory.dtype.names or (), *memory.tolist(), strict=True)
+        self._memory = SimpleNamespace(**dict(fields))
         self._path = TipPath(
-            radius=limits.capture_radius,
-            delay=limits.max_delay,
-            clean=limits.max_contact_gap / 4.0,
-            gap=limits.max_data_gap,
-            keep=_LONGEST_STAND * limits.min_still_time,
+            radius=part.capture_radius,
+            delay=part.max_delay,
+            clean=part.max_contact_gap / 4.0,
+            gap=part.max_data_gap,
+            keep=_LONGEST_STAND * part.min_still_time,
         )
-        self._place: Place | None = None  # the last that was decided on
+        self._place: Place | None = None  # the last that was evaluated
+        self._rested_until = -math.inf  # s, the last instant before the approach
         self._last: tuple[Observation, MeasuredTip] | None = None
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_SMOOTHED)
 
     @property
     def delay(self) -> float:
-        """How long after an instant it is decided on at present, s; 0 without noise."""
+        """How long after an instant it is evaluated at present, s; 0 without noise."""
         return self._path.half_window
 
     @property
     def scatter(self) -> tuple[float, float]:
-        """Standard deviation of the tip's measured axial and lateral place, m."""
+        """Standard deviation of the tip's measured axial and lateral position, m."""
         return self._path.deviation
 
     @property
     def _state(self) -> CaptureState:
         return CaptureState(int(self._memory.state))
 
-    def measure(self, source: Source, t: float, values: Values) -> list[CaptureStatus]:
+    def measure(
+        self, source: Source, t: float, values: Values, arrival: float | None = None
+    ) -> list[CaptureStatus]:
         """Take a measurement of one source; return the statuses that it completes.
 
         Parameters
         ----------
         source, t, values
             See :class:`Aligner`.
+        arrival
+            When the message arrived, s by any clock; None where that says nothing about the
+            source's clock, as in a simulation.
         """
-        return [self.update(seen) for seen in self.aligner.add(source, t, values)]
+        if arrival is not None:
+            self._compare_clocks(source, t, arrival)
+        if self.clocks_differ:
+            return []
+        return [self.update(observation) for observation in self.aligner.add(source, t, values)]
 
-    def update(self, seen: Observation) -> CaptureStatus:
+    @property
+    def clocks_differ(self) -> bool:
+        """True while a source's clock is so far from the others' that nothing is evaluated."""
+        return self.clock_offset is not None and abs(self.clock_offset[1]) > MAX_OFFSET
+
+    def _compare_clocks(self, source: Source, t: float, arrival: float) -> None:
+        self._clocks.add(source, t, arrival)
+        if arrival - self._clocks_compared >= _CLOCK_PERIOD:
+            self._clocks_compared = arrival
+            worst = self._clocks.worst()
+            self.clock_offset = worst if worst and abs(worst[1]) > WARN_OFFSET else None
+
+    def update(self, observation: Observation) -> CaptureStatus:
         """Take a measurement of all sources; return the status."""
-        tip = self._tip(seen)
-        if self._frozen(seen):
-            return self._status(seen, tip)
+        tip = self._tip(observation)
+        if self._is_frozen(observation):
+            return self._status(observation, tip)
         if self._last is None:
-            self._memory.since = seen.t  # a bench's clock may count from 1970
-        if self._last is None or seen.t > self._last[0].t:
-            self._last = (seen, tip)
-            self._buffer.append((seen.t, seen.buffer[0], seen.buffer[1]))
+            self._memory.since = observation.t  # a bench's clock may count from 1970
+        if self._last is None or observation.t > self._last[0].t:
+            self._last = (observation, tip)
+            self._buffer.append((observation.t, observation.buffer[0], observation.buffer[1]))
             if self._state is CaptureState.APPROACH and self._pushed():
-                _feel_push(self._criteria, self._memory, seen.t, *tip.place)
-        for place in self._path.add(seen.t, tip, self._buffer_scatter()):
+                _note_push(self._criteria, self._memory, observation.t, *tip.place)
+        for place in self._path.add(observation.t, tip, self._buffer_scatter()):
             self._decide(place)
-        return self._status(seen, tip)
+        return self._status(observation, tip)
 
     def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
-        """Close the run; return what was still waiting, the status of the end last.
+        """Close the run; return the remaining statuses, that of the end last.
 
-        A verdict is given even if none was reached.  The last status is that of the last
-        measurement; without any, all of it is NaN.
+        The last status is that of the last measurement: a verdict, or undecided.  Without any
+        measurement its numbers are NaN.
 
         Parameters
         ----------
         cut
-            The run was ended before its end: what was not decided by then stays so.
+            True if the run was ended before its time.
         """
-        rest = [self.update(seen) for seen in self.aligner.flush()]
+        rest = [self.update(observation) for observation in self.aligner.flush()]
         memory = self._memory
         if self._last is None:
-            if not cut:
-                memory.state, memory.cause = CaptureState.MISSED, Cause.NOT_MEASURED
-            nowhere = (math.nan,) * 3
-            seen = Observation(0.0, nowhere, nowhere, nowhere[:2])
-            return [self._status(seen, self._tip(seen))]
+            memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
+            if self.clocks_differ:
+                self._blame_clocks()
+            unknown = (math.nan,) * 3
+            observation = Observation(0.0, unknown, unknown, unknown[:2])
+            return [self._status(observation, self._tip(observation))]
         for place in self._path.finish():
             self._decide(place)
         last = self._place
-        if last is not None and not cut and self._state <= CaptureState.CONTACT:
+        if not self._state.is_verdict and self.clocks_differ:
+            self._blame_clocks()
+        elif not self._state.is_verdict and last is not None:
             if last.size > 1:
-                # the end of a fit is its weakest place: one more of the last second
+                # the end of a fit is its least certain position: fit the last second once more
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)
                 memory.outwards = end.axial * end.axial_rate + end.lateral * end.lateral_rate
                 memory.speed = math.hypot(end.axial_rate, end.lateral_rate)
-            decide_at_end(self._criteria, memory, self._rounding)
+            # a source that stopped before the end: the rest of the run is unknown
+            is_blind = self.aligner.newest - last.t > self._path.gap
+            decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)
         return [*rest, self._status(*self._last)]
 
-    def _frozen(self, seen: Observation) -> bool:
-        """Whether a pose that scatters is repeated: its source has lost sight and says the last."""
+    def _blame_clocks(self) -> None:
+        assert self.clock_offset is not None
+        memory = self._memory
+        memory.state, memory.cause = CaptureState.UNDECIDED, Cause.CLOCKS_DIFFER
+        memory.value = abs(self.clock_offset[1])
+
+    def _is_frozen(self, observation: Observation) -> bool:
+        """Return True if a noisy source repeats its last pose exactly, i.e. has lost tracking."""
         if self._path.half_window == 0.0 or self._last is None:
             return False
         last = self._last[0]
         return any(
             max(abs(a - b) for a, b in zip(new[:3], old[:3], strict=True)) < _SAME
-            for new, old in ((seen.chaser, last.chaser), (seen.target, last.target))
+            for new, old in (
+                (observation.chaser, last.chaser),
+                (observation.target, last.target),
+            )
         )
 
     @property
-    def _rounding(self) -> float:
-        """What a parabola takes off the corner that a hit makes in the path, s per m/s.
+    def _corner_time(self) -> float:
+        """By how much a parabola shortens the corner that a hit makes in the path, s per m/s.
 
         That is 3/16 of the change of velocity in half a window.
         """
         return 3.0 / 16.0 * 2.0 * self._path.half_window
 
     def _decide(self, place: Place) -> None:
+        if not (self._memory.has_approached or self._path.knows_noise):
+            return  # noise would be taken for an approach
+        if not self._memory.has_approached:
+            self._rested_until = place.t
         if self._place is not None and place.t - self._place.t > self._path.gap:
-            # nobody knows what happened meanwhile
+            # what the tip did in the gap is unknown
             self._memory.zone_since = self._memory.still_since = math.nan
-        limits, stood = self._criteria, False
+        criteria, stood = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
-            # a speed is known only after a while: the same question for longer times
+            # the longer the time, the better the mean speed is known
             for times in (1.0, _LONGEST_STAND):
-                begin = place.t - times * limits.still_time
+                begin = place.t - times * criteria.still_time
+                if begin < self._rested_until:
+                    break  # it includes the rest before the release
                 speed, unsure = self._path.rate_over(begin, place.t)
-                stood = stood or speed + GUARD * unsure < limits.still_speed
-        _decide(limits, self._memory, place, stood, self._rounding)
+                stood = stood or speed + GUARD * unsure < criteria.still_speed
+        _decide(criteria, self._memory, place, stood, self._corner_time)
         self._place = place
 
     def _pushed(self) -> bool:
-        """Learn the buffer's noise while it is at rest; see whether it has been pushed."""
+        """Update the buffer's noise while it is at rest; return True if it has been pushed."""
         if len(self._buffer) >= 4:
             four = list(self._buffer)[-4:]
-            weights = third_difference([seen[0] for seen in four])
+            weights = third_difference([t for t, _, _ in four])
             for i, noise in enumerate(self._buffer_noise):
-                noise.add(sum(w * seen[1 + i] for w, seen in zip(weights, four, strict=True)))
+                noise.add(sum(w * item[1 + i] for w, item in zip(weights, four, strict=True)))
         if not self._buffer_noise[0].known:
             return False
         limit, arm = self._criteria.contact_gap, self._criteria.rest_length
         _, stroke, torsion = self._buffer[-1]
         scatter = max(self._buffer_scatter())
         if BUFFER_GUARD * scatter >= limit:
-            # one measurement says nothing: the mean of some
+            # a single measurement is too noisy: take the mean of several
             if len(self._buffer) < _SMOOTHED:
                 return False
-            stroke = mean(seen[1] for seen in self._buffer)
-            torsion = mean(seen[2] for seen in self._buffer)
+            stroke = mean(item[1] for item in self._buffer)
+            torsion = mean(item[2] for item in self._buffer)
             scatter /= math.sqrt(_SMOOTHED)
         return max(abs(stroke), abs(torsion) * arm) > limit + BUFFER_GUARD * scatter
 
     def _buffer_scatter(self) -> tuple[float, float]:
-        """Return what the buffer's measurements add to the tip's scatter, m."""
+        """Return the contribution of the buffer's noise to the tip's noise, m."""
         stroke, torsion = (noise.deviation for noise in self._buffer_noise)
         return stroke, torsion * self._criteria.rest_length
 
-    def _tip(self, seen: Observation) -> MeasuredTip:
+    def _tip(self, observation: Observation) -> MeasuredTip:
         """Return the tip in the cone's frame from the measured poses and buffer."""
         a, h_0, front = self._criteria.a, self._criteria.rest_length, self._scene.cone.L_T
-        chaser, target, (stroke, torsion) = seen.chaser[:3], seen.target[:3], seen.buffer[:2]
+        chaser, target, (stroke, torsion) = (
+            observation.chaser[:3],
+            observation.target[:3],
+            observation.buffer[:2],
+        )
         theta, phi, theta_T = chaser[2], chaser[2] + torsion, target[2]
         rates: Values = (0.0,) * 8
-        if seen.has_rates:
-            stroke_rate, torsion_rate = seen.buffer[2:]
-            rates = (*seen.chaser[3:], seen.chaser[5] + torsion_rate, stroke_rate, *seen.target[3:])
+        if observation.has_rates:
+            stroke_rate, torsion_rate = observation.buffer[2:]
+            rates = (
+                *observation.chaser[3:],
+                observation.chaser[5] + torsion_rate,
+                stroke_rate,
+                *observation.target[3:],
+            )
         sS, cS, sT, cT = math.sin(theta), math.cos(theta), math.sin(theta_T), math.cos(theta_T)
-        turned = (sS, cS, math.sin(phi), math.cos(phi), sT, cT)
-        px, py, wx, wy = _tip_motion((*chaser, phi, h_0 + stroke, *target, *rates), a, *turned)
+        sines = (sS, cS, math.sin(phi), math.cos(phi), sT, cT)
+        px, py, wx, wy = _tip_motion((*chaser, phi, h_0 + stroke, *target, *rates), a, *sines)
         at_rest = (*chaser, theta, h_0, *target, *rates)
         bx, by, _, _ = _tip_motion(at_rest, a, sS, cS, sS, cS, sT, cT)
-        rate = (-wx, wy) if seen.has_rates else None
+        rate = (-wx, wy) if observation.has_rates else None
         return MeasuredTip((-(px + front), py), (-(bx + front), by), rate)
 
-    def _status(self, seen: Observation, tip: MeasuredTip) -> CaptureStatus:
+    def _status(self, observation: Observation, tip: MeasuredTip) -> CaptureStatus:
         rate, place, memory = tip.rate, self._place, self._memory
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
         return CaptureStatus(
-            t=seen.t,
+            t=observation.t,
             state=self._state,
-            final=self._state > CaptureState.CONTACT,
+            final=self._state.is_verdict,
             distance=math.hypot(*tip.place),
             axial_offset=tip.place[0],
             lateral_offset=tip.place[1],
-            relative_attitude=seen.chaser[2] - seen.target[2],
+            relative_attitude=observation.chaser[2] - observation.target[2],
             relative_speed=math.nan if rate is None else math.hypot(*rate),
             nearest_distance=float(memory.nearest),
-            time_in_state=seen.t - float(memory.since),
+            time_in_state=observation.t - float(memory.since),
             reason=reason(self._criteria, int(memory.cause), float(memory.value)),
         )

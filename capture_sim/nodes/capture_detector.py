@@ -1,14 +1,16 @@
-"""The node that judges, from poses and buffer state alone, whether the tip is captured."""
+"""The node that detects, from poses and buffer state alone, whether the tip is captured."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
-from capture_sim.detection.align import Source
+from capture_sim.detection.align import MAX_LEAD, Source
+from capture_sim.detection.clocks import MAX_OFFSET
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
@@ -25,15 +27,15 @@ from capture_sim.nodes.participant import READ, Participant
 from capture_sim.nodes.process import run
 from capture_sim.scene.parts import Detector, Scene
 
-#: A source that has fallen behind the others by this much is warned of, s of their stamps.
+#: The node warns of a source whose last stamp is this much older than the others', s.
 STALE = 2.0
 CRITERION = {field.name: field for field in fields(Detector)}
 
 
 class CaptureDetectorNode(Participant):
-    """Sends its judgement of every instant that the poses were measured at.
+    """Publishes a status for every instant at which the poses were measured.
 
-    What it decides stands in :mod:`capture_sim.detection`.
+    The decisions are those of :mod:`capture_sim.detection`.
     """
 
     # of the run that is on
@@ -50,7 +52,7 @@ class CaptureDetectorNode(Participant):
         for topic in self._readers:
             self.follow(topic, partial(self._take, topic), raw=True)
         self._scene = self.declare_scene(
-            "judge by this scene from the start, for a bench where nobody announces runs; "
+            "evaluate by this scene from the start, for a bench where no node announces runs; "
             "empty to wait for a run"
         )
 
@@ -58,14 +60,14 @@ class CaptureDetectorNode(Participant):
         """Take part until the process is to end; return the exit status."""
         if self._scene is not None:
             self.announce(self._scene.name, self._scene)
-            self.get_logger().info(f"judged by {self._scene.name} until Ctrl-C")
+            self.get_logger().info(f"evaluated by {self._scene.name} until Ctrl-C")
         return super().work()
 
     def begin(self, info: Any, scene: Scene) -> None:
         """Start anew for the scene of this run."""
         criteria = self._criteria()
         scene = replace(scene, detector=replace(scene.detector, **criteria))
-        self._detector = NoisyDetector(scene)
+        self._detector = NoisyDetector(scene, is_released=self.simulated)
         self._sources = detector_sources(scene) if self.simulated else dict(OF_A_BENCH)
         self._zero = EPOCH_NS if self.simulated else None
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
@@ -74,20 +76,17 @@ class CaptureDetectorNode(Participant):
             given = ", ".join(
                 f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
             )
-            self.get_logger().info(f"{info.name}: judged by {given}; else by the scene")
+            self.get_logger().info(f"{info.name}: evaluated by {given}; else by the scene")
 
     def end(self, reason: str) -> list[str]:
         """Send the final verdict, and say how much was sent."""
         statuses = self._detector.finish(cut=self.cut)
         self._send_all(statuses)
         verdict = statuses[-1]
-        undecided = "" if verdict.final else "no verdict, "
-        self.get_logger().info(
-            f"{self.run.name}: {undecided}{verdict.state.label}, {verdict.reason}"
-        )
+        self.get_logger().info(f"{self.run.name}: {verdict.label}, {verdict.reason}")
         if skipped := self._detector.aligner.skipped:
             self.get_logger().warning(
-                f"{self.run.name}: {skipped} instants not judged: a source had a hole there"
+                f"{self.run.name}: {skipped} instants skipped: gap in a measurement source"
             )
         self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
@@ -96,8 +95,8 @@ class CaptureDetectorNode(Participant):
     def _declare_criteria(self) -> None:
         """Declare the scene's criteria as parameters, with their units and ranges.
 
-        One that is not set follows the scene; one that is set holds from the next run on, as a
-        run is judged by one set of criteria from its start to its end.
+        A parameter that is not set is taken from the scene; one that is set applies from the next
+        run on, as a run is evaluated by one set of criteria from its start to its end.
         """
         for name, field in CRITERION.items():
             unit, allowed = field.metadata["unit"], field.metadata["allowed"]
@@ -128,13 +127,30 @@ class CaptureDetectorNode(Participant):
                 if other is not topic:
                     del self._sources[other]
         t = stamp_seconds(stamp - self._zero + EPOCH_NS)
-        self._send_all(self._detector.measure(source, t, values))
-        if silent := self._detector.aligner.silent(STALE):
-            names = " and ".join(source.value for source in silent)
-            self.get_logger().warning(
-                f"nothing is judged: no measurement of the {names} for {STALE:g} s",
-                throttle_duration_sec=5.0,
+        arrival = None if self.simulated else time.monotonic()
+        self._send_all(self._detector.measure(source, t, values, arrival))
+        self._warn_of_sources()
+
+    def _warn_of_sources(self) -> None:
+        """Name a source that is silent, far ahead, or of another clock."""
+        detector, warnings = self._detector, []
+        if offset := detector.clock_offset:
+            source, lead = offset
+            warnings.append(
+                f"{source.value}: clock {abs(lead):.3f} s {'ahead of' if lead > 0.0 else 'behind'} "
+                f"the other sources' (stamp less arrival): must be at most {MAX_OFFSET:g} s"
+                + ("; nothing is evaluated" if detector.clocks_differ else "")
             )
+        elif silent := detector.aligner.silent(STALE):
+            names = " and ".join(source.value for source in silent)
+            warnings.append(f"nothing is evaluated: no measurement of the {names} for {STALE:g} s")
+        for source, (count, lead) in detector.aligner.rejected_leads.items():
+            warnings.append(
+                f"{source.value}: {count} stamps rejected, up to {lead:.4g} s ahead of the other "
+                f"sources: must be at most {MAX_LEAD:g} s"
+            )
+        if warnings:
+            self.get_logger().warning("; ".join(warnings), throttle_duration_sec=5.0)
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         for status in statuses:

@@ -61,7 +61,7 @@ def verdict(run: ViewableRun) -> str:
     """Return the detector's last word, or that there is none."""
     if not run.statuses:
         return "no verdict"
-    return str(run.statuses[-1].state.name).lower()
+    return run.statuses[-1].label
 
 
 @dataclass(frozen=True)

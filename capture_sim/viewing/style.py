@@ -51,6 +51,7 @@ VERDICTS = {
     CaptureState.REBOUND: Look(ORANGE, "D"),
     CaptureState.STUCK: Look(WINE, "s"),
     CaptureState.MISSED: Look("#6FA5C4", "X"),
+    CaptureState.UNDECIDED: Look("#9A9A9A", "P"),
 }
 #: Of the lanes over time.
 PHASES = {

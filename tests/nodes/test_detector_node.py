@@ -76,7 +76,7 @@ def test_criteria_are_described_and_recorded(start, tmp_path, capsys):
         assert client.set("simulator", rtf=0.0)[0]
     assert [node.status() for node in nodes] == [0, 0, 0, 0]
     said = detector.text
-    assert "judged by min_dwell = 0.3 s, min_retreat = 0.03 m; else by the scene" in said
+    assert "evaluated by min_dwell = 0.3 s, min_retreat = 0.03 m; else by the scene" in said
     assert "captured, within 5 mm of BE for 0.3 s" in said
     path = tmp_path / "tilt_0.mcap"
     run = read_run(path)
@@ -242,7 +242,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start):
     name = "paper_undamped"
     measured = list(disturbed(simulate(load_scene(name)), Disturbance(), np.random.default_rng(4)))
     node = start("capture_detector", scene=name, overrides="['sensors.motion_capture={}']")
-    node.wait_for("judged by paper_undamped")
+    node.wait_for("evaluated by paper_undamped")
     bench = Bench()
     statuses = []
     bench.listen(CAPTURE_STATUS, statuses.append)

@@ -39,7 +39,7 @@ def test_a_name_and_overrides_are_the_loaded_scene(run):
 
 def test_a_result_is_shown_in_a_line_and_in_a_table(run):
     assert repr(run) == (
-        "Result(paper_designed: stuck after 0.5 s, 6 touches, peak 131.6 N, 501 samples)"
+        "Result(paper_designed: undecided after 0.5 s, 6 touches, peak 131.6 N, 501 samples)"
     )
     page = run._repr_html_()
     assert page.startswith("<table>")
