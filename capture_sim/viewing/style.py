@@ -51,7 +51,7 @@ VERDICTS = {
     CaptureState.REBOUND: Look(ORANGE, "D"),
     CaptureState.STUCK: Look(WINE, "s"),
     CaptureState.MISSED: Look("#6FA5C4", "X"),
-    CaptureState.UNDECIDED: Look("#9A9A9A", "P"),
+    CaptureState.UNDECIDED: Look(BLACK, "P"),
 }
 #: Of the lanes over time.
 PHASES = {
