@@ -113,7 +113,11 @@ VERDICTS = [
     ([*TO_THE_FACE, FACE, (*FACE[:2], 0.1)], "stuck", "run ended with the tip at rest 47.05 mm"),
     ([*TO_THE_FACE, (0.041, 0.03, 0.2)], "undecided", "run ended after a contact, tip 50.80 mm"),
     ([*TO_THE_FACE, (0.045, 0.03, 0.2)], "rebound", "run ended with the tip 54.08 mm from BE and"),
-    ([(0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.1)], "undecided", "run ended before any contact, tip 3.00 mm"),
+    (
+        [(0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.1)],
+        "undecided",
+        "run ended before any contact, tip 3.00 mm",
+    ),
 ]
 
 

@@ -34,7 +34,7 @@ def flight(speed, rate, *, beside, slope):
 
 # 50 mm a sample: the first one behind BE is 22 mm behind, less than the throat's radius off the axis
 @pytest.mark.parametrize(
-    ("speed", "rate"), [(0.5, 10.0), (5.0, 100.0), (0.05, 1.0), (0.2, 4.0), (0.1, 2.0)]
+    "speed, rate", [(0.5, 10.0), (5.0, 100.0), (0.05, 1.0), (0.2, 4.0), (0.1, 2.0)]
 )
 def test_a_flight_beside_the_throat_is_missed_at_any_rate(speed, rate):
     for finer, noise in ((1, CLEAN), (10, CLEAN), (10, Disturbance(jitter=0.0))):
