@@ -1,4 +1,4 @@
-"""The launcher's state machine: whether a launch goes as planned."""
+"""The launcher's state machine: it compares a launch with its plan."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from capture_sim.scene.parts import Scene
 
 #: A first touch may always be late by this much, s.
 GRACE = 0.5
+#: A speed is wrong only if it is so by this many of its standard deviations.
+SPEED_GUARD = 5.0
 
 
 def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
@@ -73,11 +75,15 @@ class Launcher:
         The chaser's speed may differ from the expected one by this share of the wanted impact
         speed, and the first touch may come later by this share of its time and
         :data:`GRACE`; else the launch is aborted.
+    aborts : bool
+        False: a launch that differs from the plan is not aborted, only described.
+    deviation : str
+        How the launch differed from the plan at the last measurement; empty if it did not.
     """
 
-    def __init__(self, scene: Scene, tolerance: float = 0.2) -> None:
+    def __init__(self, scene: Scene, tolerance: float = 0.2, *, aborts: bool = True) -> None:
         self.plan = plan_launch(scene)
-        self.tolerance = tolerance
+        self.tolerance, self.aborts, self.deviation = tolerance, aborts, ""
         self._scene = scene
         self._state = LauncherPhase.ARMED
         self._speed = 0.0
@@ -110,7 +116,7 @@ class Launcher:
         return self.status
 
     def travelled(self, x: float, y: float) -> float:
-        """Return how far the chaser at (x, y), m, has come along its launch direction, m."""
+        """Return the travel of the chaser at (x, y), m, along its launch direction, m."""
         start = self._scene.initial.chaser
         return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
 
@@ -122,6 +128,7 @@ class Launcher:
         *,
         t: float | None = None,
         travel: float | None = None,
+        speed_deviation: float = 0.0,
     ) -> LauncherStatus:
         """Take in a measurement; abort if the launch does not go as planned.
 
@@ -136,7 +143,9 @@ class Launcher:
         t
             Since the release, s; without it no delay is noticed.
         travel
-            Of the chaser since then, m; without it the speed is not judged.
+            Of the chaser since then, m; without it the speed is not evaluated.
+        speed_deviation
+            Standard deviation of ``chaser_speed``, m/s.
         """
         if self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED):
             if touched:
@@ -146,24 +155,30 @@ class Launcher:
                 self._speed = chaser_speed
                 if string_slack:
                     self._state = LauncherPhase.LANDED
-                self._watch(t, travel)
+                self.deviation = self._deviation(t, travel, speed_deviation)
+                if self.deviation and self.aborts:
+                    self.abort(self.deviation)
         return self.status
 
-    def _watch(self, t: float | None, travel: float | None) -> None:
+    def _deviation(self, t: float | None, travel: float | None, speed_deviation: float) -> str:
+        """Return how the launch differs from the plan; empty if it does not."""
         plan = self.plan
         if not (math.isfinite(plan.contact_time) and plan.impact_speed > 0.0):
-            return  # there is no impact to be launched for
-        if travel is not None:
-            wanted = expected_speed(self._scene, plan, travel)
-            slack = self.tolerance * plan.impact_speed
-            if abs(self._speed - wanted) > slack:
-                self.abort(
-                    f"speed {self._speed:.4g} m/s after {travel:.4g} m: "
-                    f"must be {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
-                )
+            return ""  # there is no impact to be launched for
         latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
         if t is not None and t > latest:
-            self.abort(
+            return (
                 f"no contact {t:.4g} s after the release: expected at {plan.contact_time:.4g}, "
                 f"must be at most {latest:.4g}"
             )
+        if travel is None:
+            return ""
+        wanted = expected_speed(self._scene, plan, travel)
+        slack = self.tolerance * plan.impact_speed
+        if abs(self._speed - wanted) <= slack + SPEED_GUARD * speed_deviation:
+            return ""
+        known = f" +- {speed_deviation:.2g}" if speed_deviation > 0.0 else ""
+        return (
+            f"speed {self._speed:.4g}{known} m/s after {travel:.4g} m: "
+            f"must be {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
+        )

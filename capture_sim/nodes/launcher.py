@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from typing import Any
 
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from capture_sim.launch.watch import Launcher, LauncherPhase
+from capture_sim.launch.bench_watch import BenchWatch, Pose
+from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.cdr import Numbers
-from capture_sim.messages.convert import EPOCH_NS, LaunchAction, StringPhase, stamp_seconds
+from capture_sim.messages.convert import LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.measurements import STAMP
+from capture_sim.messages.measurements import POSE, STAMP, pose_values
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
     CHASER_ODOMETRY,
@@ -20,6 +22,8 @@ from capture_sim.messages.topics import (
     CONTACT_STATE,
     LAUNCHER,
     STRING_STATE,
+    TARGET_ODOMETRY,
+    TARGET_POSE,
     Topic,
     topics_of,
 )
@@ -31,30 +35,34 @@ from capture_sim.scene.parts import Scene
 
 #: Output for a real release, such as a magnet's relay: std_msgs/Bool, true holds.
 HOLD = "launcher/hold"
+CHASER, TARGET = (CHASER_ODOMETRY, CHASER_POSE), (TARGET_ODOMETRY, TARGET_POSE)
 #: The numbers that are read of each message besides its stamp.
 NUMBERS = {
     STRING_STATE: ("chaser_speed", "phase"),
     CONTACT_STATE: ("in_touch", "touches"),
-    CHASER_ODOMETRY: ("pose.pose.position.x", "pose.pose.position.y"),
-    CHASER_POSE: ("pose.position.x", "pose.position.y"),
+    **{
+        topic: tuple(f"{path}.{name}" for name in POSE)
+        for topics in (CHASER, TARGET)
+        for topic, path in zip(topics, ("pose.pose", "pose"), strict=True)
+    },
 }
-#: What is read of a simulator at each instant; of a bench it is the chaser's pose.
+#: What is read of a simulator at each instant; of a bench it is the poses of both vehicles.
 SIMULATED = (STRING_STATE, CONTACT_STATE, CHASER_ODOMETRY)
-#: A bench's speed is that over this time, s: noise of its poses divides by it.
-SPEED_WINDOW = 0.1
-#: Stamps of which not every topic has come yet; the oldest is given up beyond.
+#: Largest number of stamps that wait for the rest of their topics; the oldest is dropped then.
 MOST_WAITING = 1000
 
 
 class LauncherNode(Participant):
-    """Sends ARM and RELEASE, and its state with every periodic sample; ABORT if need be.
+    """Sends ARM and RELEASE, its state with every periodic sample, and ABORT if necessary.
 
-    What it decides stands in :class:`capture_sim.launch.watch.Launcher`.  ``~/launch`` releases
-    an armed chaser, ``~/abort`` gives a launch up.
+    The decisions are those of :class:`capture_sim.launch.watch.Launcher`.  ``~/launch`` releases
+    an armed chaser, ``~/abort`` aborts a launch.
     """
 
     # of the run that is on, or the last one
     _launcher: Launcher | None = None
+    _watch: BenchWatch
+    _used_poses: set[Topic]
     _telemetry: LauncherTelemetry
     _parts: dict[int, dict[Topic, Any]]  # numbers of one stamp (ns) that wait for the others
     _touched: bool
@@ -71,9 +79,16 @@ class LauncherNode(Participant):
         self._tolerance = self.declare(
             "speed_tolerance",
             0.2,
-            "share of the wanted impact speed by which the chaser's speed may be off, 1",
+            "share of the wanted impact speed by which the chaser's speed may deviate, 1",
             low=0.01,
             high=10.0,
+            read_only=False,
+        )
+        self._aborts = self.declare(
+            "abort_on_deviation",
+            True,
+            "abort a launch that differs from its plan: speed beyond speed_tolerance by 5 standard "
+            "deviations, or contact too late; false only warns",
             read_only=False,
         )
         actuator = self.declare(
@@ -86,8 +101,6 @@ class LauncherNode(Participant):
             "of a bench without simulator: ~/launch begins a trial of it, ~/end_trial ends it"
         )
         self._asked = False  # to launch the trial that is begun
-        self._place: tuple[float, float] | None = None  # s and m, of a bench's chaser before
-        self._zero: int | None = None  # ns, a bench's stamp when the chaser was let go
         self._now = 0.0  # s since the release, of the last state
         self.open(topics_of(LAUNCHER))
         self._hold_output: Any = None
@@ -99,9 +112,11 @@ class LauncherNode(Participant):
             self._hold(True)
         self._numbers = {
             topic: Numbers(typestore(), topic.type_name, *STAMP, *NUMBERS[topic])
-            for topic in READ[LAUNCHER]
+            for topic in NUMBERS
         }
-        for topic in READ[LAUNCHER]:
+        # a simulator sends where the tip touches; on a bench the target's pose shows it
+        targets = TARGET if actuator == "output" else ()
+        for topic in (*READ[LAUNCHER], *targets):
             self.follow(topic, partial(self._take, topic), raw=True)
         self.create_service(Trigger, "~/launch", self._asked_to_launch)
         self.create_service(Trigger, "~/abort", self._asked_to_abort)
@@ -109,11 +124,12 @@ class LauncherNode(Participant):
 
     def begin(self, info: Any, scene: Scene) -> None:
         """Plan the launch and arm."""
-        self._launcher = launcher = Launcher(scene, self._tolerance)
+        self._launcher = launcher = Launcher(scene, self._tolerance, aborts=self._aborts)
+        self._watch = BenchWatch(launcher, scene)
+        self._used_poses = set()
         self._telemetry = LauncherTelemetry(self.messages, info.run_id)
         self._parts = {}
         self._touched = False
-        self._place = self._zero = None
         self._now = 0.0
         plan = launcher.plan
         self._hold(True)
@@ -142,6 +158,7 @@ class LauncherNode(Participant):
     def _release(self, launcher: Launcher) -> None:
         self.publish(self._telemetry.command(0.0, LaunchAction.RELEASE, launcher.plan))
         self._hold(False)
+        self._watch.release(time.monotonic())
         self.publish(*self._telemetry.status(0.0, launcher.release()))
 
     def _abort(self, launcher: Launcher, t: float) -> None:
@@ -154,36 +171,41 @@ class LauncherNode(Participant):
     def _take(self, topic: Topic, data: bytes) -> None:
         sec, nanosec, *numbers = self._numbers[topic](data).item()
         stamp = sec * 1_000_000_000 + nanosec
-        if not self.simulated:
-            if topic in (CHASER_ODOMETRY, CHASER_POSE):
-                self._watch_bench(stamp, *numbers)
-        elif topic is not CHASER_POSE:
-            self._collect(topic, stamp, numbers)
+        if self.simulated:
+            if topic in SIMULATED:
+                self._collect(topic, stamp, numbers)
+            return
+        for topics in (CHASER, TARGET):
+            # of each vehicle the first topic that comes in a trial is used
+            if topic not in topics or not self._used_poses.isdisjoint({*topics} - {topic}):
+                continue
+            self._used_poses.add(topic)
+            if topics is TARGET:
+                self._watch.add_target(pose_values(*numbers))
+            else:
+                self._watch_bench(stamp, pose_values(*numbers))
 
-    def _watch_bench(self, stamp: int, x: float, y: float) -> None:
-        """Watch a bench's chaser by its poses alone, each over the time since one before."""
+    def _watch_bench(self, stamp: int, pose: Pose) -> None:
+        """Watch a bench's chaser by the poses alone."""
         launcher = self._launcher
-        if launcher is None or launcher.status.state is LauncherPhase.ARMED:
+        if launcher is None:
             return
-        if self._zero is None:
-            self._zero = stamp
-        t = (stamp - self._zero) / 1e9
-        travel = launcher.travelled(x, y)
-        if self._place is None:
-            self._place = t, travel
-        since = t - self._place[0]
-        if since < SPEED_WINDOW:
-            return
-        speed, middle = (travel - self._place[1]) / since, 0.5 * (travel + self._place[1])
-        self._place = t, travel
         before = launcher.status.state
-        slack, touched = t > launcher.plan.landing_time, travel > launcher.plan.travel
-        status = launcher.observe(speed, slack, touched, t=t, travel=middle)
-        self._now = own = t + (self._zero - EPOCH_NS) / 1e9
+        status = self._watch.add_chaser(stamp / 1e9, pose, time.monotonic())
+        if status is not None:
+            self._report(stamp_seconds(stamp), before, status)
+
+    def _report(self, t: float, before: LauncherPhase, status: LauncherStatus) -> None:
+        """Publish what a measurement has changed, and an abort that it has caused."""
+        assert self._launcher is not None
+        self._now = t
         if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
-            self._abort(launcher, own)
-        else:
-            self.publish(*self._telemetry.status(own, status))
+            self._abort(self._launcher, t)
+            return
+        self.publish(*self._telemetry.status(t, status))
+        if self._launcher.deviation:
+            text = f"{self.run.name}: {self._launcher.deviation}"
+            self.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def _collect(self, topic: Topic, stamp: int, numbers: list[Any]) -> None:
         parts = self._parts.setdefault(stamp, {})
@@ -194,9 +216,9 @@ class LauncherNode(Participant):
             return
         # each topic comes in the order of its stamps: an older set has lost a message
         self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
-        (speed, phase), (in_touch, touches), (x, y) = (parts[topic] for topic in SIMULATED)
+        (speed, phase), (in_touch, touches), (x, y, *_) = (parts[topic] for topic in SIMULATED)
         self._touched = self._touched or in_touch or touches > 0
-        self._now = t = stamp_seconds(stamp)
+        t = stamp_seconds(stamp)
         before = self._launcher.status.state
         status = self._launcher.observe(
             speed,
@@ -205,10 +227,7 @@ class LauncherNode(Participant):
             t=t,
             travel=self._launcher.travelled(x, y),
         )
-        if status.state is LauncherPhase.ABORTED and before is not LauncherPhase.ABORTED:
-            self._abort(self._launcher, t)
-        else:
-            self.publish(*self._telemetry.status(t, status))
+        self._report(t, before, status)
 
     def _asked_to_launch(self, _: Any, response: Any) -> Any:
         launcher = self._launcher
@@ -246,6 +265,10 @@ class LauncherNode(Participant):
                 self._tolerance = parameter.value
                 if self._launcher is not None:
                     self._launcher.tolerance = parameter.value
+            elif parameter.name == "abort_on_deviation":
+                self._aborts = parameter.value
+                if self._launcher is not None:
+                    self._launcher.aborts = parameter.value
             elif parameter.name == "auto_release":
                 self._auto_release = parameter.value
                 launcher = self._launcher

@@ -32,7 +32,7 @@ def flight(speed, rate, *, beside, slope):
     return load_scene("tilt_0", changes)
 
 
-# 50 mm a sample: the first one behind BE is 22 mm behind, less than the throat's radius off the axis
+# 50 mm a sample: at the first one behind BE the tip is less than R_c off the axis
 @pytest.mark.parametrize(
     "speed, rate", [(0.5, 10.0), (5.0, 100.0), (0.05, 1.0), (0.2, 4.0), (0.1, 2.0)]
 )
