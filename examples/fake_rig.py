@@ -27,15 +27,17 @@ class FakeRig(Node):
         self.cell = self.create_publisher(WrenchStamped, "load_cell/wrench", 10)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(Bool, "launcher/hold", self.hold, latched)
-        self.t, self.released = 0.0, math.inf
+        self.t, self.released, self.held = 0.0, math.inf, 0.0
         self.create_timer(1.0 / RATE, self.measure)
 
     def hold(self, message):
-        self.released = math.inf if message.data else self.t
+        self.released, self.held = (self.released, self.t) if message.data else (self.t, math.inf)
 
     def measure(self):
         self.t += 1.0 / RATE
         going = max(0.0, self.t - self.released)
+        if self.t > self.held + 1.0:  # held again, the chaser is pulled back
+            going, self.released = 0.0, math.inf
         ramp = min(going, 2.0 * DROP / SPEED)  # s, while the mass sinks
         x = START + 0.25 * SPEED**2 / DROP * ramp**2 + SPEED * (going - ramp)
         self.send(self.chaser, PoseStamped(), x=min(x, STOP))
