@@ -207,7 +207,7 @@ def test_odd_messages_end_no_node(bench):
         wait_until(lambda: simulation.state is State.STOPPED)
         began = len(nodes["recorder"].lines)
         assert simulation.set(State.PLAYING)[0] == 1
-        nodes["recorder"].wait_for("/tilt_0", since=began)
+        nodes["recorder"].wait_for(".mcap: ", since=began)
     last = "".join(nodes["recorder"].lines[began:])
     recorded = re.search(r": (\S*/tilt_0\S*\.mcap): \d+ messages, complete", last)
     assert recorded, nodes["recorder"].text
