@@ -141,7 +141,7 @@ def measure_paced(options: Namespace, folder: Path, burners: int = 0) -> list[st
             said = suite.end()
         ticks = re.search(r"late by ([\d, -]+) us", said)[1].split(",")
         rows += [[f"simulator, run {i + 1}", *ticks]]
-        rows += [[f"a bare sleep loop beside it, run {i + 1}", *bare.stdout.split()]]
+        rows += [[f"sleep loop, run {i + 1}", *bare.stdout.split()]]
         run = suite.recorded()
         factors.append(f"{achieved(said):.5f}")
         messages.append(sum(run.topics.values()))
@@ -176,7 +176,7 @@ def measure_unpaced(options: Namespace, folder: Path) -> list[str]:
     shares = ", ".join(f"{name} {value:.2f}" for name, value in spent.items())
     return [
         f"{options.seconds:g} simulated seconds, {options.times} times: {', '.join(factors)} times "
-        f"real time, lost: {'; '.join(lost) or 'none'}. Processor time of the nodes in the last, "
+        f"real time, lost: {'; '.join(lost) or 'none'}. CPU time of the nodes in the last run, "
         f"s: {shares}."
     ]
 
@@ -193,8 +193,8 @@ def measure_same_bits(options: Namespace, folder: Path) -> list[str]:
         equal += suite.recorded().samples.tobytes() == offline
     return [
         f"tilt_p10 at real-time factors {', '.join(f'{x:g}' for x in factors)}, nodes started in a "
-        f"random order and up to 1.5 s apart: {equal} of {len(factors)} recordings hold the "
-        "offline run's samples to the last bit."
+        f"random order and up to 1.5 s apart: the samples of {equal} of {len(factors)} recordings "
+        "are bit-identical to the offline run."
     ]
 
 
@@ -243,7 +243,7 @@ def measure_resets(options: Namespace, folder: Path) -> list[str]:
     marks = [f"after {share} of the runs" for share in ("1/4", "1/2", "3/4", "all")[: len(memory)]]
     return [
         f"{options.resets} runs in one process, {steps} steps of paper_designed each and then a "
-        f"reset: {others} of them differ from the first in a bit; each took {1e3 * each:.0f} ms.",
+        f"reset: {others} of them differ from the first by a bit; each took {1e3 * each:.0f} ms.",
         "",
         table(["memory MB, open files", *marks], rows),
     ]
@@ -280,12 +280,9 @@ def measure_kills(options: Namespace, folder: Path) -> list[str]:
     count = ", ".join(f"{name} {number}" for name, number in killed.items())
     return [
         f"{options.kills} times `kill -9` at a random moment of a run at twice real time "
-        f"({count}). Asked each time: the other nodes end by themselves and without a traceback, "
-        "the run goes on unless it was the simulator's, and what is recorded is the offline run's "
-        f"beginning to the last bit. A killed recorder lost at most {max(lost, default=0.0):.0f} "
-        "ms.",
+        f"({count}). A killed recorder lost at most {max(lost, default=0.0):.0f} ms.",
         "",
-        *([f"- {problem}" for problem in problems] or ["All of it held."]),
+        *([f"- {problem}" for problem in problems] or ["All conditions were met in every run."]),
     ]
 
 

@@ -41,7 +41,7 @@ def errors_table(errors: dict[str, list[np.ndarray]]) -> str:
         for after, values in zip(AFTER, np.transpose(found), strict=True):
             quantiles = [f"{x:.1e}" for x in np.quantile(values, (0.5, 0.9, 0.99, 1.0))]
             rows.append([kind, f"{after:g}", *quantiles, f"{np.mean(values < 1e-6):.1%}"])
-    head = ["rtol", "s after the first touch", "median", "90 %", "99 %", "largest"]
+    head = ["rtol", "s after the first touch", "median", "90 %", "99 %", "maximum"]
     return table([*head, "below 1e-6 m"], rows)
 
 
@@ -59,20 +59,19 @@ def narrow(asked: Namespace, _: Path) -> list[str]:
     ]
     inside = np.mean([0.01 < ratio < 100.0 for ratio in ratios])
     return [
-        f"{len(scenes)} benches:",
+        f"{len(scenes)} scenes:",
         "",
         errors_table({f"{DEFAULT:g}": [m.error for m in measured]}),
         "",
         f"Touches in another order or number than at 1e-12: {len(wrong)}; not flagged by "
-        f"`simulate(..., check=True)`: {sum(not m.flagged for m in wrong)}. Largest force, where "
-        f"they are the same: within {max(m.peak for m in measured if not m.wrong):.1e}.",
+        f"`simulate(..., check=True)`: {sum(not m.flagged for m in wrong)}. Peak force, where "
+        f"they are the same: within {max(m.peak for m in measured if not m.wrong):.1e} (relative).",
         "",
-        f"True error at {AFTER[-1]:g} s by the check's estimate: median {np.median(known):.2f}, "
-        f"99 % {np.quantile(known, 0.99):.2f}, largest {max(known):.1f} ({len(known)} benches; "
-        f"left out are those on supports below {FLOOR:g} m, where a vehicle at the limit of rest "
-        "decides).",
+        f"True error at {AFTER[-1]:g} s divided by the check's estimate: median "
+        f"{np.median(known):.2f}, 99 % {np.quantile(known, 0.99):.2f}, largest {max(known):.1f} "
+        f"({len(known)} scenes; those on supports below {FLOOR:g} m are left out).",
         "",
-        "Energy residual as a coarser estimate, error = 3 R_t |residual| / E_0: within a factor of "
+        "The energy residual as an estimate, error = 3 R_t |residual| / E_0, is within a factor of "
         f"100 in {inside:.1%} of {len(ratios)} runs at rtol "
         f"{', '.join(f'{rtol:g}' for rtol in RTOLS)} without supports.",
     ]
@@ -87,7 +86,7 @@ def wide(asked: Namespace, _: Path) -> list[str]:
     default, tight = zip(*compared, strict=True)
     wrong = [m for m in default if m.wrong]
     return [
-        f"{len(compared)} benches of {count} drawn, the others touch nothing within a second or "
+        f"{len(compared)} scenes of {count} drawn; the others touch nothing within a second or "
         "end where the model does:",
         "",
         errors_table(
@@ -100,9 +99,9 @@ def wide(asked: Namespace, _: Path) -> list[str]:
         f"Touches in another order or number than the model's: {len(wrong)} at the default, "
         f"{sum(m.wrong for m in tight)} at {TIGHT:g}; of those at the default, not "
         f"flagged by `simulate(..., check=True)`: {sum(not m.flagged for m in wrong)}; flagged "
-        f"though right: {sum(m.flagged and not m.wrong for m in default)}. Largest force of the "
+        f"without a reason: {sum(m.flagged and not m.wrong for m in default)}. Peak force at the "
         "default, where the touches are the same: within "
-        f"{max(m.peak for m in default if not m.wrong):.1e}.",
+        f"{max(m.peak for m in default if not m.wrong):.1e} (relative).",
     ]
 
 
@@ -111,6 +110,6 @@ if __name__ == "__main__":
         "random_scenes",
         __doc__,
         {"narrow": narrow, "wide": wide},
-        scenes=(1000, "benches near the paper's"),
-        wide=(300, "benches of all kinds"),
+        scenes=(1000, "scenes near the paper's"),
+        wide=(300, "scenes of all kinds"),
     )

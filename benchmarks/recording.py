@@ -1,4 +1,4 @@
-"""Recording, replay and identification; writes the parts of docs/recording.md.
+"""Recording, replay and identification; writes the parts of docs/recording_checked.md.
 
 .venv/bin/python -m benchmarks.recording                  # all parts, about six minutes
 .venv/bin/python -m benchmarks.recording write live
@@ -64,7 +64,7 @@ def write(_: Namespace, folder: Path) -> list[str]:
         ("written alone (`RunWriter`)", write_alone),
         ("read, checksums checked (`read_run`)", lambda: read_run(path)),
         ("read into columns of all topics", read_columns),
-        ("taken by the live recorder, without ROS", take),
+        ("written by the live recorder, without ROS", take),
     ):
         took = repeated(work, REPEATS, time.process_time)
         median = Spread.of(took).median
@@ -118,7 +118,8 @@ def replay(_: Namespace, folder: Path) -> list[str]:
             for last in (one.statuses[-1], two.statuses[-1])
         ]
         rows.append([name, sum(one.topics.values()), lost, rate, *verdicts])
-    head = ["", "messages", "lost", "x real time (wanted: 10)", "recorded", "judged in the replay"]
+    head = ["", "messages", "lost", "real-time factor (requested: 10)"]
+    head += ["recorded verdict", "verdict in the replay"]
     return [table(head, rows)]
 
 
@@ -173,19 +174,19 @@ def fit(*_: object) -> list[str]:
         for other in (poses, release):
             row += [f"{other.within(i)} of 20", f"{other.errors[i]:.2%}"]
         rows.append(row)
-    head = ["", "within 2 errors", "farthest, errors", "standard error (median)"]
+    head = ["", "within 2 errors", "maximum, errors", "standard error (median)"]
     head += ["without touches", "standard error", "release fitted", "standard error"]
     return [
         f"{whole.within()} of 80 parameters ({whole.within() / 80:.0%}) lie within two of their "
         f"own standard errors of the truth; without touches {poses.within()} "
-        f"({poses.within() / 80:.0%}). {whole.warned} of 20 fits left more than noise explains; a "
-        f"fit takes {whole.seconds:.1f} s (median). With the release taken wrongly, by up to "
-        f"0.1 s, and fitted too: {release.within()} of 100, the release itself "
+        f"({poses.within() / 80:.0%}). {whole.warned} of 20 fits exceeded the noise floor; a "
+        f"fit takes {whole.seconds:.1f} s (median). With a release time that starts up to "
+        f"0.1 s wrong and is fitted too: {release.within()} of 100, the release itself "
         f"{release.within(4)} of 20 within two errors of {1e3 * release.errors[4]:.2f} ms "
-        f"(median); {release.warned} of 20 left more than noise explains; {release.seconds:.1f} s. "
-        f"Taken wrongly by 1 ms and not fitted: c_rr is off by {wrong.off[:, 0].min():.0f} to "
-        f"{wrong.off[:, 0].max():.0f} of its errors, e by up to {wrong.off[:, 1].max():.1f}, and "
-        f"{wrong.warned} of 20 fits say so.",
+        f"(median); {release.warned} of 20 exceeded the noise floor; {release.seconds:.1f} s. "
+        "With a release time wrong by 1 ms and not fitted: c_rr deviates by "
+        f"{wrong.off[:, 0].min():.0f} to {wrong.off[:, 0].max():.0f} of its standard errors, e by "
+        f"up to {wrong.off[:, 1].max():.1f}, and {wrong.warned} of 20 fits report it.",
         "",
         table(head, rows),
     ]
@@ -193,4 +194,4 @@ def fit(*_: object) -> list[str]:
 
 if __name__ == "__main__":
     parts = {"write": write, "live": live, "replay": replay, "identify": fit}
-    write_parts("recording", __doc__, parts, seconds=(60.0, "of the live recording"))
+    write_parts("recording_checked", __doc__, parts, seconds=(60.0, "of the live recording"))

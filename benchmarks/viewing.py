@@ -38,14 +38,14 @@ def files(_: Namespace, folder: Path) -> list[str]:
     for what, make, path in (
         ("`.rrd` of three runs of 20 s at 1 kHz", lambda p: save_rrd(long, p), folder / "a.rrd"),
         ("picture of one run", lambda p: save(draw_run(short[1]), p), folder / "a.png"),
-        ("picture of the three", lambda p: save(draw_overview(short), p), folder / "b.png"),
-        ("report of the three", lambda p: save_report(opened, p), folder / "a.html"),
+        ("picture of three runs", lambda p: save(draw_overview(short), p), folder / "b.png"),
+        ("report of three runs", lambda p: save_report(opened, p), folder / "a.html"),
     ):
         took = repeated(lambda make=make, path=path: make(path), REPEATS)
         spread = f"{min(took):.2f} to {max(took):.2f}"
         size = f"{path.stat().st_size / 1e6:.1f}"
         rows.append([what, f"{Spread.of(took).median:.2f}", spread, size])
-    head = ["made", f"median of {REPEATS}, s", "fastest to slowest, s", "size, MB"]
+    head = ["file", f"median of {REPEATS}, s", "fastest to slowest, s", "size, MB"]
     return [table(head, rows)]
 
 
@@ -76,7 +76,7 @@ def live(asked: Namespace, folder: Path) -> list[str]:
                 row.append(f"{sum(shares.values()):.1%}")
                 suite.end()
         rows.append(row)
-    head = ["standard topics, Hz", "suite without viewer", "viewer and its server", "suite beside"]
+    head = ["standard topics, Hz", "nodes without viewer", "viewer and its server", "nodes with it"]
     return [
         f"tilt_p10 for {seconds:g} s at real time; shares of one core.",
         "",

@@ -23,7 +23,7 @@ from capture_sim.recording.recover import recover
 from capture_sim.results import table as table_of
 from capture_sim.viewing.source import headline, summary_of
 
-#: Cuts and flipped bytes; docs/recording.md has 50 of each.
+#: Cuts and flipped bytes; docs/recording_checked.md has 50 of each.
 CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "8"))
 
 
