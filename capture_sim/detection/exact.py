@@ -530,7 +530,7 @@ class ExactDetector:
     def finish(self, *, cut: bool = False) -> CaptureStatus:
         """Close the run and return its last status: a verdict, or undecided.
 
-        The status is that of the last sample.
+        The status is that of the last sample.  It is final, unless a cut run has no verdict.
 
         Parameters
         ----------
@@ -545,11 +545,11 @@ class ExactDetector:
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
         row["time_in_state"] = row["t"] - memory.since
-        return self._status(row.tolist())
+        return self._status(row.tolist(), is_over=not cut)
 
-    def _status(self, row: Any) -> CaptureStatus:
+    def _status(self, row: Any, *, is_over: bool = False) -> CaptureStatus:
         state, cause, value, t, *numbers = row
         if self._text[0] != (cause, value):
             self._text = (cause, value), reason(self._criteria, cause, value)
-        final = _STATES[state].is_verdict
+        final = is_over or _STATES[state].is_verdict
         return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1]))

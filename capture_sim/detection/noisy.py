@@ -409,8 +409,8 @@ class NoisyDetector:
     def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
         """Close the run; return the remaining statuses, that of the end last.
 
-        The last status is that of the last measurement: a verdict, or undecided.  Without any
-        measurement its numbers are NaN.
+        The last status is that of the last measurement: a verdict, or undecided.  It is final,
+        unless a cut run has no verdict.  Without any measurement its numbers are NaN.
 
         Parameters
         ----------
@@ -425,7 +425,7 @@ class NoisyDetector:
                 self._blame_clocks()
             unknown = (math.nan,) * 3
             observation = Observation(0.0, unknown, unknown, unknown[:2])
-            return [self._status(observation, self._tip(observation))]
+            return [self._status(observation, self._tip(observation), is_over=not cut)]
         for place in self._path.finish():
             self._decide(place)
         last = self._place
@@ -440,7 +440,7 @@ class NoisyDetector:
             # a source that stopped before the end: the rest of the run is unknown
             is_blind = self.aligner.newest - last.t > self._path.gap
             decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)
-        return [*rest, self._status(*self._last)]
+        return [*rest, self._status(*self._last, is_over=not cut)]
 
     def _blame_clocks(self) -> None:
         assert self.clock_offset is not None
@@ -541,14 +541,16 @@ class NoisyDetector:
         rate = (-wx, wy) if observation.has_rates else None
         return MeasuredTip((-(px + front), py), (-(bx + front), by), rate)
 
-    def _status(self, observation: Observation, tip: MeasuredTip) -> CaptureStatus:
+    def _status(
+        self, observation: Observation, tip: MeasuredTip, *, is_over: bool = False
+    ) -> CaptureStatus:
         rate, place, memory = tip.rate, self._place, self._memory
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
         return CaptureStatus(
             t=observation.t,
             state=self._state,
-            final=self._state.is_verdict,
+            final=is_over or self._state.is_verdict,
             distance=math.hypot(*tip.place),
             axial_offset=tip.place[0],
             lateral_offset=tip.place[1],

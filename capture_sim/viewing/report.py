@@ -153,7 +153,7 @@ def _of_run(one: Opened) -> dict[str, Any]:
     course = f"{headline(run, one.label)}."
     decided = decided_at(run)
     if decided is not None:
-        reason = next((s.reason for s in run.statuses if s.final), "")
+        reason = next(s.reason for s in run.statuses if s.state.is_verdict)
         course += f" Decided at {decided:.3f} s: {reason}."
     return {
         "name": one.label,

@@ -246,8 +246,8 @@ def in_contact(run: ViewableRun) -> np.ndarray:
 
 
 def decided_at(run: ViewableRun) -> float | None:
-    """Return when the detector's verdict became final, s since the release."""
-    return next((status.t for status in run.statuses if status.final), None)
+    """Return when the detector came to a verdict, s since the release; None if it did not."""
+    return next((status.t for status in run.statuses if status.state.is_verdict), None)
 
 
 def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Result:

@@ -124,7 +124,7 @@ VERDICTS = [
 @pytest.mark.parametrize("legs, label, reason", VERDICTS, ids=[row[2] for row in VERDICTS])
 def test_verdict_of_a_path(scene, legs, label, reason):
     final = verdict(scene, lead(*legs))[-1]
-    assert (final.state.label, final.final) == (label, label != "undecided")
+    assert (final.state.label, final.final) == (label, True)
     assert final.reason.startswith(reason)
 
 
@@ -146,6 +146,7 @@ def test_standing_short_of_be_is_stuck(scene):
 def test_nothing_measured_is_undecided(scene):
     for nothing in (ExactDetector(scene).finish(), NoisyDetector(scene).finish()[-1]):
         assert (nothing.label, nothing.reason) == ("undecided", "nothing was measured")
+        assert nothing.final
         assert math.isnan(nothing.distance)
 
 

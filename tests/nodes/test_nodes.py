@@ -653,7 +653,7 @@ def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
     assert all("ended the run early" in line for line in run.problems), run.problems
     assert len(run.problems) == 3  # simulator, launcher, detector
     last = run.statuses[-1]
-    assert (last.state.label, last.final) == ("approach", False)
+    assert (last.state.label, last.final) == ("undecided", False)
     assert detect_again(run)[-1] == last
 
 

@@ -34,6 +34,7 @@ WRONG = {
     "launcher": {
         "auto_release": ["no", 0],
         "speed_tolerance": [0.0, 10.5, float("nan"), "large"],
+        "abort_on_deviation": ["no", 0],
     },
     "capture_detector": {
         field.name: [-1.0, float("inf"), "small", *([5.0] if field.metadata["unit"] == "m" else [])]
