@@ -1,4 +1,4 @@
-"""The command line, ``capture-sim``: finds the command, and says in a line what went wrong."""
+"""The command line, ``capture-sim``: runs a command and reports an error in one line."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from capture_sim import __version__
 from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
 from capture_sim.errors import explain_import_error, one_line
 
-#: What a wrong file, value or device raises when nothing has turned it into a line yet.
+#: Errors that a wrong file, value or device raises, unless they were turned into a line before.
 _FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError, MemoryError)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return the exit status.
+    """Run a command and return its exit status.
 
-    0 fine; 1 the command's own no: a run that stopped, a verdict that differs, no buffer found;
-    2 bad input: an argument, a scene, a file that cannot be read or written; 130 interrupted.
+    0: success.  1: negative result, i.e. a run that stopped, a verdict that differs or a design
+    without a buffer.  2: bad input, i.e. an argument, a scene, or a file that cannot be read or
+    written.  130: interrupted.
     """
     _open_closed_streams()
     try:
@@ -48,9 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command_parser(name: str) -> argparse.ArgumentParser:
-    """Return the parser of a command, whose module it loads; its default ``run`` does the command.
+    """Load a command's module and return its parser, whose default ``run`` runs the command.
 
-    Ctrl-C is not lost in the import of a compiled module.
+    Ctrl-C also works while a compiled module is imported.
     """
     from capture_sim.interrupts import in_worker  # not for --help
 
@@ -69,7 +70,7 @@ def command_parser(name: str) -> argparse.ArgumentParser:
 def _open_closed_streams() -> None:
     """Send the standard streams that the caller has closed (``>&-``) to the null device.
 
-    Otherwise the next file that is opened gets a stream's number, and with it the messages.
+    Otherwise the next file to be opened gets the stream's number and receives its messages.
     """
     for number in range(3):
         try:
@@ -95,7 +96,7 @@ def _run(arguments: Sequence[str]) -> int:
     parser = _Parser(
         prog="capture-sim",
         usage="capture-sim [-h] [--version] COMMAND ...",
-        description="Emulates a ground test bench for docking and capture.",
+        description="Simulate a ground test bench for spacecraft docking.",
         epilog=_overview(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -112,12 +113,12 @@ def _overview() -> str:
         lines.append(f"{group}:")
         lines += [f"  {name:{width}}  {line}" for name, line in commands.items()]
         lines.append("")
-    lines.append("capture-sim COMMAND --help says more, with an example.")
+    lines.append("Run capture-sim COMMAND --help for the options of a command and an example.")
     return "\n".join(lines)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, and does not pass over a device that is full."""
+    """Reports an error in one line, and raises if the output device is full."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         (file or sys.stderr).write(message)
@@ -127,7 +128,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _failed(error: Exception) -> int:
-    """Say what went wrong in one line; return the exit status."""
+    """Print an error in one line and return the exit status."""
     from capture_sim.errors import CaptureSimError, MissingPackageError, SimulationError
 
     status, text = BAD_INPUT, str(error)
@@ -141,7 +142,7 @@ def _failed(error: Exception) -> int:
     elif not isinstance(error, CaptureSimError):
         text = f"{type(error).__name__}: {error}"
         if not isinstance(error, _FROM_OUTSIDE):
-            status, text = FAILED, f"{text} (CAPTURE_SIM_TRACEBACK=1 says where)"
+            status, text = FAILED, f"{text} (set CAPTURE_SIM_TRACEBACK=1 for the traceback)"
     _complain(text)
     return _flushed(status)
 
@@ -162,7 +163,7 @@ def _interrupted() -> int:
 
 
 def _flushed(status: int) -> int:
-    """Write out what was printed; return the status, or that of bad input if that fails."""
+    """Flush standard output; return the status, or that of bad input if the flush fails."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -176,7 +177,7 @@ def _flushed(status: int) -> int:
 
 
 def _give_up_stdout() -> None:
-    """Send what is still to be printed nowhere, so that Python's end does not fail on it."""
+    """Discard buffered output, so that Python does not fail on it at exit."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         null = os.open(os.devnull, os.O_WRONLY)

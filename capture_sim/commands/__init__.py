@@ -1,38 +1,38 @@
 """The commands of ``capture-sim``, one module each.
 
 A command's module has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
-``run(options)``, which returns the exit status.  It is imported when it is called, and may so
-import at its top whatever it needs.
+``run(options)``, which returns the exit status.  It is imported only when the command is called,
+so it may import all it needs at its top.
 """
 
 from __future__ import annotations
 
-#: Exit statuses: fine, the command's own no, bad input, interrupted.
+#: Exit statuses: success, negative result, bad input, interrupted.
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-#: What ``capture-sim --help`` lists: in groups, each command with one line.
+#: Groups of commands with one line each, as ``capture-sim --help`` lists them.
 GROUPS = {
     "simulate": {
-        "run": "run experiments without ROS",
-        "bench": "run experiments with the ROS 2 nodes",
-        "scenes": "list the scenes that come with the package",
+        "run": "run scenes without ROS",
+        "bench": "run scenes with the ROS 2 nodes",
+        "scenes": "list the scenes of the package",
         "show": "print a scene with all its values, as YAML",
     },
     "look": {
-        "view": "draw recorded runs",
-        "report": "one page about runs, to keep or to print",
+        "view": "draw runs as images and for the rerun viewer",
+        "report": "write an HTML report of runs",
         "replay": "play a recording with ROS 2",
         "export": "write a recording as CSV, NumPy or Parquet",
     },
     "examine": {
-        "detect": "judge a recorded run anew, with other limits if wanted",
-        "compare": "hold two recordings against each other, as measured and simulated",
-        "resimulate": "simulate a recorded run again and compare state by state",
+        "detect": "evaluate a recorded run again, with the same or other criteria",
+        "compare": "compare two recordings, e.g. measured and simulated",
+        "resimulate": "simulate a recorded run again and compare the states",
         "recover": "copy a damaged recording up to the damage",
     },
     "study": {
         "identify": "fit parameters of the bench to a recorded run",
-        "design": "find springs and damper for the strokes you want",
+        "design": "find springs and damper for target strokes",
         "sweep": "run a scene over values, distributions or a table",
     },
 }

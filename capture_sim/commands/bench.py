@@ -15,8 +15,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.viewing.source import summary_of
 
 DESCRIPTION = (
-    "Run experiments with the ROS 2 nodes, each in a process of its own; "
-    "record, tabulate and draw them."
+    "Run scenes with the ROS 2 nodes, one process each; record, tabulate and draw the results."
 )
 EXAMPLE = "  capture-sim bench tilt_0 tilt_p10 --rtf 1 --out runs"
 
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--namespace",
-        type=reader(_namespace, "a ROS name such as lab: letters, digits, _ and /"),
+        type=reader(_namespace, "a ROS name, e.g. lab (letters, digits, _ and /)"),
         metavar="NAME",
         help="put all nodes and topics in this namespace, e.g. to run two suites in one "
         "ROS_DOMAIN_ID (default: none)",
@@ -60,6 +59,6 @@ def run(options: argparse.Namespace) -> int:
     draw(runs, [run.path.stem for run in runs], options.out)
     missing = {scene.name for scene in scenes} - {run.name for run in runs}
     if missing:
-        warn(f"no result of {', '.join(sorted(missing))}")
+        warn(f"no result for {', '.join(sorted(missing))}")
         return int(status) or FAILED
     return int(status)

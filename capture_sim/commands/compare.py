@@ -16,34 +16,34 @@ from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
 from capture_sim.studies.touches import Touches
 
 DESCRIPTION = (
-    "Compare two recordings, as measured and simulated, aligned at their first "
-    "contacts: strokes and times, the touches one by one, poses over time, with a diagram. Each "
-    "number comes from the finest series that both files hold, which is named. Strokes, torsion "
-    "and nearest are of the whole recording, with what the latched tip does."
+    "Compare two recordings, e.g. measured and simulated, aligned at their first contacts: "
+    "strokes and times, the touches one by one, and the poses over time. Write a diagram. Each "
+    "number comes from the finest series that both files contain; the table names it. Strokes, "
+    "torsion and closest approach cover the whole recording, including the latched phase."
 )
 IDENTICAL = "identical"
-#: Touches that are listed.
+#: Number of touches in the printed list.
 SHOWN = 12
 EXAMPLE = "  capture-sim compare runs/tilt_0.mcap measured.mcap --out compared"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("a", metavar="A.mcap")
-    parser.add_argument("b", metavar="B.mcap")
+    parser.add_argument("a", metavar="A.mcap", help="recording: file, or folder of a bag")
+    parser.add_argument("b", metavar="B.mcap", help="recording to compare with A")
     parser.add_argument(
         "--window",
         type=not_negative,
         default=1.0,
         metavar="S",
-        help="time after the first contact that is compared (default: 1)",
+        help="compare this time after the first contact, s (default: 1)",
     )
     add_remaps(parser)
-    add_out(parser, ".", "folder of the diagram")
+    add_out(parser, ".", "write the diagram to this folder")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     prepare_folder(options.out)
     a, b = comparable(*(open_run(path, options.remaps) for path in (options.a, options.b)))
     measured = (a.measured(), b.measured())
@@ -55,15 +55,15 @@ def run(options: argparse.Namespace) -> int:
     for label, of in (("A", a), ("B", b)):
         if of.contact_may_be_late:
             echo(
-                f"{label} is aligned where {of.contact_source} first shows a force: touches "
-                "between its samples may have come before"
+                f"{label} is aligned at the first force in {of.contact_source}; a touch "
+                "between its samples may have started earlier"
             )
     _print_touches(a, b, options.window)
     over = min(options.window, ended)
     echo(
-        f"\nB - A over {over:.4g} s from the first contact on, poses from there"
+        f"\nB - A over {over:.4g} s after the first contact, poses relative to it"
         + (
-            f" ({options.window:g} s were asked for; one ends there):"
+            f" (--window is {options.window:g} s, but one recording ends there):"
             if over < options.window
             else ":"
         )
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         _gap_row(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
         for gap in gaps(*measured, a.contact, b.contact, options.window)
     ]
-    print_table(["", "rms", "largest", "at s", "from"], rows)
+    print_table(["", "rms", "peak", "at s", "source"], rows)
     with drawing("no diagram: {error}"):
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_comparison
@@ -88,7 +88,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     Raises
     ------
     RecordingError
-        The window, or what both hold, has too few samples of every quantity.
+        The window, or the time that both cover, has too few samples of every quantity.
     """
     mine, theirs = dict(a.measured().items()), dict(b.measured().items())
     shared = [name for name in mine if name in theirs]
@@ -104,7 +104,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
 
     if most(ended) < LEAST:
         raise RecordingError(
-            f"the recordings have only {ended:.4g} s after the first contact in common: that is "
+            f"the recordings have only {ended:.4g} s after the first contact in common, with "
             f"fewer than {LEAST} samples"
         )
     if most(window) < LEAST:
@@ -119,7 +119,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
 
 
 def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
-    """Return by how much a measured number differs over time, as a row of the table."""
+    """Return the difference of a measured number over time, as a row of the table."""
     unit, factor = gap.part.unit, gap.part.factor
     name = f"{gap.series}.{gap.part.label}".rstrip(".")
     whole = gap.begin < 0.02 * over and gap.end > 0.98 * over
@@ -146,7 +146,7 @@ def _print_characteristics(a: Comparable, b: Comparable) -> None:
                 share = f"{off / here.value:+z.2%}"
         source = _source(*("" if x is None else x.source for x in (here, there)))
         rows.append([name, *cells, gap, share, source])
-    print_table(["", "A", "B", "B - A", "%", "from"], rows)
+    print_table(["", "A", "B", "B - A", "%", "source"], rows)
 
 
 def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
@@ -154,14 +154,14 @@ def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
     tables = []
     for label, of in (("A", a), ("B", b)):
         if of.touches is None:
-            echo(f"\n{label} has no single touches: {of.touch_source}")
+            echo(f"\n{label} has no list of touches: {of.touch_source}")
         else:
             tables.append(of.touches.within(of.contact, window))
     if len(tables) < 2:
         return
     echo(
-        f"\ntouches within {window:g} s, paired in their order, by "
-        f"{_source(a.touch_source, b.touch_source)}; +- the wall:"
+        f"\ntouches within {window:g} s, paired in order, from "
+        f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall):"
     )
     rows = []
     for i, pair in enumerate(zip_longest(*map(_touch_rows, tables))):
@@ -187,7 +187,7 @@ def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
             impulse = float(table.impulse.sum())
             number = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
             echo(
-                f"  {label}: {number}, largest {table.peak.max():.2f} N"
+                f"  {label}: {number}, peak {table.peak.max():.2f} N"
                 + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
             )
 
@@ -207,7 +207,7 @@ def _number(value: float, digits: int, sign: str = "") -> str:
 
 
 def _difference(value: float, sign: str = "+") -> str:
-    """Return a difference by four digits, or where they are all 0 by its order."""
+    """Return a difference with four decimals, or its order of magnitude if they are all 0."""
     return f"{value:{sign}.4f}" if abs(value) >= 5e-5 else f"{value:{sign}.0e}"
 
 

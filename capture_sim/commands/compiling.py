@@ -1,4 +1,4 @@
-"""The kernels' compilation, once for each version, shown as it goes."""
+"""Compilation of the kernels, once for each version, with its progress."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from capture_sim.kernels import is_compiled
 
 
 def compile_first() -> None:
-    """Load the kernels; compile them if this version never was, and show how far that is."""
+    """Load the kernels; if this version is not compiled yet, compile it and show the progress."""
     if is_compiled():
         compile_kernels()
         return
-    echo("compiling the kernels, once for this version: about half a minute of one core")
+    echo("compiling the kernels, once for this version: about 30 s of CPU time on one core")
     began = time.perf_counter()
     with (
         Progress("kernels") as progress,

@@ -38,9 +38,9 @@ from capture_sim.studies.design import (
 )
 
 DESCRIPTION = (
-    "Design a buffer: target strokes in, k_A, k_T and c_A out, or the reason why no buffer meets "
-    "the target (exit status 1). Targets and limits hold over the whole run of the design, latch "
-    "included. Without strokes those of the scene's own buffer are the target."
+    "Find k_A, k_T and c_A of a buffer for target strokes, or the reason why no buffer meets the "
+    "target (exit status 1). Targets and limits apply to the whole run, including the latched "
+    "phase. Without --stroke and --torsion, the strokes of the scene's own buffer are the target."
 )
 EXAMPLE = "  capture-sim design paper_designed --stroke 7.5 --torsion 2"
 
@@ -52,43 +52,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stroke",
         type=in_unit("mm"),
         metavar="MM",
-        help="axial stroke to use, inwards or outwards, mm or with a unit",
+        help="set the target axial stroke, inwards or outwards, mm or with a unit",
     )
     parser.add_argument(
         "--torsion",
         type=in_unit("mrad"),
         metavar="MRAD",
-        help="torsion to use, mrad or with a unit, e.g. '0.2 deg'",
+        help="set the target torsion, mrad or with a unit, e.g. '0.2 deg'",
     )
     parser.add_argument(
         "--first-contact",
         action="store_true",
-        help="design as in the paper: strokes of the first contact without the damper; exceed "
-        "them in later contacts (default: keep them over the whole run)",
+        help="design as in the paper: targets apply to the first contact without the damper, and "
+        "later contacts may exceed them (default: targets apply to the whole run)",
     )
     parser.add_argument(
         "--peak-force",
         type=in_unit("N"),
         metavar="N",
-        help="limit the force of every touch, N (default: no limit)",
+        help="limit the peak force of every touch, N (default: no limit)",
     )
     parser.add_argument(
         "--spread",
-        type=reader(_spread, "%,mm,deg, as 10,2,1"),
+        type=reader(_spread, "%,mm,deg, e.g. 10,2,1"),
         metavar="SPEED,OFFSET,ANGLE",
-        help="choose the damper that keeps the capture longest under this spread of the approach: "
-        "%%, mm, deg, as 10,2,1",
+        help="choose the damper that captures up to the largest multiple of this spread of the "
+        "approach, in %%, mm, deg, e.g. 10,2,1",
     )
     parser.add_argument(
         "--trade-off",
         type=reader(_factors, "LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"),
         default=(),
         metavar="LOW:HIGH:N",
-        help="also design for N axial strokes from LOW to HIGH times the target, as 0.3:3:9",
+        help="also design for N axial strokes from LOW to HIGH times the target, e.g. 0.3:3:9",
     )
-    parser.add_argument(
-        "-v", "--verbose", action="store_true", help="list every buffer that is tried"
-    )
+    parser.add_argument("-v", "--verbose", action="store_true", help="list every candidate buffer")
     add_out(parser, "runs/design")
 
 
@@ -115,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design, draw_trade_off
 
-        echo(f"picture in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"image in {save(draw_design(design), options.out / 'design.png')}")
         if designs:
             echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED
@@ -149,7 +147,7 @@ def _factors(text: str) -> list[float]:
 
 
 class _Candidates:
-    """The buffers that are tried: the latest on a terminal, all with ``--verbose``."""
+    """Output of the candidate buffers: the latest on a terminal, all with ``--verbose``."""
 
     def __init__(self, *, verbose: bool) -> None:
         self._verbose = verbose
@@ -167,7 +165,7 @@ class _Candidates:
             self._status.stop()
 
     def show(self, candidate: Candidate) -> None:
-        """Show a buffer that was tried, and what it does."""
+        """Show a candidate buffer and its strokes."""
         self._count += 1
         verdict = "" if candidate.verdict is None else f"  {candidate.verdict.label}"
         line = (
@@ -206,24 +204,25 @@ def _report(design: Design) -> None:
             f"touch {contact.peak_force:.1f} N, buffer {contact.buffer_force:.1f} N"
         )
     echo(
-        f"  of {energy.approach * 1e3:.2f} mJ at the first touch the damper absorbed "
-        f"{energy.damper * 1e3:.2f}, the touches {energy.contact * 1e3:.2f}, until the verdict"
+        f"  of {energy.approach * 1e3:.2f} mJ at the first touch, the damper dissipated "
+        f"{energy.damper * 1e3:.2f} mJ and the touches {energy.contact * 1e3:.2f} mJ until the "
+        "verdict"
     )
     if design.margin is not None:
-        echo(f"  every capture is kept up to {design.margin:g} times the spread")
-    echo(f"\nthe design, simulated: {outcome.verdict.label}, {outcome.reason}")
+        echo(f"  captures up to {design.margin:g} times the spread")
+    echo(f"\nsimulation of the design: {outcome.verdict.label}, {outcome.reason}")
     print_table(["whole run", "", "at s", "target", "margin"], _load_rows(design))
     for key, limit in exceeded(design).items():
         exceeding = next(load for load in LOADS if load.key == key)
         echo(
             f"later contacts exceed the target: {exceeding.meaning} "
             f"{outcome.loads[key] * exceeding.factor:.4g} {exceeding.shown_in}, "
-            f"must be at most {limit * exceeding.factor:.4g}; without --first-contact it is kept"
+            f"must be at most {limit * exceeding.factor:.4g}; omit --first-contact to include them"
         )
 
 
 def _load_rows(design: Design) -> list[list[str]]:
-    """Return the loads of the design's whole run with their targets, a row each."""
+    """Return one row for each load of the design's whole run, with its target."""
     assert design.outcome is not None
     limits, loads = limits_of(design.target), design.outcome.loads
     rows = []
@@ -251,7 +250,7 @@ def _line(design: Design) -> str:
 
 
 def _keep(design: Design, folder: Path) -> None:
-    """Write the scene with its buffer, and every run of the search."""
+    """Write the scene with the designed buffer, and every run of the search."""
 
     def plain(candidate: Candidate) -> dict[str, Any]:
         row = dataclasses.asdict(candidate)

@@ -22,18 +22,17 @@ _TICK = 1e-6
 _BENCH_TOLERANCE = 0.1
 
 DESCRIPTION = (
-    "Judge a recorded run anew from its poses and the buffer's state alone, with the capture "
-    "detector's limits as they were when it was recorded (capture/criteria; the scene's, where the "
-    "recording does not hold them) or changed by --set detector.capture_radius=0.004. Unchanged "
-    "it must come to the recorded verdict, else the exit status is 1. Times are s since the "
-    "release."
+    "Evaluate a recorded run again, from its poses and the state of the buffer. The criteria are "
+    "the recorded ones (capture/criteria), or those of the scene if the recording contains none; "
+    "--set changes them. With unchanged criteria, the exit status is 1 if the verdict differs from "
+    "the recorded one. Times are in s since the release."
 )
 EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.capture_radius=0.004"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     add_remaps(parser)
     add_geometry(parser)
     parser.add_argument(
@@ -41,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="overrides",
-        metavar="detector.LIMIT=VALUE",
-        help="change a limit of the detector, in SI units; may be repeated",
+        metavar="detector.FIELD=VALUE",
+        help="change a criterion of the detector, in SI units; may be repeated",
     )
 
 
@@ -56,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         name, unit = limit.name, limit.metadata["unit"]
         value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))
         if value != of_scene:
-            echo(f"recorded limit: {name} = {value:g} {unit} (the scene's: {of_scene:g} {unit})")
+            echo(f"recorded criterion: {name} = {value:g} {unit} (scene: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
     released = stamp_seconds(release_of(recorded))
     label = None
@@ -70,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     verdict = statuses[-1]
     since = _since(verdict, released)
     echo(
-        f"verdict: {verdict.label} since {since:.3f} s; nearest "
+        f"verdict: {verdict.label} since {since:.3f} s; closest approach "
         f"{verdict.nearest_distance * 1e3:.3f} mm, {len(statuses) - 1} measurements"
     )
     if not recorded.statuses:
@@ -87,11 +86,14 @@ def run(options: argparse.Namespace) -> int:
         return OK
     if recorded.criteria is None:
         echo(
-            "the recording does not hold the detector's limits: judged by the scene's, and others "
-            "that were set on its node would explain the difference"
+            "the recording contains no criteria, so those of the scene were used; criteria that "
+            "were set on the node may explain the difference"
         )
     else:
-        echo("the limits are the same: not all that the detector received is here, or it changed")
+        echo(
+            "the criteria are the same: the recording lacks some of the detector's input, or the "
+            "detector has changed"
+        )
     return FAILED
 
 
@@ -101,12 +103,12 @@ def _since(status: CaptureStatus, released: float) -> float:
 
 
 def _limits_changed(overrides: Sequence[str]) -> set[str]:
-    """Return the names of the limits that are changed.
+    """Return the names of the criteria that are changed.
 
     Raises
     ------
     SceneError
-        Something else is to be changed.
+        An override changes another field.
     """
     allowed = [f.name for f in fields(Detector)]
     changed = set()

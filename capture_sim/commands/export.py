@@ -12,25 +12,34 @@ from capture_sim.errors import RecordingError
 from capture_sim.recording.export import KINDS, exported, save_tables
 
 DESCRIPTION = (
-    "Write a recording as tables: a column for every number, SI units as in msg/, a CSV or "
-    "Parquet file for every topic in a folder, or all in one .npz."
+    "Write a recording as tables with one column for each number, in the SI units of msg/: one CSV "
+    "or Parquet file for each topic, or one .npz file for all."
 )
 EXAMPLE = "  capture-sim export runs/tilt_0.mcap --to npz"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     add_remaps(parser)
-    parser.add_argument("--to", choices=KINDS, default="csv", help="default: csv")
+    parser.add_argument(
+        "--to", choices=KINDS, default="csv", help="write this format (default: csv)"
+    )
     parser.add_argument(
         "--out",
         type=Path,
-        help="folder of the files (default: RUN beside the recording, RUN_tables beside a bag)",
+        help="write the files to this folder (default: RUN next to the recording, RUN_tables next "
+        "to a bag)",
     )
-    parser.add_argument("--topics", nargs="+", default=(), metavar="TOPIC", help="only these")
     parser.add_argument(
-        "--columns", nargs="+", default=(), metavar="NAME", help="only these, as q, q.x_S"
+        "--topics", nargs="+", default=(), metavar="TOPIC", help="write only these topics"
+    )
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="write only these columns, e.g. q or q.x_S",
     )
 
 
@@ -41,7 +50,9 @@ def run(options: argparse.Namespace) -> int:
     for problem in problems:
         warn(problem)
     if not topics:
-        raise RecordingError(f"{options.recording}: holds no messages that make a table")
+        raise RecordingError(
+            f"{options.recording}: contains no message that can be written as a table"
+        )
     folder = options.out or _folder_beside(Path(options.recording).resolve(), options.to)
     prepare_folder(folder)
     for path in save_tables(recorded, folder, options.to, options.topics, options.columns):
@@ -50,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _folder_beside(recording: Path, to: str) -> Path:
-    """Return where tables go unless told: beside the recording, never into a bag."""
+    """Return the default folder of tables: next to the recording, never inside a bag."""
     if to == "npz":
         return recording.parent
     folder = recording if recording.is_dir() else recording.with_suffix("")

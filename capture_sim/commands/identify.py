@@ -30,40 +30,45 @@ from capture_sim.studies.identify import RELEASE, identify, is_explained
 
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
-    "vehicles), e, mu, c_A, or any number of the scene as buffer.k_A. Poses, stroke and torsion "
-    "are fitted, and the first touches where they were recorded. Where the recording does not show "
-    "when the chaser was released, that is fitted as well, beginning at --release. Prints values "
-    "with standard errors. Exit status 1 when the model does not explain what was measured, or a "
-    "parameter does not show in it."
+    "vehicles), e, mu, c_A, or any number of the scene, e.g. buffer.k_A. The fit uses poses, "
+    "stroke and torsion, and the first touches if they are recorded. If the recording contains no "
+    "release time, the release is fitted as well, starting at --release. Print the values with "
+    "standard errors. The exit status is 1 if the model does not explain the measurements, or if "
+    "they do not depend on a parameter."
 )
 EXAMPLE = "  capture-sim identify measured.mcap c_rr e mu c_A --scene tilt_0"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     add_remaps(parser)
-    parser.add_argument("parameters", nargs="+", metavar="PARAMETER")
+    parser.add_argument(
+        "parameters",
+        nargs="+",
+        metavar="PARAMETER",
+        help="c_rr, e, mu, c_A, or a field of the scene",
+    )
     add_geometry(parser)
     parser.add_argument(
         "--until",
         type=not_negative,
         default=math.inf,
         metavar="S",
-        help="leave out what was measured later",
+        help="use only measurements up to this time, s since the release (default: all)",
     )
     add_release(parser)
     parser.add_argument(
         "--fix-release",
         action="store_true",
-        help="do not fit when the chaser was released: it is known to better than 0.1 ms",
+        help="do not fit the release time; use if it is known to better than 0.1 ms",
     )
     parser.add_argument(
         "--touches",
         type=whole(),
         default=4,
         metavar="N",
-        help="touches that are fitted by time and peak force; 0 none (default: 4)",
+        help="fit the time and peak force of the first N touches; 0 for none (default: 4)",
     )
     parser.add_argument(
         "--touch-noise",
@@ -71,16 +76,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=not_negative,
         default=(2e-4, 2.0),
         metavar=("S", "N"),
-        help="standard deviations of a touch's time and peak force (default: 2e-4 2)",
+        help="set the standard deviations of a touch's time, s, and peak force, N (default: 2e-4 "
+        "2)",
     )
     parser.add_argument(
-        "--starts", type=whole(), default=10, metavar="N", help="searches at most (default: 10)"
+        "--starts",
+        type=whole(),
+        default=10,
+        metavar="N",
+        help="start at most N searches (default: 10)",
     )
     add_overrides(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, options.scene, options.overrides)
     measured = measurements(recorded, options.release)
@@ -108,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
     given = (release_of(recorded, options.release) - counted_from) / 1e9
     rows = []
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
-        notes = ["at the bound of its range"] if name in fit.at_bound else []
+        notes = ["at the limit of its range"] if name in fit.at_bound else []
         if name == RELEASE:
             began, value = given, value + given
             notes.append(f"s after the {'recorded release' if known else 'first pose'}")
@@ -117,19 +127,19 @@ def run(options: argparse.Namespace) -> int:
         share = f"{error / abs(value):.2%}" if value else "-"
         row = [name, f"{value:.6g}", f"{error:.2g}", share, f"{began:.6g}", ", ".join(notes)]
         rows.append(row)
-    print_table(["parameter", "value", "+-", "%", "began at", ""], rows)
+    print_table(["parameter", "value", "+-", "%", "start", ""], rows)
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
             if abs(fit.correlation[i, j]) > 0.9:
                 echo(f"{second} and {first} are hard to separate: {fit.correlation[i, j]:+.2f}")
     echo(
-        f"chi2 {fit.chi2:.3g} for each degree of freedom (1: all but noise is explained), "
+        f"chi2 {fit.chi2:.3g} per degree of freedom (1: residuals at the noise floor), "
         f"{fit.touches} touches, {fit.evaluations} simulations"
     )
     if fit.touches:
-        echo(f"touches are those of {source}")
+        echo(f"touches from {source}")
     elif options.touches > 0:
-        echo("no touches: neither events nor a force that is sampled fast enough")
+        echo("no touches: the recording has no events and no force sampled fast enough")
     changes = [
         f"--set {path}={value:.9g}"
         for name, value in zip(fit.names, fit.values, strict=True)
@@ -138,13 +148,11 @@ def run(options: argparse.Namespace) -> int:
     ]
     echo(" ".join(changes))
     for name in fit.undetermined:
-        echo(
-            f"{name}: what was measured does not depend on it; the value is where the search began"
-        )
+        echo(f"{name}: the measurements do not depend on it; the value is the start value")
     if not is_explained(fit):
         echo(
-            "the model does not explain what was measured: the errors are widened by "
-            f"{fit.chi2**0.5:.3g}, and may still be too small"
+            "the model does not explain the measurements: the standard errors are scaled by "
+            f"{fit.chi2**0.5:.3g} and may still be too small"
         )
         return FAILED
     return FAILED if fit.undetermined else OK

@@ -1,7 +1,7 @@
-"""What commands take: arguments, scenes, recordings; checked before anything runs.
+"""Inputs of commands: arguments, scenes, recordings; checked before anything runs.
 
-Recordings and pictures load libraries that most commands do without: they are imported where
-they are used.
+Recordings and images need libraries that most commands do not: they are imported where they are
+used.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 Read = TypeVar("Read")
 Number = TypeVar("Number", int, float)
 
-#: Of processes that a study starts.
+#: Number of processes of a study.
 WORKERS = Range(1, 1024)
-#: Of seeds: what every generator takes.
+#: Seeds that every generator accepts.
 SEEDS = Range(0, 2**32 - 1)
 
-#: Units that a plain number of an argument may be in: the SI unit, and its factor to that.
+#: Units of an argument's plain number, with the SI unit and the factor to it.
 _UNITS = {
     "mm": ("m", 1e-3),
     "mrad": ("rad", 1e-3),
@@ -45,14 +45,14 @@ _UNITS = {
 
 
 def reader(read: Callable[[str], Read], allowed: str) -> Callable[[str], Read]:
-    """Return a reader of an argument, for its ``type=``, that says what is allowed.
+    """Return a reader of an argument, for its ``type=``, whose error states the allowed values.
 
     Parameters
     ----------
     read
-        Raises ValueError where a text is not allowed.
+        Function of a text; raises ValueError if the text is not allowed.
     allowed
-        Behind "must be".
+        Text after "must be".
     """
 
     def read_allowed(text: str) -> Read:
@@ -92,19 +92,19 @@ positive = number(POSITIVE)
 
 
 def quantity(text: str, unit: str) -> float:
-    """Return a number with or without a unit, as ``5 deg``, in SI.
+    """Return a number with or without a unit, e.g. ``5 deg``, in SI.
 
     Parameters
     ----------
     text
-        As the user wrote it.
+        The user's text.
     unit
-        That a number has without one, as "mm".
+        Unit of a plain number, e.g. "mm".
 
     Raises
     ------
     ValueError
-        It is no finite number, or its unit is of another dimension.
+        The number is not finite, or its unit has another dimension.
     """
     si_unit, factor = _UNITS[unit]
     value_text, given = split(text)
@@ -122,7 +122,7 @@ def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
 
 
 def add_experiments(parser: argparse.ArgumentParser) -> None:
-    """Add experiments, the folder of the results, and changes to the scenes."""
+    """Add the scenes to run, the folder of the results, and changes to the scenes."""
     parser.add_argument(
         "experiments",
         nargs="+",
@@ -133,10 +133,10 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         default=Path("runs"),
-        help="folder of the results (default: runs). A recording of the nodes or of a bench is "
-        "never overwritten: the new one and its picture get a number behind their name. "
-        "results.txt, results.json, overview.png and runs.rrd are of the last command that made "
-        "a run",
+        help="write the results to this folder (default: runs). A recording of the nodes or of a "
+        "bench is never overwritten: the new one and its image get a number after their name. "
+        "results.txt, results.json, overview.png and runs.rrd are replaced by every command that "
+        "completes a run",
     )
     add_overrides(parser)
 
@@ -144,13 +144,19 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
 def add_scene(parser: argparse.ArgumentParser, default: str) -> None:
     """Add the scene of a study, and changes to it."""
     parser.add_argument(
-        "scene", nargs="?", default=default, metavar="SCENE", help=f"default: {default}"
+        "scene",
+        nargs="?",
+        default=default,
+        metavar="SCENE",
+        help=f"name of a scene, YAML file or recording (default: {default})",
     )
     add_overrides(parser)
 
 
-def add_out(parser: argparse.ArgumentParser, default: str, what: str = "folder") -> None:
-    """Add where the results go."""
+def add_out(
+    parser: argparse.ArgumentParser, default: str, what: str = "write the results to this folder"
+) -> None:
+    """Add the folder of the results."""
     parser.add_argument(
         "--out", type=Path, default=Path(default), help=f"{what} (default: {default})"
     )
@@ -164,15 +170,15 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="overrides",
         metavar="PART.FIELD=VALUE",
-        help="change a value of the scene, as buffer.k_A=500 (SI) or buffer.k_A='0.5 N/mm'; may be "
-        "repeated",
+        help="change a value of the scene, e.g. buffer.k_A=500 (SI) or buffer.k_A='0.5 N/mm'; may "
+        "be repeated",
     )
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
-    """Add recordings or experiments to be looked at, and what a bench's recording leaves open."""
+    """Add recordings or scenes to look at, and what the recording of a bench may lack."""
     parser.add_argument(
-        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, bags' folders, or names"
+        "runs", nargs="+", metavar="RUN", help="recorded .mcap files, folders of bags, or scenes"
     )
     add_geometry(parser)
     add_release(parser)
@@ -180,22 +186,22 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_geometry(parser: argparse.ArgumentParser) -> None:
-    """Add ``--scene EXPERIMENT``: of a recording that holds none."""
+    """Add ``--scene SCENE`` for a recording that contains no scene."""
     parser.add_argument(
         "--scene",
-        metavar="EXPERIMENT",
-        help="name or YAML file whose geometry a bench has whose recording holds no scene",
+        metavar="SCENE",
+        help="take the geometry from this scene (name or YAML file) if the recording contains none",
     )
 
 
 def add_release(parser: argparse.ArgumentParser) -> None:
-    """Add ``--release S``: when the chaser of a real bench was released."""
+    """Add ``--release S``, the release time on a real bench."""
     parser.add_argument(
         "--release",
         type=not_negative,
         metavar="S",
-        help="when a bench released the chaser, s after the recording's first pose (default: by "
-        "launcher/command, else the first pose)",
+        help="set the time of the release on a real bench, s after the first recorded pose "
+        "(default: from launcher/command, otherwise the first pose)",
     )
 
 
@@ -207,26 +213,31 @@ def add_remaps(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="remaps",
         metavar="TOPIC:=RECORDED_TOPIC",
-        help="read a topic of the bench under the name that it was recorded by, e.g. "
-        "chaser/odom:=/mocap/rb1/odom; may be repeated (default: as the recorder noted)",
+        help="read a topic of the bench from another recorded topic, e.g. "
+        "chaser/odom:=/mocap/rb1/odom; may be repeated (default: the recorder's remaps)",
     )
 
 
 def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
-    """Add where a study's runs are done."""
+    """Add the processes or the cluster for the runs of a study."""
     parser.add_argument(
-        "--workers", type=whole(WORKERS), metavar="N", help="processes (default: one per core)"
+        "--workers",
+        type=whole(WORKERS),
+        metavar="N",
+        help="run in N processes (default: one per core)",
     )
     if scheduler:
         parser.add_argument(
-            "--scheduler", metavar="ADDRESS", help="of a Dask cluster, as tcp://127.0.0.1:8786"
+            "--scheduler",
+            metavar="ADDRESS",
+            help="run on this Dask cluster, e.g. tcp://127.0.0.1:8786",
         )
 
 
 def is_recording(source: str) -> bool:
-    """Whether an argument names a recording, a file or a bag's folder, and not a scene.
+    """Return True if an argument names a recording (file or folder of a bag), not a scene.
 
-    A folder that has the name of a known scene is meant when it is written as a path (./tilt_0).
+    To name a folder that has the name of a scene, write it as a path (./tilt_0).
     """
     if source.endswith(".mcap"):
         return True
@@ -256,14 +267,14 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise SceneError(
-            f"experiments: {', '.join(sorted(twice))} given twice: each needs a name of its own, "
-            "for its files"
+            f"scenes: {', '.join(sorted(twice))} given twice: each must have its own name, as "
+            "its files are named after it"
         )
     return scenes
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder, and make sure before anything runs that results can be written to it."""
+    """Create a folder and check, before anything runs, that results can be written to it."""
     if reason := why_not_writable(folder):
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
@@ -271,31 +282,30 @@ def prepare_folder(folder: Path) -> None:
 def open_run(
     path: str, remaps: Sequence[str], *, several: bool = False, quiet: bool = False
 ) -> Run:
-    """Read a recording, and say what is wrong with it.
+    """Read a recording and print its problems.
 
     Parameters
     ----------
     path
-        A file, or a bag's folder.
+        File, or folder of a bag.
     remaps
         From :func:`add_remaps`.
     several
-        Whether it may hold several runs.
+        True if the recording may contain several runs.
     quiet
-        Whether its problems are left to the caller.
+        True to leave the problems to the caller.
 
     Raises
     ------
     RecordingError
-        It cannot be read, or holds several runs where that is not allowed.
+        It cannot be read, or contains several runs without ``several``.
     """
     from capture_sim.recording.read import read_run, remap_of
 
     run = read_run(path, remaps=dict(map(remap_of, remaps)))
     if len(run.run_ids) > 1 and not several:
         raise RecordingError(
-            f"{path}: holds {len(run.run_ids)} runs, which mix, as their times begin anew: allowed "
-            "is one"
+            f"{path}: contains {len(run.run_ids)} runs, whose times overlap: must be one run"
         )
     for problem in () if quiet else (*run.left_out, *run.problems):
         warn(f"{path}: {problem}")
@@ -309,7 +319,7 @@ def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
     try:
         text = run.scene_text
     except RecordingError as error:
-        raise SceneError(f"{error}: name one by --scene") from None
+        raise SceneError(f"{error}: give it with --scene") from None
     return load_scene_text(text, overrides)
 
 
@@ -319,25 +329,25 @@ def open_runs(
     release: float | None = None,
     remaps: Sequence[str] = (),
 ) -> list[Opened]:
-    """Open recordings, or run experiments given by name; say what is wrong with a recording.
+    """Open recordings, or run scenes given by name; print the problems of a recording.
 
     Parameters
     ----------
     sources
-        MCAP files, bags' folders, or experiments.
+        MCAP files, folders of bags, or scenes.
     scene
-        Whose geometry the bench of a recording has that holds no scene; None for none.
+        Scene for the geometry of a recording that contains none; None for no scene.
     release
-        When a bench released the chaser, s after the first pose; None to take it from the bag.
+        Release time on a real bench, s after the first pose; None to take it from the bag.
     remaps
         From :func:`add_remaps`.
 
     Raises
     ------
     RecordingError
-        A file cannot be read or holds nothing to draw.
+        A file cannot be read or contains nothing to draw.
     SceneError
-        There is no such experiment.
+        There is no such scene.
     """
     if scene is not None:
         load_scene(scene)  # also where every recording contains its own
@@ -358,7 +368,7 @@ def open_runs(
 
 
 def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
-    """Name runs, with the folder in front where recordings in several are called the same."""
+    """Return labels of runs, with the folder in front if recordings of two folders share a name."""
     folders: dict[str, set[Path]] = {}
     for one, source in zip(opened, sources, strict=True):
         if is_recording(source):
@@ -399,7 +409,7 @@ def _run_now(name: str) -> Opened:
     try:
         scene = load_scene(name)
     except SceneError as error:
-        raise SceneError(f"{error}; a recording ends in .mcap, or is a bag's folder") from None
+        raise SceneError(f"{error}; a recording ends in .mcap or is the folder of a bag") from None
     compile_first()
     result = simulate(scene)
     return Opened(result, scene.name, "run now", software_versions(), result.wall_time)

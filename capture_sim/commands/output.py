@@ -1,7 +1,7 @@
-"""What commands print and leave: lines, tables, progress, results, pictures.
+"""Output of commands: lines, tables, progress, results, images.
 
-What draws is imported where it is used: a run without pictures does not wait for matplotlib and
-rerun.
+Libraries that draw are imported where they are used: a run without images does not wait for
+matplotlib and rerun.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ if TYPE_CHECKING:
 
     from capture_sim.viewing.source import ViewableRun
 
-#: Drawn of several runs side by side.
+#: Image of several runs side by side.
 OVERVIEW = "overview.png"
 #: All runs for rerun.
 RRD = "runs.rrd"
-#: Between two lines of progress where there is no terminal, s.
+#: Time between two lines of progress without a terminal, s.
 _PAUSE = 10.0
 
 
 def echo(text: str) -> None:
-    """Print lines at once, also into a pipe; control characters, of a recording say, are blank."""
+    """Print lines without delay, also into a pipe; control characters become blanks."""
     print("".join(c if c.isprintable() or c == "\n" else " " for c in text), flush=True)
 
 
 def warn(text: str) -> None:
-    """Print a line about something that is not as it should be."""
+    """Print a warning on standard error, in one line."""
     print(f"capture-sim: {one_line(text)}", file=sys.stderr, flush=True)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
     """Print a table; the first ``left`` columns are aligned to the left.
 
-    It is as wide as its contents where no terminal bounds it, and bold only on one.
+    Without a terminal, it is as wide as its contents and has no bold text.
     """
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     for number, name in enumerate(head):
@@ -67,7 +67,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int
 
 
 class Progress:
-    """How far a long command is: a bar with a total on a terminal, else a line now and then."""
+    """Progress of a long command: a bar on a terminal, otherwise a line every 10 s."""
 
     def __init__(self, unit: str = "runs") -> None:
         self._unit = unit
@@ -101,7 +101,7 @@ class Progress:
             self._bar.stop()
 
     def at(self, name: str, done: int, count: int) -> None:
-        """Show that ``done`` of ``count`` in the round ``name`` are done, and how long it takes."""
+        """Show that ``done`` of ``count`` in the round ``name`` are done, with the time left."""
         now = time.monotonic()
         began, before = self._began.setdefault(name, (now, done))
         speed = (done - before) / (now - began) if now > began else 0.0
@@ -117,7 +117,7 @@ class Progress:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file that is whole once it has its name; return its path."""
+    """Write a text file that is complete as soon as it has its name; return its path."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
@@ -135,8 +135,8 @@ def write_json(path: Path, data: Any) -> Path:
 
 
 @contextmanager
-def drawing(lacking: str = "no picture: {error}") -> Iterator[None]:
-    """Go on without what is drawn, and say so, where what draws it is not installed."""
+def drawing(lacking: str = "no image: {error}") -> Iterator[None]:
+    """Continue without the image, and print so, if a library that draws is not installed."""
     try:
         yield
     except ImportError as error:
@@ -144,9 +144,9 @@ def drawing(lacking: str = "no picture: {error}") -> Iterator[None]:
 
 
 def report(summaries: list[dict[str, Any]], folder: Path) -> None:
-    """Print the table of results, and keep it and its numbers in ``folder``.
+    """Print the table of results, and write it and its numbers to ``folder``.
 
-    Without a result nothing is written: what an earlier command left there is kept.
+    Without a result nothing is written: the files of an earlier command are kept.
     """
     from capture_sim.results import table
 
@@ -166,29 +166,29 @@ def draw(
     *,
     pictures: bool = True,
 ) -> None:
-    """Draw each run, all side by side, and all for rerun, where what that takes is installed.
+    """Draw each run, all side by side, and all for rerun, if the libraries are installed.
 
     Parameters
     ----------
     runs
-        To be drawn.
+        Runs to draw.
     labels
-        Their names, one each, none twice: of the recordings, as a scene may have several.
+        One distinct name for each run: that of its recording, as a scene may have several.
     folder
-        Where the pictures go.
+        Folder of the images.
     rrd
-        The file for rerun; None for ``runs.rrd`` in the folder.
+        File for rerun; None for ``runs.rrd`` in the folder.
     pictures
-        Whether pictures are wanted, not only the file for rerun.
+        False to write only the file for rerun.
     """
     if not runs:
         return
     jobs: list[_Job] = []
     if pictures:
-        with drawing("no pictures: {error}"):
+        with drawing("no images: {error}"):
             jobs += _picture_jobs(runs, labels, folder)
     path = folder / RRD if rrd is None else rrd
-    jobs.append(_Job("for rerun in", _save_rrd, (runs, path, labels)))
+    jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels)))
     # forked, so that each process shares what is loaded and loads what only its job needs
     fork = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(
@@ -200,15 +200,15 @@ def draw(
         # the file for rerun first, as it takes longest to begin
         drawn = [pool.submit(job.draw, *job.arguments) for job in reversed(jobs)][::-1]
         for job, file in zip(jobs, drawn, strict=True):
-            # the system's ROS of a workstation has no rerun: the recording is what counts there
-            with drawing("no rerun file: {error}; install it and call capture-sim view"):
+            # a system's ROS has no rerun: the recording matters there
+            with drawing("no rerun file: {error}; install it and run capture-sim view"):
                 echo(f"{job.title} {file.result()}")
     if pictures and len(runs) == 1:
         remove_earlier([folder / OVERVIEW])
 
 
 class _Job(NamedTuple):
-    """A file to be drawn: the line that names it, and the call that draws it and returns it."""
+    """A file to draw: the start of its line, and the call that draws it and returns its path."""
 
     title: str
     draw: Callable[..., Path]
@@ -221,9 +221,9 @@ def _picture_jobs(
     from capture_sim.viewing.plots import draw_overview, draw_run
 
     for run, label in zip(runs, labels, strict=True):
-        # the overview's name is taken
+        # the label is the overview's name
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        yield _Job("picture in", _save_picture, (draw_run, run, label, folder / name))
+        yield _Job("image in", _save_picture, (draw_run, run, label, folder / name))
     if len(runs) > 1:
         yield _Job(
             "side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
@@ -243,8 +243,8 @@ def _save_rrd(runs: Sequence[ViewableRun], path: Path, labels: Sequence[str]) ->
 
 
 def remove_earlier(paths: Iterable[Path]) -> None:
-    """Remove files of earlier runs, and print their names."""
+    """Remove files of earlier runs and print their names."""
     for path in paths:
         if path.is_file():
             path.unlink()
-            echo(f"removed {path}: it showed earlier runs")
+            echo(f"removed {path}: from earlier runs")

@@ -10,18 +10,18 @@ from capture_sim.commands.output import echo, warn
 from capture_sim.recording.recover import NothingToRecoverError, recover
 
 DESCRIPTION = (
-    "Copy a recording that was cut or damaged, up to the damage, into a new file that is whole, "
-    "and report what is lost. The damaged file is not changed. Exit status 1 if no message "
-    "precedes the damage."
+    "Copy a truncated or damaged recording, up to the damage, to a new complete file and report "
+    "the losses. The damaged file is not changed. The exit status is 1 if no message precedes the "
+    "damage."
 )
 EXAMPLE = "  capture-sim recover runs/tilt_0.mcap"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     parser.add_argument(
-        "--out", type=Path, help="file to write (default: RUN_recovered.mcap beside it)"
+        "--out", type=Path, help="write this file (default: RUN_recovered.mcap next to it)"
     )
 
 

@@ -15,9 +15,9 @@ from capture_sim.recording.read import remap_of
 from capture_sim.scene.quantities import Range
 
 DESCRIPTION = (
-    "Play a recording with ROS 2: the recorded bytes with their timing, on the caller's "
-    "ROS_DOMAIN_ID. While it plays, the services /player/pause and /player/resume "
-    "(std_srvs/Trigger) and those of simulation_interfaces control it."
+    "Publish the recorded messages with ROS 2, unchanged and with their timing, in the "
+    "ROS_DOMAIN_ID of the environment. The services /player/pause and /player/resume "
+    "(std_srvs/Trigger) and those of simulation_interfaces control the replay."
 )
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
@@ -26,40 +26,42 @@ FOLLOWERS = ("capture_detector", "recorder")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap", help="file, or a bag's folder")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     parser.add_argument(
         "--rtf",
         type=number(FACTORS),
         default=1.0,
         metavar="FACTOR",
-        help="real-time factor, up to 1000; 0 plays as fast as it goes (default: 1)",
+        help="set the real-time factor, up to 1000; 0 plays without pacing (default: 1)",
     )
     parser.add_argument(
         "--start",
         type=number(Range(0.0, 1e9)),
         default=0.0,
         metavar="S",
-        help="begin S seconds later",
+        help="skip the first S seconds of the recording (default: 0)",
     )
     parser.add_argument("--paused", action="store_true", help="start paused")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="play these alone")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="play only these topics"
+    )
     parser.add_argument(
         "--with",
         nargs="+",
         default=[],
         dest="followers",
         choices=FOLLOWERS,
-        help="start these nodes beside it; what they publish is not played",
+        help="also start these nodes; their topics are then not played",
     )
     add_remaps(parser)
-    add_out(parser, "replayed", "folder of --with recorder")
+    add_out(parser, "replayed", "write the recording of --with recorder to this folder")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if not Path(options.recording).exists():
         raise RecordingError(f"{options.recording}: no such file or folder")
-    # what cannot be played is rejected before a node starts
+    # rejects a recording that cannot be played before a node starts
     Playback(Path(options.recording), dict(map(remap_of, options.remaps)))
     parameters: dict[str, Any] = {
         "bag": str(options.recording),

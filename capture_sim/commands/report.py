@@ -10,8 +10,8 @@ from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
 from capture_sim.commands.output import echo
 
 DESCRIPTION = (
-    "Make one self-contained HTML page of runs: results, figures, energy, errors, parameters. "
-    "Experiments given by name are run first."
+    "Write one self-contained HTML page about runs: results, plots, energy, errors, parameters. "
+    "Scenes given by name are run first."
 )
 EXAMPLE = "  capture-sim report runs/tilt_0.mcap runs/tilt_p10.mcap --out report.html"
 

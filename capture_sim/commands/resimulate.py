@@ -14,51 +14,53 @@ from capture_sim.simulation import simulate
 from capture_sim.studies.resimulate import agreement
 
 DESCRIPTION = (
-    "Simulate a recorded run again from the scene inside it and compare it state by state. "
-    "Exit status 1 when a coordinate differs by more than the tolerance, when the recording holds "
-    "samples of another run, and without tolerance when the events differ."
+    "Simulate a recorded run again from the scene in the recording and compare the states sample "
+    "by sample. The exit status is 1 if a coordinate differs by more than the tolerance, or if the "
+    "recording contains samples of another run. With --tolerance 0 it is also 1 if the events "
+    "differ."
 )
 EXAMPLE = "  capture-sim resimulate runs/tilt_0.mcap"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", metavar="RUN.mcap")
+    parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     add_remaps(parser)
     parser.add_argument(
         "--tolerance",
         type=not_negative,
         default=0.0,
-        help="difference of coordinates that is allowed, m and rad (default: 0, not a bit)",
+        help="accept coordinate differences up to this value, m and rad (default: 0, "
+        "bit-identical)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; return the exit status."""
+    """Run the command and return its exit status."""
     recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, None, ())
     if not recorded.samples.size:
-        raise RecordingError(f"{options.recording}: holds no bench/state to compare with")
+        raise RecordingError(f"{options.recording}: contains no bench/state to compare with")
     compile_first()
     again = simulate(scene)
     traces = None if again.trace is None else (recorded.trace, again.trace)
     found = agreement(recorded.samples, again.samples, recorded.events, again.events, traces)
     echo(f"{found.compared} of {recorded.samples.size} samples compared")
     if found.foreign:
-        echo(f"  {found.foreign} samples are none of this run's: another publisher, or another run")
+        echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
     if found.missing:
         echo(f"  {found.missing} samples of the run were not recorded")
     if found.identical:
-        echo("identical, bit for bit, events included")
+        echo("bit-identical, including the events")
     for difference in found.differences:
         echo(
-            f"  {difference.name:20} differs by up to {difference.largest:.3g}, "
+            f"  {difference.name:20} differs by at most {difference.largest:.3g}, "
             f"first at {difference.first:.4f} s"
         )
     if not found.same_events:
         echo("  the events differ")
     if not found.same_trace:
-        echo("  the traces of the contact differ")
+        echo("  the contact traces differ")
     before = recorded.metadata.get("software", "").split("\n")
     for line in sorted(set(before) ^ set(software_versions())):
         if line:

@@ -12,7 +12,7 @@ from capture_sim.commands.output import OVERVIEW, RRD, draw, echo, remove_earlie
 from capture_sim.errors import SimulationError
 from capture_sim.simulation import Result, simulate
 
-DESCRIPTION = "Run experiments without ROS; record, tabulate and draw them."
+DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 
 
@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-record",
         action="store_true",
-        help="write no recordings and no pictures; earlier ones of these experiments are removed, "
-        "as a run that is recorded would replace them",
+        help="write no recordings and no images; remove the earlier ones of the same scenes in "
+        "the folder, which would not match the new results",
     )
 
 
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     scenes = load_all(options.experiments, options.overrides)
     if not options.no_record:
-        # loaded here: to import it takes longer than a run without
+        # imported here: the import needs more time than a run without recording
         from capture_sim.recording.offline import write_run
     prepare_folder(options.out)
     compile_first()
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _remove_replaced(names: list[str], folder: Path) -> None:
-    """Remove what a recorded run would have replaced: it is not of the results beside it."""
+    """Remove files that a recorded run would have replaced: they do not match the results."""
     recordings = [path for name in names if (path := folder / f"{name}.mcap").is_file()]
     if recordings:
         from capture_sim.recording.offline import is_simulated

@@ -9,7 +9,7 @@ from capture_sim.commands.output import echo
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.files import scene_names
 
-DESCRIPTION = "List the scenes that come with the package."
+DESCRIPTION = "List the scenes of the package."
 EXAMPLE = "  capture-sim scenes"
 
 

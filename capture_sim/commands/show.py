@@ -7,7 +7,7 @@ import argparse
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_overrides, load
 
-DESCRIPTION = "Print a scene with all its values, as YAML."
+DESCRIPTION = "Print a scene with all its values as YAML."
 EXAMPLE = "  capture-sim show tilt_0 --set buffer.c_A=20 > mine.yaml"
 
 

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     import pandas
 
 DESCRIPTION = (
-    "Run a scene over values, over distributions or over the rows of a table: probability of "
-    "capture, percentiles of the loads, worst runs, what matters most."
+    "Run a scene over values, distributions or the rows of a table. Print the probability of "
+    "capture, the percentiles of the loads, the worst runs and the most influential inputs."
 )
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
@@ -58,7 +58,7 @@ EXAMPLE = """\
   capture-sim sweep paper_designed --vary approach.angle='-30 deg:30 deg:13' \\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
 _SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
-#: Below so many runs the percentiles are printed with their intervals.
+#: Number of runs below which the percentiles are printed with their intervals.
 _FEW_RUNS = 500
 _WORST = 10
 
@@ -71,30 +71,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUES",
-        help="vary a field of the scene, or approach.angle, .offset, .speed (free, just before the "
-        "first touch), over LOW:HIGH:COUNT, A,B,C, or a distribution: "
-        f"{', '.join(FAMILIAR.values())} or any of scipy.stats; numbers in SI or with a unit, "
-        "5%% of the mean; may be repeated",
+        help="vary a field of the scene, or approach.angle, .offset or .speed (free flight just "
+        "before the first touch), over LOW:HIGH:COUNT, A,B,C or a distribution: "
+        f"{', '.join(FAMILIAR.values())} or any other of scipy.stats. Numbers are in SI units, "
+        "with a unit, or in %% of the mean. May be repeated",
     )
     parser.add_argument(
         "--from",
         type=Path,
         dest="cases",
         metavar="TABLE",
-        help="run the rows of a .csv or .parquet table, a column a field",
+        help="run the rows of a .csv or .parquet table; each column is a field",
     )
     parser.add_argument(
         "--runs",
         type=whole(),
         metavar="N",
-        help="draw N times from the distributions (default: 100); base samples with saltelli",
+        help="draw N samples from the distributions, or N base samples with saltelli (default: "
+        "100, or 128 with sobol and saltelli)",
     )
     parser.add_argument(
         "--sample",
         choices=SAMPLES,
         default="random",
-        help="draw independently, by a Latin hypercube, a Sobol sequence, or Saltelli's design for "
-        "Sobol indices (default: random)",
+        help="draw independently, or by a Latin hypercube, a Sobol sequence, or Saltelli's design "
+        "for Sobol indices (default: random)",
     )
     parser.add_argument(
         "--seed", type=whole(SEEDS), default=1, help="set the seed of the draws (default: 1)"
@@ -109,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check",
         action="store_true",
-        help="run each once more at half the tolerance, and report verdicts that change",
+        help="repeat every run at half the tolerance and report the verdicts that change",
     )
     parser.add_argument(
         "--worst",
@@ -124,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/sweep.csv"),
         metavar="FILE",
-        help="write the table to FILE.csv or FILE.parquet, pictures next to it (default: "
+        help="write the table to FILE.csv or FILE.parquet, and images next to it (default: "
         "runs/sweep.csv)",
     )
 
@@ -155,7 +156,7 @@ def run(options: argparse.Namespace) -> int:
     if len(table):
         _report(scene, samples, table, options)
     if len(table) < len(samples.rows):
-        warn(f"interrupted: {len(table)} of {len(samples.rows)} runs are done and in {options.out}")
+        warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
         return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
@@ -163,14 +164,14 @@ def run(options: argparse.Namespace) -> int:
 
         for name, figure in draw_sweep(table, samples.axes, scene.name).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
-            echo(f"picture in {save(figure, path)}")
+            echo(f"image in {save(figure, path)}")
     return OK
 
 
 def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
     if options.cases is not None:
         if options.vary or options.runs is not None or options.edges:
-            raise SceneError("--from: must stand without --vary, --runs and --edges")
+            raise SceneError("--from: must be given without --vary, --runs and --edges")
         return samples_of(scene, read_cases(options.cases))
     vary: dict[str, str] = {}
     for item in options.vary:
@@ -226,12 +227,12 @@ def _print_probability(
             + (f"; {found.failed} could not be computed, not counted" if found.failed else "")
         )
     if options.sample in ("latin", "sobol", "saltelli"):
-        echo(f"(the interval holds for independent draws; {options.sample} draws are not)")
+        echo(f"(the interval applies to independent draws; {options.sample} draws are not)")
     if "design" in table:
         edge = capture_probability(table[table["design"] == EDGES].drop(columns="design"))
-        echo(f"near the edges: captured {edge.captured} of {edge.computed}, in no number above")
+        echo(f"near the edges: captured {edge.captured} of {edge.computed}, not counted above")
     needed = ", ".join(f"{wilks_runs(share)} for {share:g}" for share in (0.9, 0.95, 0.99, 0.9973))
-    echo(f"runs without a failure that show a probability at 95 % confidence: {needed}")
+    echo(f"runs without a failure that prove a probability at 95 % confidence: {needed}")
 
 
 def _print_quantiles(rows: pandas.DataFrame) -> None:
@@ -240,7 +241,7 @@ def _print_quantiles(rows: pandas.DataFrame) -> None:
     for key, _, si_unit, *_ in LOADS:
         unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
         before = rows.get(f"{key}_before_latch")
-        # of the time before the latch only what the latch has changed
+        # loads before the latch only if the latch changes them
         names = [key] if before is None or before.equals(rows[key]) else [key, before.name]
         for name in names:
             if rows[name].notna().any():
@@ -290,7 +291,7 @@ def _print_worst(
     si_unit = result_units()[options.worst]
     unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
     recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
-    echo(f"\nlargest {options.worst}, and the command that repeats each run alone")
+    echo(f"\nlargest {options.worst}, with the command that repeats each run")
     for number, row in worst_runs(table, options.worst, _WORST).iterrows():
         value = row[options.worst]
         if np.isnan(value):

@@ -16,8 +16,8 @@ from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
 from capture_sim.viewing.source import Opened, resolved, resolved_or_not
 
 DESCRIPTION = (
-    "Draw recorded runs: a picture of each, all side by side, and a recording for rerun. "
-    "Experiments given by name are run first."
+    "Draw runs: one image of each, one of all side by side, and a file for the rerun viewer. "
+    "Scenes given by name are run first."
 )
 EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
 
@@ -25,21 +25,24 @@ EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_runs(parser)
-    add_out(parser, ".", "folder of the pictures")
+    add_out(parser, ".", "write the images to this folder")
     parser.add_argument(
-        "--save", type=Path, metavar="FILE.rrd", help="rerun file (default: OUT/runs.rrd)"
+        "--save",
+        type=Path,
+        metavar="FILE.rrd",
+        help="write this file for rerun (default: OUT/runs.rrd)",
     )
     parser.add_argument(
         "--figures",
         action="store_true",
-        help="also the paper's figures, the runs overlaid, as SVG and PNG in OUT/figures",
+        help="also draw the paper's figures, with the runs overlaid, as SVG and PNG in OUT/figures",
     )
     parser.add_argument(
         "--window",
         nargs=2,
         type=number(),
         metavar=("FROM", "TO"),
-        help="only this time, s since the release, as fine as the integrator went",
+        help="show only this time window, s since the release, at the integrator's own steps",
     )
 
 
@@ -47,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     window = None if options.window is None else (options.window[0], options.window[1])
     if window is not None and not window[0] < window[1]:
-        raise RecordingError(f"--window {window[0]:g} {window[1]:g} s: must be FROM < TO")
+        raise RecordingError(f"--window = {window[0]:g} {window[1]:g} s: must be FROM < TO")
     prepare_folder(options.out)
     if options.save is not None:
         prepare_folder(options.save.parent)
@@ -65,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
 def _within(one: Opened, window: tuple[float, float]) -> Opened:
     if not one.measured:
         return dataclasses.replace(one, run=resolved(one.run, window))
-    run: Any = one.run  # cannot be run again: some of its samples
+    run: Any = one.run  # cannot be run again: select from its samples
     t = run.samples["t"]
     inside = run.samples[(t >= window[0]) & (t <= window[1])]
     if not inside.size:
@@ -80,7 +83,7 @@ def _draw_figures(
     runs: list, labels: list[str], folder: Path, window: tuple[float, float] | None
 ) -> None:
     if window is None:
-        # else they are already
+        # with a window they are resolved already
         runs = [resolved_or_not(run) for run in runs]
     drawn = dict(FIGURES)
     if window is None:

@@ -113,7 +113,7 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         *[(BENCH, ["--rtf", wrong], NO_FACTOR) for wrong in ("1000.1", "nan", "fast")],
         (REPLAY, ["--rtf", "inf"], NO_FACTOR),
         *[
-            (BENCH, ["--namespace", wrong], "must be a ROS name such as lab")
+            (BENCH, ["--namespace", wrong], "must be a ROS name, e.g. lab")
             for wrong in ("a b", "1x", "", "lab//two", "lab/")
         ],
         (["view"], ["tilt_0", "--window", "nan", "1"], "a number"),
@@ -135,7 +135,7 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (SWEEP, ["--vary=gravity=normal(9,1)", "--runs=0"], "runs = 0: must be >= 1"),
         (SWEEP, ["--vary=gravity=8,9", "--runs=5"], "must be 0 where no axis is a distribution"),
         (SWEEP, ["--vary=approach.angle=9 mm"], "approach.angle = '9 mm': must be a number in rad"),
-        (SWEEP, ["--vary=gravity=8,9", "--from=x.csv"], "--from: must stand without --vary"),
+        (SWEEP, ["--vary=gravity=8,9", "--from=x.csv"], "--from: must be given without --vary"),
         (SWEEP, ["--from=x.csv"], "x.csv: cannot be read"),
         (SWEEP, ["--vary=gravity=8,9", "--out=x.txt"], "--out = x.txt: must end in .csv or .parq"),
         (SWEEP, ["--vary=gravity=8,9", "--worst=force"], "--worst"),

@@ -31,7 +31,7 @@ def test_pictures_are_of_the_runs_given_last(recorded, tmp_path, capsys):
     (tmp_path / "overview.png").write_text("of earlier runs")
     assert main(["view", path, "--out", str(tmp_path)]) == 0
     assert {file.name for file in tmp_path.iterdir()} == {"tilt_0.png", "runs.rrd"}
-    assert "it showed earlier runs" in capsys.readouterr().out
+    assert "overview.png: from earlier runs" in capsys.readouterr().out
 
 
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):

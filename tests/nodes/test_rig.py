@@ -58,7 +58,7 @@ def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path, capsys):
     ):
         assert main([command, str(path), *options]) == status, capsys.readouterr().err
         told[command] = capsys.readouterr().out
-    assert "the model does not explain what was measured" in told["identify"]  # it is no physics
+    assert "the model does not explain the measurements" in told["identify"]  # it is no physics
     # let go, the chaser is at the cone after a way of 0.2 m
     (since,) = re.findall(r"verdict: captured since (\d\.\d+) s", told["detect"])
     assert 2.0 < float(since) < 4.0  # 3.0, and what messages are late by

@@ -148,7 +148,7 @@ def test_table_of_the_trace_has_a_row_for_each_point(result, path, tmp_path):
 
 def test_trace_is_simulated_again_and_compared(path, capsys):
     assert main(["resimulate", str(path)]) == 0
-    assert "identical, bit for bit" in capsys.readouterr().out
+    assert "bit-identical" in capsys.readouterr().out
 
 
 def test_force_that_is_drawn_goes_through_the_trace(result, path):

@@ -152,7 +152,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     )
     (picture,) = tmp_path.glob("*.png")
     assert picture.stat().st_size > 20_000
-    assert "is aligned where" not in said
+    assert "is aligned at" not in said
     assert "identical" not in said
     assert main(["compare", str(path), str(path), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
@@ -160,7 +160,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     assert table.count("identical") == table.count("integration") + table.count("bench/event") - 1
     assert series.count("identical") == 8
     assert main(["compare", str(bench_bag), str(path), "--out", str(tmp_path)]) == 0
-    assert "A is aligned where contact/wrench first shows a force" in capsys.readouterr().out
+    assert "A is aligned at the first force in contact/wrench" in capsys.readouterr().out
     far = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
     untouched = write_run(far, tmp_path / "far.mcap")
     capsys.readouterr()
