@@ -61,6 +61,6 @@ def stamp(others: float) -> str:
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
     line = (
         f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
-        f"capture_sim {__version__}, kernels {source_hash()}; others kept {others:.2f} cores busy.*"
+        f"capture_sim {__version__}, kernels {source_hash()}; background load {others:.2f} cores.*"
     )
     return f"**{BUSY}**\n\n{line}" if is_busy(others) else line

@@ -68,7 +68,7 @@ def narrow(asked: Namespace, _: Path) -> list[str]:
         f"they are the same: within {max(m.peak for m in measured if not m.wrong):.1e} (relative).",
         "",
         f"True error at {AFTER[-1]:g} s divided by the check's estimate: median "
-        f"{np.median(known):.2f}, 99 % {np.quantile(known, 0.99):.2f}, largest {max(known):.1f} "
+        f"{np.median(known):.2f}, 99 % {np.quantile(known, 0.99):.2f}, maximum {max(known):.1f} "
         f"({len(known)} scenes; those on supports below {FLOOR:g} m are left out).",
         "",
         "The energy residual as an estimate, error = 3 R_t |residual| / E_0, is within a factor of "
