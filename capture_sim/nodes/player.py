@@ -63,7 +63,7 @@ class PlayerNode(BenchNode):
         factor = self.declare(
             "rtf",
             1.0,
-            "real-time factor: recorded seconds per second; 0 as fast as it goes",
+            "real-time factor: recorded seconds per second; 0 plays without pacing",
             low=FACTORS.low,
             high=FACTORS.high,
         )
