@@ -108,7 +108,8 @@ def map_of_methods(_, __):
     head = ["method", "servo", "lag / T <= 0.1", "0.1 to 0.35", "0.35 to 1", "1 to 2"]
     return f"""\
 Touches with e = 1 and 0.3, the wall 20 um nearer or farther. Each cell: how many were
-within 5 % of the rig's restitution; of the others, how many the loop reported or stopped at.
+within 5 % of the rig's restitution; of the others, how many the loop stopped at, or reported
+as not held or not known.
 
 {table(head, rows)}""".splitlines()
 

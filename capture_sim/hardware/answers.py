@@ -77,8 +77,8 @@ class Answers:
         self.noise = float(rest[:, :3].std(axis=0).max())
         if self.bias.force > max_force:
             raise SafeStopError(
-                f"force at rest = {self.bias.force:.4g} N: must be <= {max_force:g}: the tip "
-                "touches already, or the load cell needs a tare of its own"
+                f"force at rest = {self.bias.force:.4g} N: must be <= {max_force:g}; the tip "
+                "is in contact, or the load cell must be tared"
             )
         self.latest = Answer(0.0, NO_WRENCH, None)
 
@@ -136,10 +136,9 @@ class Answers:
         age = now - self.latest.stamp
         if age > self._limits.latency + 1e-9:
             n = sum(self.rejections.values())
-            why = f"; {n} wrenches rejected, the last was {self._last_rejection}" if n else ""
-            raise SafeStopError(
-                f"latency of the wrench = {age:.3g} s: must be <= {self._limits.latency:g}{why}"
-            )
+            why = f"; {n} wrenches rejected, the last one {self._last_rejection}" if n else ""
+            limit = f"{self._limits.latency:g} (timeout)"
+            raise SafeStopError(f"latency of the wrench = {age:.3g} s: must be <= {limit}{why}")
 
     def _check(self, name: str, value: float, unit: str, limit: float) -> None:
         if value > limit:

@@ -280,11 +280,11 @@ class Loop:
         limit = self._energy_reference + self._limits.energy
         stage.go(*planar)
         if not stage.peak_energy <= limit:
-            demanded = stage.energy - energy
+            demanded, excess = stage.energy - energy, stage.peak_energy - self._energy_reference
             if self.method == "model" or not math.isfinite(demanded):
                 stage.restore(saved)
                 raise SafeStopError(
-                    f"energy given to the vehicles = {demanded:.3g} J in a step: must be <= "
+                    f"energy added to the vehicles = {excess:.3g} J: must be <= "
                     f"{self._limits.energy:g} (energy_limit)"
                 )
             low, high = 0.0, 1.0
@@ -301,7 +301,7 @@ class Loop:
             if self.energy_withheld > self._limits.energy:
                 raise SafeStopError(
                     f"energy withheld from the vehicles = {self.energy_withheld:.3g} J, after "
-                    f"{self._limits.energy:g} J given: must be <= {self._limits.energy:g} "
+                    f"{self._limits.energy:g} J added: must be <= {self._limits.energy:g} "
                     "(energy_limit)"
                 )
         self.energy_excess = max(self.energy_excess, stage.peak_energy - self._energy_reference)
@@ -388,7 +388,7 @@ class Loop:
         rows = rows[rows[:, 0] >= touch.begin - max(2.0 * self.lag, 10.0 * self.stage.step)]
         has_force = bool((rows[:, 3] >= self._threshold).any())
         if self.method == "model" and touch.rig_peak_force > 0.0 and touch.peak_force == 0.0:
-            self._note_disagreement("the rig was touched, the law was not")
+            self._note_disagreement("the rig was in contact, the law was not")
         if has_force:
             noise = max(self.answers.noise, MIN_THRESHOLD / THRESHOLD_DEVIATIONS)
             prior = self.estimate
@@ -400,7 +400,7 @@ class Loop:
         elif self.method == "model":
             short = -(rows[:, 1].max(initial=-math.inf) + self.law.offset)
             where = f"its tip ended {short * 1e3:.3g} mm before the law's wall" if short > 0 else ""
-            text = "the law was touched, the rig was not" + (f": {where}" if where else "")
+            text = "the law was in contact, the rig was not" + (f": {where}" if where else "")
             if self.estimate.deviations is None:
                 softer = self.law.stiffness / SOFTENING
                 text += f"; stiffness lowered to {softer:.3g}"
@@ -424,7 +424,7 @@ class Loop:
         tolerated = max(5.0 * self.answers.noise, MAX_MISFIT * found.peak_force)
         if found.residual > tolerated:
             self._note_disagreement(
-                f"the law misses the rig's force by {found.residual:.3g} N rms of "
+                f"the fitted law misses the rig's force by {found.residual:.3g} N rms, peak "
                 f"{found.peak_force:.4g} N"
             )
             return
@@ -441,8 +441,9 @@ class Loop:
         touch.is_held = None if uncertain else abs(error) <= TOLERANCE
         if not touch.is_held:
             self._note(
-                f"restitution {touch.restitution:.3g}, the rig's is {found.restitution:.3g} +- "
-                f"{found.restitution_deviation:.2g}: not held within {TOLERANCE:.0%}"
+                f"restitution {touch.restitution:.3g}, measured on the rig "
+                f"{found.restitution:.3g} +- {found.restitution_deviation:.2g}: not held within "
+                f"{TOLERANCE:.0%}"
             )
         if self.method == "model":
             self._set_next_law(found.law)
@@ -461,7 +462,10 @@ class Loop:
         speed = max(math.hypot(self.stage.tip.vx, self.stage.tip.vy), 1e-3)
         most = max_stiffness(law.exponent, self._tip_mass, speed, duration)
         if law.stiffness > most:
-            self._note(f"stiffness {law.stiffness:.3g} limited to {most:.3g} by the step")
+            self._note(
+                f"stiffness {law.stiffness:.3g} limited to {most:.3g}, as a touch needs "
+                f"{MIN_TOUCH_STEPS} Runge-Kutta steps"
+            )
         self.law = law.within(most)
         self.stage.set_law(self.law)
 
@@ -472,7 +476,10 @@ class Loop:
         self._note(text)
         self._disagreements += 1
         if self._disagreements >= MAX_DISAGREEMENTS and self.method == "model":
-            raise SafeStopError(f"rig and law disagree in {self._disagreements} touches: {text}")
+            raise SafeStopError(
+                f"touches in a row in which rig and law disagree = {self._disagreements}: must be "
+                f"< {MAX_DISAGREEMENTS}; {text}"
+            )
 
     # what is sent
 

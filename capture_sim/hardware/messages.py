@@ -75,7 +75,7 @@ def tip_of(message: Any) -> TipState:
     rates = twist_values(planar[2], twist.linear.x, twist.linear.y, twist.angular.z)
     tip = TipState(stamp_of(message), *planar, *rates)
     if not all(math.isfinite(value) for value in tip):
-        raise MessageError(f"{tip}: must be finite")
+        raise MessageError(f"tip = {tuple(tip)}: must be finite")
     return tip
 
 

@@ -196,4 +196,8 @@ class LoopStage:
     def check(self) -> None:
         """Raise SafeStopError if the probe is pushed in up to its tip or the state not finite."""
         if not np.isfinite(self._y).all() or self._y[4] < self.scene.probe.tip_radius:
-            raise SafeStopError("the probe is pushed in up to its tip")
+            radius = self.scene.probe.tip_radius
+            raise SafeStopError(
+                f"h = {self._y[4]:.4g} m: must be >= {radius:g}; the probe is pushed in up to its "
+                "tip"
+            )

@@ -1,4 +1,4 @@
-"""The node that stands for contact hardware: it answers the tip's position with a wrench."""
+"""The node that replaces contact hardware: it answers the tip's position with a wrench."""
 
 from __future__ import annotations
 
@@ -31,48 +31,61 @@ class ContactRigNode(BenchNode):
 
     def __init__(self) -> None:
         super().__init__(CONTACT_RIG)
-        name = self.declare("scene", "_loop", "whose cone it is: name in config/scenes, or file")
+        name = self.declare("scene", "_loop", "scene with the cone: name in config/scenes, or file")
         overrides = self.declare(
-            "overrides", list, "changes of the scene, e.g. cone.half_angle=0.8 (SI)"
+            "overrides", list, "changes of the scene (SI), e.g. cone.half_angle=0.8"
         )
         number = partial(self.declare, low=0.0)
-        ideal = self.declare("ideal", False, "true: without servo, noise, bias and delays")
-        stiffness = number("stiffness", 2000.0, "N/m^exponent, of a wall", high=1e12)
+        ideal = self.declare("ideal", False, "true: no servo, noise, bias or delays")
+        stiffness = number("stiffness", 2000.0, "stiffness of the walls, N/m^exponent", high=1e12)
         exponent = self.declare(
-            "exponent", 1.0, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
+            "exponent", 1.0, "exponent of the penetration: 1 spring, 1.5 Hertz", low=1.0, high=3.0
         )
-        damping = number("damping", 0.0, "s/m, by which the force grows with the rate", high=1e6)
+        damping = number("damping", 0.0, "damping c of F = k d^p (1 + c d'), s/m", high=1e6)
         offset = self.declare(
-            "wall_offset", 0.0, "m, of the walls towards the tip", low=-0.1, high=0.1
+            "wall_offset", 0.0, "offset of the walls towards the tip, m", low=-0.1, high=0.1
         )
-        friction = number("friction", 0.0, "coefficient, of a wall", high=10.0)
+        friction = number("friction", 0.0, "friction coefficient of the walls", high=10.0)
         law = WallLaw(stiffness, exponent, stiffness * damping, offset, friction)
 
         def figure(name: str, standard: float, description: str, high: float = 1e6) -> Any:
             return number(name, 0.0 if ideal else standard, description, high=high)
 
         servo = Servo(
-            figure("servo_bandwidth", Servo.bandwidth, "Hz, of the servo; 0: no servo", 1e4),
-            figure("servo_delay", Servo.delay, "s, of the servo", 1.0),
-            number("servo_acceleration", Servo.acceleration, "m/s^2, where it saturates", high=1e6),
+            figure("servo_bandwidth", Servo.bandwidth, "bandwidth, Hz; 0: no servo", 1e4),
+            figure("servo_delay", Servo.delay, "delay of the servo, s", 1.0),
+            number(
+                "servo_acceleration", Servo.acceleration, "saturation of the servo, m/s^2", high=1e6
+            ),
         )
         cell = Cell(
-            figure("cell_cutoff", Cell.cutoff, "Hz, of the cell's low-pass; 0: none"),
-            figure("cell_noise", Cell.noise, "N, standard deviation of a force component"),
-            figure("cell_torque_noise", Cell.torque_noise, "N m, of a torque component"),
-            figure("cell_bias", Cell.bias, "N, of each force component"),
-            figure("cell_resolution", Cell.resolution, "N and N m; 0: not quantised"),
-            number("cell_range", Cell.force_range, "N, where the cell saturates", high=1e9),
+            figure("cell_cutoff", Cell.cutoff, "cutoff of the cell's low-pass, Hz; 0: none"),
+            figure("cell_noise", Cell.noise, "standard deviation of a force component, N"),
+            figure(
+                "cell_torque_noise",
+                Cell.torque_noise,
+                "standard deviation of a torque component, N m",
+            ),
+            figure("cell_bias", Cell.bias, "bias of each force component, N"),
+            figure("cell_resolution", Cell.resolution, "resolution, N and N m; 0: not quantised"),
+            number(
+                "cell_range", Cell.force_range, "saturation of each force component, N", high=1e9
+            ),
         )
         transport = Transport(
-            figure("transport_delay", Transport.delay, "s, there and back", 10.0),
-            figure("transport_jitter", Transport.jitter, "s, standard deviation", 1.0),
-            figure("drops", Transport.drops, "share of the answers that are lost", 1.0),
-            figure("doubles", Transport.doubles, "share of the answers that come twice", 1.0),
+            figure("transport_delay", Transport.delay, "round-trip delay, s", 10.0),
+            figure(
+                "transport_jitter",
+                Transport.jitter,
+                "scale of the random (half-normal) delay added to it, s",
+                1.0,
+            ),
+            figure("drops", Transport.drops, "share of wrenches that are lost", 1.0),
+            figure("doubles", Transport.doubles, "share of wrenches that are sent twice", 1.0),
         )
-        hidden_lag = number("hidden_lag", 0.0, "s, by which the force is older than sent", high=1.0)
-        sends_tip = self.declare("sends_tip", True, "whether loop/rig_tip is sent")
-        seed = self.declare("seed", 0, "of noise and transport", low=0, high=2**31 - 1)
+        hidden_lag = number("hidden_lag", 0.0, "age of the force at its stamp, s", high=1.0)
+        sends_tip = self.declare("sends_tip", True, "send loop/rig_tip")
+        seed = self.declare("seed", 0, "seed of noise and transport", low=0, high=2**31 - 1)
         scene = load_scene(name, overrides)
         self._rig = Rig(scene, law, servo, cell, transport, hidden_lag, sends_tip, seed)
         self.open((TIP_WRENCH, RIG_TIP))

@@ -45,49 +45,68 @@ SUBSTEP = 2.5e-5
 class LoopSimulatorNode(BenchNode):
     """Simulates vehicles and buffer; the contact comes from a rig on loop/wrench.
 
-    It takes bias and noise of the load cell at rest, then sends the tip's position on loop/tip with
-    every step and goes on with the newest wrench. A step that is late shifts all later ones. At a
-    limit of energy, force, torque, speed, acceleration, latency or lateness it stops and exits
+    It measures bias and noise of the load cell at rest. Then it sends the tip's position on
+    loop/tip with every step and uses the newest wrench. A step that is late shifts all later ones.
+    At a limit of energy, force, torque, speed, acceleration, latency or lateness it stops and exits
     with status 1.
     """
 
     def __init__(self) -> None:
         super().__init__(LOOP_SIMULATOR)
         number = partial(self.declare, low=0.0)
-        name = self.declare("scene", "_loop", "name in config/scenes, or file")
-        overrides = self.declare("overrides", list, "changes of the scene, e.g. buffer.c_A=13 (SI)")
-        rate = self.declare("rate", 1000.0, "Hz, of steps and messages", low=10.0, high=10000.0)
+        name = self.declare("scene", "_loop", "scene: name in config/scenes, or file")
+        overrides = self.declare("overrides", list, "changes of the scene (SI), e.g. buffer.c_A=13")
+        rate = self.declare(
+            "rate", 1000.0, "rate of steps and messages, Hz", low=10.0, high=10000.0
+        )
         self._rtf = self.declare(
             "rtf", 1.0, "real-time factor: simulated seconds per second", low=0.001, high=1.0
         )
         limits = Limits(
-            number("energy_limit", Limits().energy, "J, given to the vehicles in all", high=1e6),
-            number("force_limit", Limits().force, "N, on the rig", high=1e9),
-            number("torque_limit", Limits().torque, "N m, on the rig", high=1e9),
-            number("speed_limit", Limits().speed, "m/s, of the commanded position", high=1e3),
-            number("acceleration_limit", Limits().acceleration, "m/s^2, of the same", high=1e6),
-            self.declare("timeout", 0.05, "s, latency of a wrench in use", low=0.001, high=10.0),
+            number(
+                "energy_limit",
+                Limits().energy,
+                "energy that the loop may add to the vehicles, J",
+                high=1e6,
+            ),
+            number("force_limit", Limits().force, "force on the rig, N", high=1e9),
+            number("torque_limit", Limits().torque, "torque on the rig, N m", high=1e9),
+            number("speed_limit", Limits().speed, "speed of the commanded position, m/s", high=1e3),
+            number(
+                "acceleration_limit",
+                Limits().acceleration,
+                "acceleration of the commanded position, m/s^2",
+                high=1e6,
+            ),
+            self.declare("timeout", 0.05, "latency of the wrench in use, s", low=0.001, high=10.0),
         )
         self._max_lateness = self.declare(
-            "lateness_limit", 0.05, "s (wall), of a step", low=0.0001, high=10.0
+            "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
         )
-        mass = number("mass", 0.0, "kg, that the contact feels; 0: the tip's", high=1e6)
+        mass = number("mass", 0.0, "effective mass of the contact, kg; 0: the tip's", high=1e6)
         threshold = number(
-            "touch_threshold", 0.0, "N; 0: six standard deviations of the noise at rest", high=1e6
+            "touch_threshold",
+            0.0,
+            "force, N; 0: six standard deviations of the noise at rest",
+            high=1e6,
         )
-        method = self.declare("compensation", "none", "of the delay", choices=METHODS)
+        method = self.declare("compensation", "none", "method against the delay", choices=METHODS)
         stiffness = number(
-            "stiffness", 0.0, "N/m^exponent, model starts with; 0: the scene's contact", high=1e12
+            "stiffness", 0.0, "model: first stiffness, N/m^exponent; 0: the scene's", high=1e12
         )
         exponent = self.declare(
-            "exponent", 1.5, "of the penetration: 1 a spring, 1.5 Hertz", low=1.0, high=3.0
+            "exponent", 1.5, "exponent of the penetration: 1 spring, 1.5 Hertz", low=1.0, high=3.0
         )
-        damping = number("damping", 0.0, "N s/m^(exponent + 1), model starts with", high=1e12)
+        damping = number("damping", 0.0, "model: first damping, N s/m^(exponent + 1)", high=1e12)
         offset = self.declare(
-            "wall_offset", 0.0, "m, towards the tip, model starts with", low=-0.1, high=0.1
+            "wall_offset",
+            0.0,
+            "model: first offset of the walls towards the tip, m",
+            low=-0.1,
+            high=0.1,
         )
         self._start_timeout = self.declare(
-            "start_timeout", 60.0, "s (wall), wait for the answers at rest", low=0.1, high=86400.0
+            "start_timeout", 60.0, "wait for the answers at rest, s (wall)", low=0.1, high=86400.0
         )
         self._report = self.declare("report", "", "JSON file of the measured values; empty: none")
         scene = load_scene(name, overrides)
@@ -141,7 +160,7 @@ class LoopSimulatorNode(BenchNode):
 
     def _await_rest(self) -> None:
         """Send the first position until the rig has answered it often enough."""
-        self.get_logger().info("waiting for the first wrench")
+        self.get_logger().info("waiting for wrenches at rest on loop/wrench")
         deadline = time.monotonic() + self._start_timeout
         while self._loop.answers.n_at_rest < N_AT_REST:
             if time.monotonic() > deadline:
@@ -174,7 +193,8 @@ class LoopSimulatorNode(BenchNode):
                 due += lateness
                 if lateness > self._max_lateness:
                     raise SafeStopError(
-                        f"lateness of a step = {lateness:.3g} s: must be <= {self._max_lateness:g}"
+                        f"lateness of a step = {lateness:.3g} s: must be <= {self._max_lateness:g} "
+                        "(lateness_limit)"
                     )
             self._take_answers()
             pose = self._loop.advance()
@@ -220,8 +240,9 @@ class LoopSimulatorNode(BenchNode):
             Path(self._report).write_text(text, encoding="utf-8")
         self.get_logger().info(
             f"{report['steps']} steps, latency {ages[len(ages) // 2] * 1e3:.1f} ms (median), "
-            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {loop.lag * 1e3:.1f} ms; the rig bore "
-            f"{loop.rig_peak_force:.4g} N; energy given to the vehicles {loop.energy_excess:.3g} J"
+            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {loop.lag * 1e3:.1f} ms; peak "
+            f"force on the rig {loop.rig_peak_force:.4g} N, energy added to the vehicles "
+            f"{loop.energy_excess:.3g} J"
         )
         if rejections:
             self.get_logger().warning(f"wrenches rejected: {rejections}")
