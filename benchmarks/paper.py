@@ -312,7 +312,7 @@ def second_engine() -> SecondEngine:
     return SecondEngine(source, t, v, table[:, 9], clamped, *differences)
 
 
-# the evidence, and the statements that are held against it
+# the evidence, and the statements that are compared with it
 
 
 class Evidence:

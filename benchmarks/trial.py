@@ -95,7 +95,7 @@ Prepare = Callable[[], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
 #: What engines raise that cannot go on.
 STOPPED = (SimulationError, RuntimeError)
 
-#: Runs that take less, whoever's, are done once before they are timed, s.
+#: Wall time below which a run, ours or another engine's, is done once before it is timed, s.
 WARMED = 0.1
 #: Wall time after which a setting is not run again, s.
 ENOUGH = 2.5

@@ -1,4 +1,4 @@
-"""Emulates a ground test bench for docking and capture: chaser, buffer, probe, cone, target.
+"""Simulation of a ground test bench for spacecraft docking: chaser, buffer, probe, cone, target.
 
 >>> import capture_sim
 >>> result = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
@@ -55,7 +55,7 @@ __all__ = [
     "sweep",
 ]
 
-# loaded when first used: what needs no kernels does not pay for the compiler
+# loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {
     "bench": ("Bench", "drive"),
     "detection.exact": ("CaptureState",),

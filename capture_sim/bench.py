@@ -1,7 +1,7 @@
-"""The bench: a scene in, samples and events out.
+"""The simulated bench: integrates a scene and returns samples and events.
 
-The same object serves the offline run and the simulator node; what it hands out does not
-depend on how the time is cut into calls.
+The offline run and the simulator node use the same object; its results do not depend on how the
+run is divided into calls.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP
 
 @functools.cache
 def compile_kernels(*, announce: bool = True) -> None:
-    """Load the compiled kernels; compile them first if this version of the source never was.
+    """Load the compiled kernels; compile them first if this version is not compiled yet.
 
     Compiling takes about half a minute of one core, once. Call it on its own to keep that out of
     timings. Unless ``announce`` is false, lines on stderr say when it begins and how long it took.
@@ -79,7 +79,7 @@ def compile_kernels(*, announce: bool = True) -> None:
 
 
 class Statistics(NamedTuple):
-    """What a run has cost."""
+    """Number of steps, rejected steps and evaluations of the equations of motion."""
 
     steps: int
     rejected: int
@@ -87,17 +87,17 @@ class Statistics(NamedTuple):
 
 
 class Bench:
-    """One run of a scene, from the release on.
+    """One run of a scene, starting at the release.
 
     Parameters
     ----------
     scene
-        What is on the bench.
+        Scene of the run.
     plan
-        How it is launched; None lets :func:`capture_sim.launch.scenes.check_scene` decide.
+        Launch plan; None for that of :func:`capture_sim.launch.scenes.check_scene`.
     trace
-        Keep the contact at the integrator's own resolution, see :attr:`trace`; also where
-        ``scene.run.trace`` asks for it.
+        True to keep the contact at the integrator's own steps, see :attr:`trace`;
+        ``scene.run.trace`` does the same.
 
     Examples
     --------
@@ -153,7 +153,7 @@ class Bench:
 
     @property
     def done(self) -> bool:
-        """Whether the run is over."""
+        """True if the run has ended."""
         return bool(self._record["progress"]["done"])
 
     @property
@@ -164,9 +164,9 @@ class Bench:
 
     @property
     def trace(self) -> np.ndarray:
-        """The contact so far at the ends of the integrator's steps, (n,) of dtype SAMPLE.
+        """Samples of the contact so far, one per integrator step, (n,) of dtype SAMPLE.
 
-        Empty unless asked for.  A touch's own start, with no force yet, is an event.
+        Empty without ``trace``.  The start of a touch, where the force is 0, is an event.
         """
         return self.trace_since(0)
 
@@ -176,23 +176,23 @@ class Bench:
 
     @property
     def trace_pieces(self) -> int:
-        """Pieces that the trace has come in so far."""
+        """Number of pieces of the trace so far."""
         return len(self._traced)
 
     @property
     def events(self) -> list[Event]:
-        """What has happened so far, in order; the same list, longer, after more of the run."""
+        """Events so far, in order; the list grows as the run advances."""
         self._read_events()
         return self._events
 
     def times_of(self, kind: EventKind) -> np.ndarray:
-        """Return when events of a kind have happened so far, (n,), s, without making the events."""
+        """Return the times of the events of a kind so far, (n,), s, without creating the events."""
         read = [event.t for event in self._events if event.kind is kind]
         return np.concatenate([read, *(raw["t"][raw["kind"] == kind] for raw in self._unread)])
 
     @property
     def event_count(self) -> int:
-        """How many events there are so far."""
+        """Number of events so far."""
         return len(self._events) + sum(map(len, self._unread))
 
     @property
@@ -204,9 +204,9 @@ class Bench:
 
     @property
     def extremes(self) -> Extremes:
-        """Largest strokes, torsion, penetrations and forces and the nearest approach so far.
+        """Peak strokes, torsion, penetrations and forces and the closest approach so far.
 
-        Before the end of the run: up to the start of the integrator's step that is under way.
+        Before the end of the run, they cover the time up to the start of the current step.
         """
         totals = self._record["totals"]
         values = np.stack([np.abs(totals["extreme"]), totals["extreme_time"]], axis=-1)
@@ -214,32 +214,32 @@ class Bench:
         return Extremes(before, after if self._system["mode"]["latched"] else None)
 
     def times(self, first: int, count: int) -> np.ndarray:
-        """Return the times (s) of ``count`` samples from number ``first`` on, up to the end."""
+        """Return the times, s, of ``count`` samples from number ``first``, up to the end."""
         rate, t_end = self.scene.run.state_rate, self.scene.run.t_end
         t: np.ndarray = np.arange(first, first + count) / rate
         return t[t <= t_end]
 
     def advance(self, times: np.ndarray) -> np.ndarray:
-        """Run on and sample.
+        """Continue the run and return samples.
 
         Parameters
         ----------
         times
-            (n,) finite, ascending, s since the release, all after the last one asked for; none
-            at all runs to the end.
+            (n,) sample times, s since the release: finite, ascending, and after those of earlier
+            calls.  An empty array runs to the end.
 
         Returns
         -------
         ndarray
-            (m,) of dtype SAMPLE, m <= n; fewer than asked when the run is over.
+            (m,) of dtype SAMPLE, m <= n; m < n if the run ends before the last time.
 
         Raises
         ------
         SceneError
-            The times are not so.
+            The times break one of these rules.
         SimulationError
-            Names time, phase and cause; ``partial`` holds the samples up to there.  Such a run
-            cannot go on: each later call raises it again, without samples.
+            The integration stopped early; the message names time, phase and cause, and ``partial``
+            has the samples up to then.  Every later call raises it again, without samples.
         """
         times = check_times(times, self._asked)
         if self._fatal is not None:
@@ -286,7 +286,7 @@ class Bench:
         return SimulationError(self._fatal, partial)
 
     def _read_events(self) -> None:
-        """Turn the loop's raw events into Python's, when somebody asks for them."""
+        """Convert the raw events of the engine to Python objects."""
         unread, self._unread = self._unread, []
         for batch in unread:
             columns = (batch[name].tolist() for name in ("kind", "t", "wall", "value"))
@@ -308,14 +308,14 @@ def check_times(
     Parameters
     ----------
     times
-        s since the release.
+        Sample times, s since the release.
     after, t_end
-        Allowed are times after ``after`` and up to ``t_end``, s.
+        Range of the times, s: greater than ``after``, at most ``t_end``.
 
     Raises
     ------
     SceneError
-        They are not finite, not ascending or not within the run.
+        The times are not finite, not ascending or out of range.
     """
     try:
         t = np.ascontiguousarray(times, dtype=float)
@@ -326,27 +326,28 @@ def check_times(
     if t.size and not (after < t[0] >= 0.0 and t[-1] <= t_end and np.all(np.diff(t) > 0.0)):
         before = np.concatenate([[after], t[:-1]])
         k = int(np.argmin((t > before) & (t >= 0.0) & (t <= t_end)))
-        least = f"> {before[k]:.9g}" if before[k] >= 0.0 else ">= 0"
-        most = "" if t_end == sys.float_info.max else f" and <= {t_end:.9g}"
+        lower_text = f"> {before[k]:.9g}" if before[k] >= 0.0 else ">= 0"
+        upper_text = "" if t_end == sys.float_info.max else f" and <= {t_end:.9g}"
         raise SceneError(
-            f"sample time number {k} = {t[k]:.9g} s: must be {least}{most}, finite and ascending"
+            f"sample time number {k} = {t[k]:.9g} s: must be {lower_text}{upper_text}, finite and "
+            "ascending"
         )
     return t
 
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a run: what is new since the piece before."""
+    """One piece of a run: the samples, trace and events since the piece before."""
 
     samples: np.ndarray  # (n,) of dtype SAMPLE
-    trace: np.ndarray  # (k,) of dtype SAMPLE, empty unless asked for
-    failure: SimulationError | None  # why the run had to stop; then this is its last piece
+    trace: np.ndarray  # (k,) of dtype SAMPLE, empty without trace
+    failure: SimulationError | None  # why the run stopped early; then the last piece
     _bench: Bench
     _events: slice
 
     @property
     def events(self) -> list[Event]:
-        """What happened in it, in order; made where it is asked for."""
+        """Events of the piece, in order."""
         return self._bench.events[self._events]
 
 
@@ -358,16 +359,16 @@ def drive(
     Parameters
     ----------
     bench
-        At its release.
+        Bench at its release.
     times
-        (n,) ascending sample times, s; None takes the grid of ``scene.run.state_rate``.
+        (n,) ascending sample times, s; None for the grid of ``scene.run.state_rate``.
     block
-        Samples of a piece, or what is asked for them before each piece.
+        Number of samples of a piece, or a function that returns it before each piece.
 
     Yields
     ------
     Block
-        Who has seen enough leaves the loop: nothing is computed ahead.
+        The next piece.  Nothing is computed ahead, so you can leave the loop at any piece.
 
     Examples
     --------
@@ -417,11 +418,11 @@ def _detail(kind: EventKind, wall: int, value: float) -> str:
 
 
 def error_scale(par: np.void) -> np.ndarray:
-    """Return the error allowed per step of each watched place: rtol of the scene's own scale.
+    """Return the permitted error per step of each coordinate and rate: rtol times its scale.
 
     The scale is a length (the tip's radius) and a speed (of the approach), not the state's
-    present value: the same error counts the same wherever on the floor the bench stands.
-    Angles count by what they move the tip.
+    present value, so the weight of an error does not depend on the bench's place on the floor.
+    An angle counts by the displacement that it causes at the tip.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The errors a user meets; each message is one line that says what to mend."""
+"""Errors that reach a user; each message is one line that names the cause."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ if TYPE_CHECKING:
 
 
 class CaptureSimError(Exception):
-    """Base of all errors that capture_sim raises on purpose."""
+    """Base class of all errors of capture_sim."""
 
 
 class SceneError(CaptureSimError):
-    """A scene, or a change to one, is not usable.
+    """A scene, or a change to it, is invalid.
 
     The message names the field, the value, the unit and the allowed range.
     """
 
 
 class SimulationError(CaptureSimError):
-    """The integration had to stop; what was computed before stays available.
+    """The integration stopped early; the results up to then are available.
 
     The message names the simulated time, the phase and the cause.
 
     Attributes
     ----------
     partial
-        The samples of the interrupted call up to there, (n,) of dtype SAMPLE.
+        Samples of the interrupted call up to the stop, (n,) of dtype SAMPLE.
     result
-        The run up to there, where :func:`capture_sim.simulate` raised it.
+        Run up to the stop, if :func:`capture_sim.simulate` raised the error.
     """
 
     result: Result | None = None
@@ -42,15 +42,15 @@ class SimulationError(CaptureSimError):
 
 
 class RecordingError(CaptureSimError):
-    """A recording could not be written or read."""
+    """A recording cannot be written or read."""
 
 
 class MessageError(RecordingError):
-    """A message from outside, live or recorded, is not usable; the text says why."""
+    """A received or recorded message is invalid; the text gives the reason."""
 
 
 class MissingPackageError(CaptureSimError):
-    """An optional package is asked for that is not installed; the message names it."""
+    """A required optional package is not installed; the message names it."""
 
 
 #: Packages that each extra of pyproject.toml installs, by the name they are imported under.
@@ -79,7 +79,7 @@ def explain_import_error(error: ImportError) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text without line breaks and control characters, shortened where it is endless."""
+    """Return a text in one line of about 1000 characters at most, without control characters."""
     text = "".join(c if c.isprintable() else " " for c in text)
     text = " ".join(text.split())
     return text if len(text) <= 1000 else f"{text[:700]} ... {text[-290:]}"

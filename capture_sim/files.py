@@ -53,11 +53,11 @@ def is_device(path: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Let a file be written beside its place, and move it there when it is whole.
+    """Write a file under a temporary name, and rename it when it is complete.
 
-    Without an error at the block's end the file takes its name in one step, so that whoever
-    looks, and whoever writes the same at the same time, finds a whole file.  After an error
-    nothing is left; after a kill ``.<name>.part-<random><suffix>``.
+    If the block ends without an error, the file gets its name in one step, so other processes
+    that read or write the same file always find a complete one.  After an error no file remains;
+    after a kill, ``.<name>.part-<random><suffix>`` remains.
 
     Parameters
     ----------

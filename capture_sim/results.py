@@ -1,4 +1,4 @@
-"""A run in a few numbers, and several runs in a table."""
+"""Loads and main results of a run, and tables of several runs."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from capture_sim.scene.parts import Scene
 def first_cluster(touches: np.ndarray) -> np.ndarray:
     """Return the touches of the first contact.
 
-    A light tip chatters on the wall before it slides.  The first contact is with the wall met
-    first and ends when the other wall is met, or when the tip stays off for longer than it has
-    chattered (from the first touch's start to the last one's).  A single touch has not chattered
-    yet: it bounced if the pause after it is shorter than the contact that follows.
+    A light tip chatters on the wall before it slides.  The first contact is with the wall touched
+    first.  It ends when the tip touches the other wall, or when a pause is longer than the chatter
+    before it (from the start of the first touch to the start of the last).  After a single touch
+    there is no chatter yet: the pause belongs to the contact if it is shorter than the contact
+    that follows.
 
     Parameters
     ----------
@@ -33,14 +34,14 @@ def first_cluster(touches: np.ndarray) -> np.ndarray:
 
 
 def first_contact_end(events: Iterable[Event], now: float) -> float | None:
-    """Return when the first contact of a run ended, s; None if it has not, so far as known.
+    """Return the end of the first contact, s; None if it has not ended so far.
 
     Parameters
     ----------
     events
-        Of the run so far.
+        Events of the run so far.
     now
-        How far it is, s.
+        Present time of the run, s.
     """
     begun = [event for event in events if event.kind is EventKind.TOUCH]
     start = np.array([event.t for event in begun])
@@ -58,7 +59,7 @@ def first_contact_end(events: Iterable[Event], now: float) -> float | None:
 
 
 def _chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
-    """Return how many touches, in order of their starts, chatter on from the first."""
+    """Return the number of touches, in order of their starts, that chatter after the first."""
     other = np.flatnonzero(wall != wall[:1])
     size = int(other[0]) if other.size else start.size
     for behind in range(2, size):
@@ -68,13 +69,13 @@ def _chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
 
 
 def _bounced(start: np.ndarray, end: np.ndarray, behind: int) -> int:
-    """Return how many of the chatter's touches are the first contact: one, or all."""
+    """Return the number of the chatter's touches in the first contact: one, or all."""
     alone = behind > 1 and start[1] - end[0] > end[behind - 1] - start[1]
     return 1 if alone else behind
 
 
 def impact_speed(events: Iterable[Event]) -> float | None:
-    """Return the speed of the chaser against the target at the first touch, m/s."""
+    """Return the speed of the chaser relative to the target at the first touch, m/s."""
     for event in events:
         if event.kind is EventKind.TOUCH:
             return math.hypot(event.v[0] - event.v[5], event.v[1] - event.v[6])
@@ -82,18 +83,18 @@ def impact_speed(events: Iterable[Event]) -> float | None:
 
 
 class Load(NamedTuple):
-    """A load of a run: its key in results, its fields of EXTREMES, and how it is shown."""
+    """A load of a run: its key in results, its fields of EXTREMES, and its unit in tables."""
 
     key: str
     meaning: str
     unit: str  # SI
     shown_in: str  # unit in tables
-    factor: float  # from the one to the other
+    factor: float  # from unit to shown_in
     extremes: tuple[str, ...]
-    least: bool = False  # the smallest counts, not the largest
+    least: bool = False  # True: minimum, not maximum
 
 
-#: Extremes of a run that are reported; :func:`loads_of` gives each four keys.
+#: Reported extremes of a run; :func:`loads_of` returns four keys for each.
 LOADS = (
     Load("max_axial_stroke_in", "stroke inwards", "m", "mm", 1e3, ("axial_stroke_in",)),
     Load("max_axial_stroke_out", "stroke outwards", "m", "mm", 1e3, ("axial_stroke_out",)),
@@ -132,15 +133,15 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     """Return the loads of a run by name, SI units.
 
     Every load of :data:`LOADS` has four keys: ``max_torsion`` over the whole run, latch included,
-    ``max_torsion_before_latch`` until the latch closes (of the whole run where none does), and
-    ``max_torsion_time``, ``max_torsion_before_latch_time``, s since the release.  A magnitude that
-    never was is 0 and has no time; what was not measured is None.  Then ``touches``, their number,
-    and ``first_contact_impulse``, N s.
+    ``max_torsion_before_latch`` until the latch closes (the whole run if it never does), and their
+    times ``max_torsion_time`` and ``max_torsion_before_latch_time``, s since the release.  A load
+    that never occurs is 0, with time None; a load that was not measured is None.  Two further keys
+    are ``touches``, their number, and ``first_contact_impulse``, N s.
 
     Parameters
     ----------
     extremes
-        Of the run.
+        Extremes of the run.
     touches
         (n,) of dtype TOUCH.
     """
@@ -165,10 +166,11 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
 def sampled_extremes(
     scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
 ) -> Extremes:
-    """Return the extremes of a run of which only samples and touches are known.
+    """Return the extremes of a run from its samples and touches only.
 
-    The peak of a touch is that of ``touches``; a larger stroke, torsion, penetration or force of
-    buffer or latch between two samples is not seen.  What was not measured is NaN.
+    The peaks of touches come from ``touches``.  Strokes, torsion, penetration and forces of buffer
+    and latch come from the samples, so peaks between two samples are missed.  A quantity that was
+    not measured is NaN.
     """
     closed = next((e.t for e in events if e.kind is EventKind.LATCHED), math.inf)
     parts = [samples[samples["t"] < closed], samples[samples["t"] >= closed]]
@@ -228,7 +230,7 @@ def extremes_from_text(text: str) -> Extremes:
     Raises
     ------
     ValueError
-        It is none of :func:`extremes_to_text`.
+        The text is not from :func:`extremes_to_text`.
     """
     found = np.zeros(2, EXTREMES)
     try:
@@ -251,11 +253,11 @@ def summarize(
     extremes: Extremes | None = None,
     problems: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the run in a few numbers, SI units; None where there was no contact or no clock.
+    """Return the main results of a run, SI units; None without contact or wall time.
 
-    Its loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they are those of
-    the samples, and ``loads_from`` names the sample rate.  ``problems`` are why the run or its
-    recording is incomplete: what is missing may change every number.
+    The loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they come from the
+    samples, and ``loads_from`` names the sample rate.  ``problems`` are the reasons why the run or
+    its recording is incomplete, which may change every result.
     """
     sampled = extremes is None
     if extremes is None:
@@ -282,13 +284,13 @@ def summarize(
 
 
 def _sample_rate(samples: np.ndarray) -> float:
-    """Return how often a run was sampled, Hz, by its median interval; 0 where that is not known."""
+    """Return the sample rate of a run, Hz, from its median interval; 0 if unknown."""
     interval = float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
     return 1.0 / interval if interval > 0.0 else 0.0
 
 
 def _largest(values: np.ndarray) -> float | None:
-    """Return the largest magnitude; None where nothing was measured."""
+    """Return the largest magnitude; None if it was not measured."""
     largest = float(np.abs(values).max(initial=0.0))
     return largest if math.isfinite(largest) else None
 
@@ -320,12 +322,12 @@ _COLUMNS = (
     _Column("latch", "force", "N", "max_latch_force", "{:.1f}"),
     _Column("", "to BE", "mm", "nearest_distance", "{:.2f}", 1e3),
 )
-#: Of the row below an experiment whose latch closed.
+#: Label of the row below a run whose latch closed.
 _UNTIL_LATCH = "  until latch"
-#: Of the row below an experiment that is not complete.
+#: Label of the row below an incomplete run.
 _INCOMPLETE = "  INCOMPLETE"
 
-#: What the heads of the table mean.
+#: Meaning of the heads of the table.
 LEGEND = (
     "Loads are peak values of the whole run; a second row has those until the latch closed.",
     "n: touches. First contact: with the wall met first, until the tip stops chattering.",
@@ -344,15 +346,15 @@ def rows(
 ) -> list[list[str]]:
     """Return summaries as texts in the units of :func:`heads`; '-' for None.
 
-    A run whose latch closed has a second row below, of its loads until then; one that is not
-    complete has a row that says so.
+    A run whose latch closed has a second row with its loads until then; an incomplete run has a
+    row that marks it.
 
     Parameters
     ----------
     summaries
-        Of the runs.
+        Summaries of the runs.
     names
-        One each for the first column; None takes the experiments'.
+        Names for the first column; None for those of the scenes.
     """
     found = []
     named = [summary["name"] for summary in summaries] if names is None else names
@@ -377,9 +379,9 @@ def _text(column: _Column, value: Any) -> str:
 
 
 def table(summaries: Sequence[dict[str, Any]]) -> str:
-    """Return summaries as a table for people, with units in its head.
+    """Return summaries as a text table with units in its head.
 
-    It fits 100 columns unless an experiment's name is longer than 17 letters.
+    It fits 100 columns unless the name of a scene is longer than 17 letters.
     """
     cells = [[c.name for c in _COLUMNS], [c.unit for c in _COLUMNS], *rows(summaries)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(_COLUMNS))]
@@ -408,7 +410,7 @@ def table(summaries: Sequence[dict[str, Any]]) -> str:
 
 
 def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Return sentences on how complete, how exact and how fast the runs of a table are."""
+    """Return notes on completeness, accuracy and speed of the runs of a table."""
     lines = [
         f"{s['name']}: incomplete: {'; '.join(s['problems'][:3])}."
         for s in summaries

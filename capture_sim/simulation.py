@@ -1,4 +1,4 @@
-"""A whole run in one call, without ROS."""
+"""A complete run in one call, without ROS."""
 
 from __future__ import annotations
 
@@ -35,21 +35,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Check:
-    """Comparison of a run with a second, finer one.
+    """Comparison of a run with a second, more accurate run.
 
-    The second has a hundredth of the tolerance (a quarter of the step with rk4).
+    The second run has a hundredth of the tolerance (with rk4, a quarter of the step).
 
     Attributes
     ----------
     error : ndarray (n,)
-        Largest difference of the two so far, at each sample time, m; angles count by what
-        they move the tip.  Of the order of the first run's true error.
+        Largest difference of the two runs up to each sample time, m; an angle counts by the
+        displacement that it causes at the tip.  It estimates the first run's error.
     same_touches : bool
-        Both have the same walls touched in the same order.  If not, the sequence of touches
-        hangs on the tolerance, and what follows the first difference is one of several
-        possible courses.
+        True if both runs touch the same walls in the same order.  If not, the sequence of touches
+        depends on the tolerance, and the motion after the first difference is not determined.
     failure : str
-        Why the finer run had to stop, if it did: from there on the error is infinite.
+        Reason why the second run stopped early, or empty; the error is infinite from there on.
     """
 
     error: np.ndarray
@@ -59,35 +58,35 @@ class Check:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """What a run gave.
+    """Result of a run.
 
     Attributes
     ----------
     scene, plan
-        What was run.
+        Scene and launch plan of the run.
     samples : ndarray (n,) of dtype SAMPLE
-        Everything at the sample times; units as in msg/BenchState.msg.
+        Full state at the sample times; units as in msg/BenchState.msg.
     touches : ndarray (m,) of dtype TOUCH
-        Every touch of a wall, from located start to located end.
+        Touches of a wall, each from its located start to its located end.
     events : list of Event
-        In order, each with time and state.
+        Events in order, each with time and state.
     extremes : Extremes
-        Largest strokes, torsion, penetration and forces and the nearest approach, before and
-        after the latch, from the integrator's own steps: the same whatever is sampled.
-        ``loads`` has them by name.
+        Peak strokes, torsion, penetration and forces and the closest approach, before and after
+        the latch closes.  They come from the integrator's own steps and do not depend on the
+        samples.  ``loads`` has them by name.
     statistics : Statistics
         Steps, rejected steps and evaluations of the equations of motion.
     wall_time : float
-        s, for the integration.
+        Wall time of the integration, s.
     failure : str
-        Why the run had to stop; empty if it did not.
+        Reason why the run stopped early; empty for a complete run.
     check : Check or None
-        How far the run can be trusted, if that was asked for.
+        Comparison with a more accurate run; None without ``check=True``.
     trace : ndarray (k,) of dtype SAMPLE or None
-        The contact at the integrator's own resolution, if that was asked for: samples at the
-        ends of its steps while a wall is touched.  It is recorded with the run.
+        Samples at the ends of the integrator's steps while a wall is touched; None without
+        ``trace=True``.  A recording of the run contains them.
     on_grid : bool
-        Whether the samples are those of ``run.state_rate``, not those of ``t_eval``.
+        True for samples at ``run.state_rate``, False for samples at ``t_eval``.
 
     Examples
     --------
@@ -111,7 +110,7 @@ class Result:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why the run is incomplete, in lines; empty if it is complete."""
+        """Reasons why the run is incomplete, one line each; empty if it is complete."""
         return (self.failure,) if self.failure else ()
 
     @property
@@ -131,14 +130,14 @@ class Result:
 
     @property
     def energy(self) -> dict[str, np.ndarray]:
-        """The ledger by name, each (n,), J."""
+        """Energies of the ledger by name, each (n,), J."""
         return {name: np.asarray(self.samples[name]) for name in ENERGIES}
 
     @cached_property
     def watched(self) -> np.ndarray:
-        """What the detector uses: the run on the grid of ``run.state_rate``, of dtype SAMPLE.
+        """Samples at ``run.state_rate``, of dtype SAMPLE, which the detector evaluates.
 
-        A run with samples of its own (``t_eval``) is repeated for it when it is first asked for.
+        A run with ``t_eval`` is repeated for them at the first access.
         """
         if self.on_grid:
             return self.samples
@@ -151,29 +150,29 @@ class Result:
 
     @cached_property
     def statuses(self) -> list[CaptureStatus]:
-        """The detector's view at ``run.rate``, the final verdict last.
+        """Statuses of the detector at ``run.rate``; the last one has the verdict.
 
-        With motion capture: of every pose that it sees.
+        With motion capture, there is one status for each measured pose.
         """
         return _judge(self.scene, self.watched, cut=bool(self.failure))
 
     @property
     def verdict(self) -> CaptureState:
-        """The detector's verdict, or undecided."""
+        """Verdict of the detector, or undecided."""
         return self.statuses[-1].state
 
     @cached_property
     def loads(self) -> dict[str, Any]:
-        """Loads of the whole run and until the latch closes, by name, SI units.
+        """Loads of the whole run and of the time before the latch closes, by name, SI units.
 
-        ``loads["max_torsion"]``, ``loads["max_torsion_before_latch"]``, and with ``_time`` at the
-        end of either when that was; :data:`capture_sim.results.LOADS` lists all names with units.
+        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; with the ending
+        ``_time``, the time of that load.  :data:`capture_sim.results.LOADS` lists names and units.
         """
         return loads_of(self.extremes, self.touches)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The run in a few numbers, SI units; keys as in results.json."""
+        """Main results of the run, SI units; keys as in results.json."""
         return summarize(
             self.scene,
             self.samples,
@@ -209,16 +208,16 @@ class Result:
     def to_dataframe(
         self, table: Literal["samples", "touches", "events"] = "samples"
     ) -> pandas.DataFrame:
-        """Return samples, touches or events as a table of pandas, a row each.
+        """Return samples, touches or events as a pandas table with one row each.
 
         Parameters
         ----------
         table
-            ``samples``: a column for each number, indexed by time ``t``; columns of more than one
-            number carry what it belongs to, as ``q.x_S``, ``v.theta_P``, ``penetration.+y``; units
-            as in msg/BenchState.msg.  ``touches``: numbered from 0, units as in
-            :data:`capture_sim.samples.TOUCH`.  ``events``: kind, wall, detail and state, indexed by
-            ``t``.
+            ``samples``: one column for each number, indexed by time ``t``; the name of a component
+            contains that of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``; units as
+            in msg/BenchState.msg.  ``touches``: numbered from 0, units as in
+            :data:`capture_sim.samples.TOUCH`.  ``events``: kind, wall, detail and state, indexed
+            by ``t``.
 
         Raises
         ------
@@ -246,7 +245,7 @@ class Result:
         return pandas.DataFrame({**columns, **columns_of(state)}).set_index("t")
 
     def plot(self) -> Any:
-        """Return a figure (matplotlib) of the run: see :func:`capture_sim.plot`.
+        """Return a matplotlib figure of the run; see :func:`capture_sim.plot`.
 
         Raises
         ------
@@ -272,20 +271,22 @@ def simulate(
     Parameters
     ----------
     scene
-        From :func:`capture_sim.load_scene`, or what that takes: a name or a path.
+        Scene, or the name or path of a scene for :func:`capture_sim.load_scene`.
     overrides
-        As for :func:`capture_sim.load_scene`: ``{"buffer.c_A": 20}`` or ``["buffer.c_A=20"]``.
+        Changed values as for :func:`capture_sim.load_scene`, e.g. ``{"buffer.c_A": 20}`` or
+        ``["buffer.c_A=20"]``.
     t_end
-        s; None takes ``scene.run.t_end``.
+        Longest duration of the run, s; None for ``scene.run.t_end``.
     t_eval
-        (n,) sample times, s: finite, ascending, from 0 to ``t_end``; None takes the grid of
-        ``scene.run.state_rate``.  After the run's own end (behind a latch) there are no samples.
+        (n,) sample times, s: finite, ascending, from 0 to ``t_end``; None for the grid of
+        ``scene.run.state_rate``.  There are no samples after the end of the run, which a latch
+        may bring forward.
     rtol
-        None takes ``scene.run.rtol``.
+        Relative error tolerance; None for ``scene.run.rtol``.
     check
-        Run a second time, finer (see :class:`Check`), and say how far the two agree.
+        True to run a second time with a smaller tolerance and compare; see :class:`Check`.
     trace
-        Keep the contact at the integrator's own resolution, as with ``scene.run.trace``.
+        True to keep the contact at the integrator's own steps, as with ``scene.run.trace``.
 
     Returns
     -------
@@ -294,10 +295,10 @@ def simulate(
     Raises
     ------
     SceneError
-        If a value is out of its range, or the samples need more than :data:`MOST_MEMORY`.
+        A value is out of its range, or the samples need more than :data:`MOST_MEMORY`.
     SimulationError
-        If the integration has to stop; names time, phase and cause, and holds the run up to
-        there in ``result``.
+        The integration stopped early; the message names time, phase and cause, and ``result`` has
+        the run up to then.
     """
     if not isinstance(scene, Scene):
         scene = load_scene(scene, overrides)
@@ -349,7 +350,7 @@ def simulate(
     return dataclasses.replace(result, check=_compare(result, finer))
 
 
-#: Most memory that the samples of one run may take, bytes.
+#: Largest memory for the samples of one run, bytes.
 MOST_MEMORY = 4_000_000_000
 
 
@@ -365,12 +366,12 @@ def _check_memory(run: Run, count: float) -> None:
         )
 
 
-#: Smallest tolerance that rounding leaves room for.
+#: Smallest tolerance above round-off error.
 _FINEST = 1e-13
 
 
 def _finer(scene: Scene) -> Scene:
-    """Return the scene with a finer integration, never with the same."""
+    """Return the scene with a smaller tolerance, a shorter step or another method."""
     run = scene.run
     if run.method == "rk4":
         run = dataclasses.replace(run, step=run.step / 4.0)
@@ -383,7 +384,7 @@ def _finer(scene: Scene) -> Scene:
 
 
 def _compare(coarse: Result, fine: Result) -> Check:
-    """Return how far two runs of one scene agree, at the times that both have."""
+    """Return the comparison of two runs of one scene, at the times that both have."""
     n = min(coarse.t.size, fine.t.size)
     difference = np.abs(coarse.q[:n] - fine.q[:n])
     arm = coarse.scene.buffer.hinge_offset + coarse.scene.rest_length
@@ -404,7 +405,7 @@ def _touch_sequence(result: Result) -> list[tuple[str, int]]:
 
 
 def _judge(scene: Scene, samples: np.ndarray, *, cut: bool) -> list[CaptureStatus]:
-    """Return what the detector says of a run's samples at ``run.state_rate``, verdict last."""
+    """Return the detector's statuses for samples at ``run.state_rate``, verdict last."""
     every = round(scene.run.state_rate / scene.run.rate)
     if scene.sensors is None or scene.sensors.motion_capture is None:
         exact = ExactDetector(scene)

@@ -50,7 +50,7 @@ class Model:
     Attributes
     ----------
     touching : list of bool (2,)
-        Whether the walls on +y and -y push; set by whoever integrates.
+        True for each of the walls +y and -y that pushes; set by the integrator.
     chi : list of real (2,)
         Hysteresis damping of the present touches, N s/m^2.5.
     evaluations : int

@@ -1,4 +1,4 @@
-"""Scenes ready to be launched: loaded, and checked for what ties their parts together."""
+"""Loading of scenes, with checks of the rules that tie their parts together."""
 
 from __future__ import annotations
 
@@ -28,27 +28,28 @@ from capture_sim.scene.quantities import refuse
 
 
 def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
-    """Load a scene by name (config/scenes) or path, with values overridden.
+    """Load a scene by name (config/scenes) or path, and change values in it.
 
     Parameters
     ----------
     name_or_path
-        ``"tilt_p10"``, or the path of a YAML file.
+        Name, e.g. ``"tilt_p10"``, or path of a YAML file.
     overrides
-        ``"part.field=value"`` items, as ``"buffer.c_A=13"``, or values by such names, as
-        ``{"buffer.c_A": 13}``; SI units.
+        Changed values as texts, e.g. ``["buffer.c_A=13"]``, or by name, e.g.
+        ``{"buffer.c_A": 13}``; SI units, or texts with a unit.
 
     Raises
     ------
     SceneError
-        One line that names the field, the value, the unit and the allowed range.
+        The scene is not found or a value is invalid; the message names field, value, unit and
+        allowed range in one line.
     """
     path = find_scene(name_or_path)
     data = read_scene(path)
     data.setdefault("name", path.stem)
     data.setdefault("title", str(data["name"]))
     if path.parent != config_dir() / "scenes":
-        # a file of the user's own: say that it is this one, before its values are changed
+        # a user's file: name it in the error, before its values are changed
         try:
             check_scene(build(data))
         except SceneError as error:
@@ -57,7 +58,7 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
 
 
 def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
-    """Make a scene of resolved YAML text (no ``extends``), as recordings hold it.
+    """Return the scene of resolved YAML text (no ``extends``), as recordings contain it.
 
     See :func:`load_scene`.
     """
@@ -65,12 +66,12 @@ def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
-    """Return a scene with values overridden; see :func:`load_scene`."""
+    """Return a scene with changed values; see :func:`load_scene`."""
     return _changed(as_mapping(scene), overrides)
 
 
 def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
-    """Make a checked scene with values changed; its title says which."""
+    """Return a checked scene with changed values, which its title lists."""
     data, changes = overridden(data, overrides)
     scene: Scene = build(data)
     if changes and not any(change.startswith("title=") for change in changes):
@@ -80,12 +81,12 @@ def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
 
 
 def check_scene(scene: Scene) -> LaunchPlan:
-    """Check what ties the parts of a scene together; return how it is launched.
+    """Check the rules that tie the parts of a scene together, and return its launch plan.
 
     Raises
     ------
     SceneError
-        For the first rule that the scene breaks.
+        The scene breaks a rule; the message names the first one.
     """
     rules = (_contact, _friction, _throat, _rates, _start, _supports, _rail, _string, _latch)
     try:

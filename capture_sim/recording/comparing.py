@@ -38,7 +38,7 @@ class Figure(NamedTuple):
 
 
 class Comparable(NamedTuple):
-    """What of a run is held against another one's."""
+    """Quantities of a run that are compared with those of another run."""
 
     run: Run  # the recording
     contact: float  # first contact, s since the release

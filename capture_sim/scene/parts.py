@@ -1,11 +1,11 @@
-"""What is on the bench: frozen dataclasses in SI units, validated when they are made.
+"""Parts of a scene: frozen dataclasses in SI units, checked when they are created.
 
-A part that is ``None`` is not on the bench and costs nothing.  Symbols are those of
+A part that is ``None`` is not on the bench and needs no computing time.  Symbols are those of
 the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
 
 Every number is declared as a :func:`~capture_sim.scene.quantities.quantity`, which holds its unit
-and allowed range.  What ties several parts together is checked where a bench is built, by
-:func:`capture_sim.launch.scenes.check_scene`.
+and allowed range.  :func:`capture_sim.launch.scenes.check_scene` checks the rules that tie several
+parts together.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ CONTACT_LAWS = (
     "exact",
 )
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
-#: Of the detector's lengths, m: more than a metre is no part of a cone, but a wrong unit.
+#: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
 REACH = Range(0.0, 1.0, low_open=True)
 METHODS = ("dop853", "dopri5", "rk4")
 FILTERS = ("first", "second")
@@ -244,7 +244,7 @@ class BallSupport(Checked):
 
 @dataclass(frozen=True)
 class Supports(Checked):
-    """How both vehicles stand on the floor."""
+    """Supports of both vehicles on the floor."""
 
     chaser: BallSupport
     target: BallSupport
@@ -270,8 +270,8 @@ class Rail(Checked):
 class String(Checked):
     """String, pulley and hanging mass.
 
-    Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third
-    (null) follows, see :mod:`capture_sim.launch.plan`.
+    Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third (null) is
+    computed from them, see :mod:`capture_sim.launch.plan`.
     """
 
     impact_speed: float | None = quantity(
@@ -291,10 +291,10 @@ class String(Checked):
 
 @dataclass(frozen=True)
 class Latch(Checked):
-    """Spring-loaded latches that hold the tip once it has come to BE.
+    """Spring-loaded latches that hold the tip after it has reached BE.
 
-    They hold it where it was caught, by a spring and a damper in each direction, in
-    place of the walls.
+    A spring and a damper in each direction hold the tip where it was caught; the walls no longer
+    act on it.
     """
 
     radius: float = quantity(
@@ -336,7 +336,7 @@ class PlanarState(Checked):
 
 @dataclass(frozen=True)
 class Initial(Checked):
-    """Where both vehicles start; the buffer starts at rest."""
+    """Initial states of both vehicles; the buffer starts at rest."""
 
     chaser: PlanarState
     target: PlanarState
@@ -344,7 +344,7 @@ class Initial(Checked):
 
 @dataclass(frozen=True)
 class Run(Checked):
-    """How long, how fine, how exact."""
+    """Duration, sample rates and integration of a run."""
 
     t_end: float = quantity("s", POSITIVE, doc="longest duration of the run, from the release")
     after_latch: float | None = quantity(
@@ -386,7 +386,7 @@ class Run(Checked):
 
 @dataclass(frozen=True)
 class Detector(Checked):
-    """What counts as captured, rebounding, missed and stuck."""
+    """Criteria of the verdicts captured, rebound, missed and stuck."""
 
     capture_radius: float = quantity(
         "m", REACH, default=0.005, doc="radius of the capture zone around BE"
@@ -422,7 +422,7 @@ class Detector(Checked):
 
 @dataclass(frozen=True)
 class MotionCapture(Checked):
-    """Cameras that see the poses of both vehicles."""
+    """Motion capture of the poses of both vehicles."""
 
     rate: float = quantity("Hz", Range(0.1, 1e6), default=100.0, doc="sample rate of the poses")
     position_noise: float = quantity(
@@ -461,7 +461,7 @@ class LoadCell(Checked):
 
 @dataclass(frozen=True)
 class Sensors(Checked):
-    """What measures the bench, beside the truth that the simulator knows."""
+    """Simulated sensors, in addition to the exact state."""
 
     motion_capture: MotionCapture | None = None
     load_cell: LoadCell | None = None
@@ -470,7 +470,7 @@ class Sensors(Checked):
 
 @dataclass(frozen=True)
 class Scene(Checked):
-    """Everything on the bench, and how to run it."""
+    """A bench with all its parts, and the settings of its run."""
 
     name: str = field(metadata={"doc": "name of the scene and of its files"})
     title: str = field(metadata={"doc": "one line that describes the scene"})
@@ -498,19 +498,19 @@ class Scene(Checked):
         if not _NAME.fullmatch(self.name):
             raise SceneError(
                 f"name = {shown(self.name)}: must be 1 to 64 letters (a to z), digits and "
-                "_ . -, beginning with neither . nor -: files bear it"
+                "_ . -, beginning with neither . nor -"
             )
 
     @property
     def rest_length(self) -> float:
-        """Hinge to tip centre with the axial spring relaxed, m."""
+        """Distance from the hinge to the tip's centre with the axial spring relaxed, m."""
         if self.buffer.rest_length is not None:
             return self.buffer.rest_length
         return self.probe.length + self.probe.tip_radius
 
     @property
     def chaser_total_mass(self) -> float:
-        """Chaser with cylinder and probe, kg."""
+        """Mass of the chaser with cylinder and probe, kg."""
         return self.chaser.mass + self.cylinder.mass + self.probe.mass
 
     @cached_property
@@ -530,17 +530,17 @@ class Scene(Checked):
         return q, v
 
     def to_yaml(self) -> str:
-        """Return the whole scene as YAML text that gives this scene again, exactly."""
+        """Return the complete scene as YAML text, from which it can be loaded exactly."""
         text: str = yaml.safe_dump(as_mapping(self), sort_keys=False, default_flow_style=None)
         return text
 
 
-#: What a scene may be called: recordings, pictures and paths in a viewer bear its name.
+#: Pattern of scene names, which recordings, images and paths in the viewer contain.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 
 
 def as_name(text: str) -> str:
-    """Return a name that a scene may have, of any text: what is not allowed becomes ``_``."""
+    """Return a text as a valid scene name: other characters become ``_``."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
     return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
 

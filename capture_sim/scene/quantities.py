@@ -1,7 +1,7 @@
 """Numbers with unit and allowed range, declared where they are fields of a dataclass.
 
-What a field may hold stands in its declaration and is checked by :func:`accept` alone, whoever
-makes the part: a YAML file, an override, a node's parameter or a line of Python.
+The declaration of a field states its allowed values.  :func:`accept` alone checks them, for YAML
+files, overrides, parameters of nodes and Python.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from capture_sim.scene.units import in_si
 
 @dataclass(frozen=True)
 class Range:
-    """Allowed values of a number: bounds, and whether a bound itself is allowed."""
+    """Allowed values of a number: an interval with closed or open ends."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -52,16 +52,16 @@ def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: st
 
 
 def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
-    """Declare a name out of a fixed list."""
+    """Declare a name from a fixed list."""
     return field(default=default, metadata={"options": options, "doc": doc})
 
 
 class Declared(NamedTuple):
-    """What a field of a part may hold."""
+    """Declaration of a field of a part."""
 
     name: str
     kind: Any  # float, int, str, bool, a part, or tuple for three points
-    optional: bool  # None takes it off the bench, or lets the value follow from others
+    optional: bool  # None removes the part, or computes the value from other fields
     required: bool
     unit: str
     allowed: Range | None
@@ -73,7 +73,7 @@ _declared: dict[type, dict[str, Declared]] = {}
 
 
 def declared(part: type) -> dict[str, Declared]:
-    """Return what each field of a part may hold, by name."""
+    """Return the declarations of a part's fields, by name."""
     if part not in _declared:
         hints = typing.get_type_hints(part)
         _declared[part] = {f.name: _declaration(f, hints[f.name]) for f in dataclasses.fields(part)}
@@ -95,7 +95,7 @@ _shortened.maxlevel = 3
 
 
 def shown(value: object) -> str:
-    """Return a value as a message shows it: one short line, however large the value is."""
+    """Return a value as one short line for a message."""
     if isinstance(value, float):
         return repr(float(value))  # also of NumPy's
     if isinstance(value, int) and value.bit_length() > 256:
@@ -104,7 +104,7 @@ def shown(value: object) -> str:
 
 
 def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
-    """Make the one-line error for a value that is not allowed."""
+    """Return the one-line error for a value that is not allowed."""
     if isinstance(value, float) and not math.isfinite(value) and str(allowed) != str(ANY):
         allowed = f"finite and {allowed}"
     with_unit = f"{shown(value)} {unit}" if unit not in ("", "1") else shown(value)
@@ -115,21 +115,21 @@ _CALLED = {float: "a number", int: "a whole number", str: "a text", bool: "true 
 
 
 def accept(value: Any, what: Declared, where: str) -> Any:
-    """Return a value as a field holds it.
+    """Check a value and return it in the type of its field.
 
     Parameters
     ----------
     value
-        Of any kind.
+        Value of any type.
     what
-        The field's declaration.
+        Declaration of the field.
     where
-        What the message calls it, as ``buffer.c_A``.
+        Name of the field in the message, e.g. ``buffer.c_A``.
 
     Raises
     ------
     SceneError
-        One line that names the field, the value, the unit and the allowed range.
+        The value is invalid; the message names field, value, unit and allowed range.
     """
     if value is None and what.optional:
         return None
@@ -191,7 +191,7 @@ def _coordinate(value: Any, what: Declared) -> float:
 
 @dataclass(frozen=True)
 class Checked:
-    """A part that holds only what its fields declare; its docstring lists them."""
+    """A part whose fields accept only declared values; its docstring lists them."""
 
     def __init_subclass__(cls) -> None:
         if "Attributes\n" in (cls.__doc__ or ""):

@@ -172,7 +172,7 @@ def run_first_contact(scene: Scene) -> FirstContact:
     found = bench.extremes.before_latch
 
     def largest(field: str, *extremes: str) -> float:
-        # what the launch left behind is no matter of the contact
+        # oscillations from the launch do not count as loads of the contact
         sampled = float(np.abs(inside[field]).max(initial=0.0))
         exact = (float(found[name]) for name in extremes if found[f"{name}_time"] >= began)
         return max([sampled, *exact])

@@ -1,7 +1,7 @@
-"""A scene run many times with other values: a table with a row a run.
+"""Many runs of a scene with different values: a table with one row for each run.
 
-A row holds the inputs, the verdict, the loads of the whole run and why a run could not be computed.
-It depends on the inputs alone, so the table is the same wherever its runs are done.
+A row contains the inputs, the verdict, the loads of the whole run and the reason if a run failed.
+It depends on the inputs alone, so the table does not depend on where the runs are computed.
 """
 
 from __future__ import annotations
@@ -81,40 +81,41 @@ def sweep(
     Parameters
     ----------
     scene
-        From :func:`capture_sim.load_scene`, or what that takes: a name or a path.
+        Scene, or the name or path of a scene for :func:`capture_sim.load_scene`.
     vary
-        What varies, by name of a field (``"buffer.c_A"``) or of the approach
-        (``"approach.angle"``, ``.offset``, ``.speed``: free, just before the first touch): values,
-        a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
-        distribution of scipy.stats.  Or a table: a row a run, a column a field.
+        Varied inputs by name: a field (``"buffer.c_A"``) or the approach (``"approach.angle"``,
+        ``.offset``, ``.speed``: free flight just before the first touch).  An input is given by
+        values, a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
+        distribution of scipy.stats.  Instead, a table with one run a row and one field a column.
     overrides
-        As for :func:`capture_sim.load_scene`.
+        Changed values as for :func:`capture_sim.load_scene`.
     runs
-        Draws from the distributions, at each combination of the values.
+        Number of draws from the distributions, at each combination of the values.
     sample
-        How they are drawn: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
-        indices (``runs`` are then base samples).
+        Method of the draws: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
+        indices (``runs`` is then the number of base samples).
     seed
-        Of the draws.
+        Seed of the draws.
     edges
-        Further draws that favour the edges of the distributions; ``design`` is ``"edges"``.
+        Number of further draws near the edges of the distributions; their column ``design`` is
+        ``"edges"``.
     check
-        Run each once more at half the tolerance: ``verdict_at_half_tolerance``.
+        True to repeat every run at half the tolerance; column ``verdict_at_half_tolerance``.
     executor
-        Any of ``concurrent.futures``; None takes a process for each core.
+        Executor as in ``concurrent.futures``; None for one process on each core.
     report
-        Called with how many of how many runs are done.
+        Function called with the number of finished runs and of all runs.
 
     Returns
     -------
     pandas.DataFrame
-        A row a run, in the order of the samples; SI units, by column in ``attrs["units"]``.  After
-        Ctrl-C: the runs done so far, with a warning.
+        One row for each run, in the order of the samples; ``attrs["units"]`` has the unit of each
+        column.  After Ctrl-C, the runs finished so far, with a warning.
 
     Raises
     ------
     SceneError
-        A name or a value that is not possible, before anything runs.
+        A name or a value is invalid; raised before anything runs.
     MissingPackageError
         pandas, or SALib for ``"saltelli"``, is not installed.
 

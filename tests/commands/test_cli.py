@@ -80,7 +80,7 @@ def test_command_that_made_no_run_leaves_earlier_results(tmp_path, capsys, monke
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_of_nobody")
     assert main(["bench", "tilt_0", "--out", str(tmp_path)]) != 0
     seen = capsys.readouterr()
-    assert "no result of tilt_0" in seen.err
+    assert "no result for tilt_0" in seen.err
     assert "verdict" not in seen.out
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.is_file()} == before
 

@@ -315,7 +315,7 @@ def test_factor_changes_at_any_moment_of_a_tick():
     assert len(cuts) == 1
 
 
-def test_whoever_waits_is_interrupted_when_the_process_is_to_end():
+def test_waiting_is_interrupted_when_the_process_is_to_end():
     for state, wait in (
         (State.STOPPED, lambda control: control.await_start()),
         (State.PAUSED, lambda control: control.tick(1.0)),

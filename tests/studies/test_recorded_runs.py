@@ -127,7 +127,7 @@ def test_bag_with_two_runs_is_not_judged_as_one(path, tmp_path, capsys):
     for command in (["detect"], ["identify", "mu"]):
         line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
         assert main(line) == 2
-        assert "holds 2 runs" in capsys.readouterr().err
+        assert "contains 2 runs" in capsys.readouterr().err
     assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
 
 
