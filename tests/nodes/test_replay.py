@@ -64,16 +64,25 @@ def test_what_is_latched_is_played_before_an_offset(path):
     assert min(time for time, *_ in played) == begin
 
 
-def test_of_a_latched_stream_a_late_start_plays_the_last_message_alone(path):
-    """As a subscriber that comes late is sent it: of 300 states of the detector not all."""
+@pytest.mark.parametrize(
+    "topic, depth",
+    [
+        ("/capture/status", 0),
+        ("/capture/verdict", 1),
+        ("/launcher/state", 0),
+        ("/launcher/phase", 1),
+        ("/launcher/command", 10),
+    ],
+)
+def test_late_start_plays_what_the_publisher_would_have_kept(path, topic, depth):
+    """As a subscriber that comes late is sent it: of a stream nothing, of latched ones the last."""
     run = read_run(path)
-    for topic, depth in (("/capture/status", 1), ("/launcher/state", 1), ("/launcher/command", 10)):
-        earlier = sum(run.log_times(topic) < 4 * 10**9)
-        assert earlier > 1
-        played = [data for *_, data in Playback(path).messages(3.0, {topic})]
-        assert played == run.raw(topic)[max(0, earlier - depth) :]
-        skipped = Playback(path).skipped(3.0, {topic})
-        assert skipped.get(topic, 0) == max(0, earlier - depth)
+    earlier = sum(run.log_times(topic) < 4 * 10**9)
+    assert earlier > 1
+    played = [data for *_, data in Playback(path).messages(3.0, {topic})]
+    assert played == run.raw(topic)[max(0, earlier - depth) :]
+    skipped = Playback(path).skipped(3.0, {topic})
+    assert skipped.get(topic, 0) == max(0, earlier - depth)
 
 
 def test_folder_is_played_as_one(path, tmp_path):
