@@ -103,7 +103,7 @@ class CaptureDetectorNode(Participant):
             self.declare(
                 name,
                 float,
-                f"{unit}, {field.metadata['doc']}; .nan: the scene's",
+                f"{unit}, {field.metadata['doc']}; .nan: the scene's (see capture/criteria)",
                 allowed=f"a number with a decimal point, {allowed} {unit}",
                 read_only=False,
                 check=partial(_check_criterion, name),
