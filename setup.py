@@ -45,7 +45,7 @@ def plain_data() -> list[tuple[str, list[str]]]:
     by_folder: dict[str, list[str]] = {}
     for name in ("config", "launch", "msg", "srv"):
         for file in sorted((HERE / name).rglob("*.*")):
-            if file.suffix in (".csv", ".msg", ".py", ".srv", ".xml", ".yaml"):
+            if file.suffix in (".csv", ".json", ".msg", ".py", ".rviz", ".srv", ".xml", ".yaml"):
                 path = file.relative_to(HERE)
                 by_folder.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
     return sorted(by_folder.items())

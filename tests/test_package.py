@@ -142,7 +142,10 @@ def test_data_is_found():
 
 @pytest.mark.parametrize("data", ["config", "launch"])
 def test_all_data_is_installed(data):
-    patterns = {"config": ("*.csv", "*.xml", "*.yaml"), "launch": ("*.py",)}[data]
+    patterns = {
+        "config": ("*.csv", "*.json", "*.rviz", "*.xml", "*.yaml"),
+        "launch": ("*.py",),
+    }[data]
     installed = set()
     for pattern in patterns:
         assert f"{data}/{pattern}" in CMAKE

@@ -94,13 +94,14 @@ def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
     whole = evidence.run(case)
     assert point.verdict is whole.verdict
     final = next((s for s in whole.statuses if s.final), whole.statuses[-1])
-    # the run to a verdict goes on for up to 0.2 s; its nearest distance is that of the motion
+    # The run to a verdict goes on for up to 0.2 s. It starts farther away, so its steps are others:
+    # the two integrations agree to some 1e-8 m.
 
     def nearest(end):
         t = whole.samples["t"]
         return whole.samples["tip_distance"][t <= end].min()
 
-    assert nearest(final.t + 0.2) - 1e-5 < point.loads["nearest_distance"] < nearest(final.t) + 1e-9
+    assert nearest(final.t + 0.2) - 1e-5 < point.loads["nearest_distance"] < nearest(final.t) + 1e-7
 
 
 def test_the_first_touch_is_at_b():

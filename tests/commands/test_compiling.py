@@ -37,8 +37,8 @@ def test_a_pipe_gets_lines_with_an_estimate(monkeypatch, capsys):
             clock[0] = float(done)
             progress.at("compiling", done, 90)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "compiling: 20 of 90 kernels, about 70 s left"
-    assert lines[-1] == "compiling: 80 of 90 kernels, about 10 s left"
+    assert lines[0] == "compiling: 20 of 90 kernels, 1 kernels/s, about 70 s left"
+    assert lines[-1] == "compiling: 80 of 90 kernels, 1 kernels/s, about 10 s left"
 
 
 def test_the_first_call_from_python_reports_that_it_compiles(tmp_path):
