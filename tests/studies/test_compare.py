@@ -185,7 +185,7 @@ def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
     assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "B - A over 0.05" in said
-    assert "1 s were asked for" in said
+    assert "--window is 1 s" in said
     scene = capture_sim.load_scene("tilt_0", [f"run.t_end={end - 0.048:.3f}"])
     file = write_run(capture_sim.simulate(scene), tmp_path / "touched.mcap")
     assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 2
