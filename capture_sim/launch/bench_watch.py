@@ -30,6 +30,10 @@ MAX_GAP = 0.5
 START, FIRST = 50, 5
 #: Poses that begin later than this after the release do not show where it was, s.
 LATEST_START = 0.5
+#: The tip has met the cone when the median of this many travels is this close, m, as a bench's
+#: poses are no better.  A fit that goes over the contact shows a speed that is too low, and of a
+#: rebound it may never come that far.
+LATEST, REACH = 5, 0.005
 #: The travel to the cone is predicted until the tip is this close to it, m.
 CLOSE = 0.02
 
@@ -99,6 +103,8 @@ class BenchWatch:
         self._last = 0.0  # s, the latest pose,
         self._observed = 0.0  # ... and when the launch was last evaluated
         self._fit = TravelFit()
+        self._travels: deque[float] = deque(maxlen=LATEST)
+        self._furthest = 0.0  # m, largest median of these
         self._contact_travel = launcher.plan.travel
 
     def release(self, arrival: float) -> None:
@@ -135,6 +141,9 @@ class BenchWatch:
         x, y, heading = self._start
         t = stamp - self._zero
         travel = (pose[0] - x) * math.cos(heading) + (pose[1] - y) * math.sin(heading)
+        self._travels.append(travel)
+        if len(self._travels) == LATEST:
+            self._furthest = max(self._furthest, median(self._travels))
         estimate = self._fit.add(t, travel)
         follows, self._last = 0.0 <= t - self._last <= MAX_GAP, t
         if estimate is None:
@@ -149,7 +158,7 @@ class BenchWatch:
         return self._launcher.observe(
             estimate.speed,
             estimate.t > self._launcher.plan.landing_time,
-            estimate.travel > self._contact_travel,
+            self._furthest > self._contact_travel - REACH,
             t=estimate.t,
             travel=None if self._is_late else estimate.travel,
             speed_deviation=estimate.speed_deviation,

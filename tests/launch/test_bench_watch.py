@@ -151,6 +151,23 @@ def test_a_miss_is_not_delivered():
     assert launcher.status.reason.startswith("no contact")
 
 
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
+@pytest.mark.parametrize("position", [0.0, 1e-3])
+def test_what_follows_the_contact_aborts_no_launch(share, position):
+    """The chaser stops or rebounds at the cone: fits over that show a speed that is too low."""
+    times = np.linspace(0.0, 4.0, 4001)
+    contact = np.interp(0.214, [travel_at(t) for t in times], times)  # of a tip on the cone's axis
+    for k in range(10):  # contact at another instant between two fits
+
+        def travel(t):
+            after = max(t - contact, 0.0)
+            return travel_at(min(t, contact)) - share * 0.1 * after
+
+        phases, launcher = launch(travel, position=position, armed=1.0 + 0.01 * k, seed=k)
+        assert phases[-1] == "delivered", launcher.status.reason
+        assert launcher.status.measured_speed == pytest.approx(0.1, abs=0.02)
+
+
 def test_a_target_nearer_than_planned_is_delivered_where_it_is():
     """The cone's place is measured: 60 mm nearer, the chaser arrives 0.6 s sooner."""
     for x in (0.66, 0.60):
