@@ -339,6 +339,7 @@ class NoisyDetector:
             gap=part.max_data_gap,
             keep=_LONGEST_STAND * part.min_still_time,
         )
+        self._earliest = math.inf  # s, smallest stamp
         self._place: Place | None = None  # the last that was evaluated
         self._rested_until = -math.inf  # s, the last instant before the approach
         self._last: tuple[Observation, MeasuredTip] | None = None
@@ -372,6 +373,7 @@ class NoisyDetector:
             When the message arrived, s by any clock; None where that says nothing about the
             source's clock, as in a simulation.
         """
+        self._earliest = min(self._earliest, t)
         if arrival is not None:
             self._compare_clocks(source, t, arrival)
         if self.clocks_differ:
@@ -410,7 +412,8 @@ class NoisyDetector:
         """Close the run; return the remaining statuses, that of the end last.
 
         The last status is that of the last measurement: a verdict, or undecided.  It is final,
-        unless a cut run has no verdict.  Without any measurement its numbers are NaN.
+        unless a cut run has no verdict.  If nothing was evaluated, its numbers are NaN and its
+        time is the earliest stamp.
 
         Parameters
         ----------
@@ -424,7 +427,8 @@ class NoisyDetector:
             if self.clocks_differ:
                 self._blame_clocks()
             unknown = (math.nan,) * 3
-            observation = Observation(0.0, unknown, unknown, unknown[:2])
+            memory.since = self._earliest if math.isfinite(self._earliest) else 0.0
+            observation = Observation(memory.since, unknown, unknown, unknown[:2])
             return [self._status(observation, self._tip(observation), is_over=not cut)]
         for place in self._path.finish():
             self._decide(place)

@@ -395,9 +395,12 @@ def test_sources_that_were_all_silent_are_not_taken_for_far_ahead():
 def test_clocks_that_differ_are_named_and_nothing_is_evaluated(source, noise):
     """0.4 s at 0.08 m/s are 32 mm."""
     detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
-    for measurement in approach(offset=-0.4, source=source, hold=1.0, noise=noise):
-        detector.measure(*measurement)
+    stamps = []
+    for each, t, values, arrival in approach(offset=-0.4, source=source, hold=1.0, noise=noise):
+        stamps.append(1.2e9 + t)  # a bench's clock
+        detector.measure(each, stamps[-1], values, arrival)
     last = detector.finish()[-1]
+    assert (last.t, last.time_in_state) == (min(stamps), 0.0)
     assert detector.clock_offset == (source, pytest.approx(-0.4, abs=0.02))
     assert (last.label, last.reason) == ("undecided", "clocks of the sources differ by 400 ms")
 
