@@ -80,7 +80,7 @@ def processes(begin=fresh):
     def start(name, change="", **parameters):
         arguments = ["--ros-args"]
         for key, value in {"exit_when_done": "true", **parameters}.items():
-            remaps = key.startswith(("__", "motion_capture/"))
+            remaps = key.startswith("__") or ("/" in key and not key.startswith("qos_overrides"))
             arguments += ["-r" if remaps else "-p", f"{key}:={value}"]
         program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
         program += "raise SystemExit(node.main())"

