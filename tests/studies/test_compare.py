@@ -189,7 +189,7 @@ def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
     scene = capture_sim.load_scene("tilt_0", [f"run.t_end={end - 0.048:.3f}"])
     file = write_run(capture_sim.simulate(scene), tmp_path / "touched.mcap")
     assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 2
-    assert "in common: that is fewer than 4 samples" in capsys.readouterr().err
+    assert "in common, with fewer than 4 samples" in capsys.readouterr().err
 
 
 def test_diagram_shows_the_peak_of_every_touch(result, path, tmp_path):
