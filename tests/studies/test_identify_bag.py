@@ -103,7 +103,7 @@ def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path,
     command = ["identify", str(bag), *NAMES, "--scene", name]
     assert main([*command, *release, "--touch-noise", "5e-5", "1"]) == 0
     said = capsys.readouterr().out
-    assert "touches are those of contact/wrench" in said
+    assert "touches from contact/wrench" in said
     assert " 4 touches" in said
     known = "--fix-release" in release
     true = [*run.true] if known else [*run.true, STOOD]

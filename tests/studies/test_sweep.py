@@ -405,7 +405,7 @@ def test_ctrl_c_of_the_command_keeps_the_rows_and_says_so(tmp_path):
         os.kill(run.pid, signal.SIGINT)
         output, errors = run.communicate(timeout=300)
     assert run.returncode == 130
-    assert f"of 1000000 runs are done and in {out}" in errors
+    assert f"of 1000000 runs written to {out}" in errors
     assert "Traceback" not in errors
     done = len(pd.read_csv(out))
     assert f"{done} runs, seed 1" in output
