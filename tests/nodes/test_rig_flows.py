@@ -133,8 +133,9 @@ def test_flows_with_the_launcher(tmp_path, capsys):
             time.sleep(4.0)
             live, path = session.end()
             assert live is CaptureState.UNDECIDED
-            (ahead,) = set(re.findall(r"sources differ by (\d+) ms", check(live, path, capsys)))
-            assert 350 < int(ahead) < 450
+            offsets = re.findall(r"sources differ by (\d+) ms", check(live, path, capsys))
+            assert offsets  # printed by `detect`, and recorded
+            assert all(350 < int(offset) < 450 for offset in offsets)
             session.detector.wait_for("buffer: clock 0.")  # s ahead of the other sources'
         with session.bench():
             session.launch()
