@@ -17,6 +17,6 @@ mv requirements/lock.new requirements/lock.txt
   echo "# messages are compiled against NumPy 1.26, which NumPy 2 would break. No rerun, which requires"
   echo "# NumPy 2. Made by make lock."
   printf 'numpy==1.26.4\nscipy==1.11.4\n' |
-    "${compile[@]}" --python-version 3.12 --extra study -c - pyproject.toml
+    "${compile[@]}" --python-version 3.11.7 --extra study -c - pyproject.toml
 } >requirements/workstation.new
 mv requirements/workstation.new requirements/workstation.txt
