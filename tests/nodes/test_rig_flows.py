@@ -142,7 +142,8 @@ def test_flows_with_the_launcher(tmp_path, capsys):
             time.sleep(1.0)
             assert client.ask(Trigger, "/launcher/abort").success
             live, path = session.end()
-            assert live is CaptureState.UNDECIDED
+            # the bench pulls its chaser back: seen by then, or not
+            assert live in (CaptureState.UNDECIDED, CaptureState.MISSED)
             check(live, path, capsys)
         assert len(list(tmp_path.glob("*.mcap"))) == session.recorded  # one trial each
     check_commands(disturbed, capsys)
