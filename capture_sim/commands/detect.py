@@ -11,9 +11,7 @@ from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scen
 from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError, one_line
-from capture_sim.messages.convert import stamp_seconds
-from capture_sim.recording.detect import detect_again, is_simulated, with_limits
-from capture_sim.recording.measured import release_of
+from capture_sim.recording.detect import detect_again, with_limits
 from capture_sim.scene.parts import Detector
 
 # s: as fine as a float is for stamps that count from 1970
@@ -57,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         if value != of_scene:
             echo(f"recorded criterion: {name} = {value:g} {unit} (scene: {of_scene:g} {unit})")
     statuses = detect_again(recorded, judged_by)
-    released = stamp_seconds(release_of(recorded))
+    released = recorded.clock.t_release
     label = None
     for status in statuses:
         if status.label != label:
@@ -76,9 +74,9 @@ def run(options: argparse.Namespace) -> int:
         return OK
     before = recorded.statuses[-1]
     since_before = _since(before, released)
-    tolerance = _TICK if is_simulated(recorded) else _BENCH_TOLERANCE
+    tolerance = _TICK if recorded.is_simulated else _BENCH_TOLERANCE
     # a bench's undecided trial has no time of its own: detector and recorder begin and end apart
-    is_timed = verdict.state.is_verdict or is_simulated(recorded)
+    is_timed = verdict.state.is_verdict or recorded.is_simulated
     is_near = abs(since_before - since) < tolerance
     same = before.state is verdict.state and (is_near or not is_timed)
     echo(

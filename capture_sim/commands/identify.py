@@ -18,13 +18,8 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import echo, print_table
-from capture_sim.recording.measured import (
-    launch_of,
-    measurements,
-    release_of,
-    release_recorded,
-    touches_of,
-)
+from capture_sim.recording.clock import Origin
+from capture_sim.recording.measured import launch_of, measurements, touches_of
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
@@ -91,17 +86,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    recorded = open_run(options.recording, options.remaps)
+    recorded = open_run(options.recording, options.remaps, release=options.release)
     scene = scene_of(recorded, options.scene, options.overrides)
-    measured = measurements(recorded, options.release)
+    measured = measurements(recorded)
     names = list(options.parameters)
-    known = options.release is None and release_recorded(recorded) is not None
+    known = recorded.clock.origin is Origin.STAMP
     if not known and not options.fix_release and RELEASE not in names:
         names.append(RELEASE)
     compile_first()
     touches, source = None, ""
     if options.touches > 0:
-        found, source = touches_of(recorded, options.release, scene)
+        found, source = touches_of(recorded, scene)
         if found is not None:
             touches = found.of(slice(options.touches)).with_noise(*options.touch_noise)
     fit = identify(
@@ -114,8 +109,7 @@ def run(options: argparse.Namespace) -> int:
         starts=options.starts,
     )
     # a release that is not recorded counts from the first pose, as --release does
-    counted_from = release_of(recorded, None if known else 0.0)
-    given = (release_of(recorded, options.release) - counted_from) / 1e9
+    given = 0.0 if known else recorded.clock.after_first_pose
     rows = []
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
         notes = ["at the limit of its range"] if name in fit.at_bound else []

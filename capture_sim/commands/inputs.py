@@ -280,7 +280,12 @@ def prepare_folder(folder: Path) -> None:
 
 
 def open_run(
-    path: str, remaps: Sequence[str], *, several: bool = False, quiet: bool = False
+    path: str,
+    remaps: Sequence[str],
+    *,
+    release: float | None = None,
+    several: bool = False,
+    quiet: bool = False,
 ) -> Run:
     """Read a recording and print its problems.
 
@@ -290,6 +295,8 @@ def open_run(
         File, or folder of a bag.
     remaps
         From :func:`add_remaps`.
+    release
+        From :func:`add_release`.
     several
         True if the recording may contain several runs.
     quiet
@@ -302,7 +309,7 @@ def open_run(
     """
     from capture_sim.recording.read import read_run, remap_of
 
-    run = read_run(path, remaps=dict(map(remap_of, remaps)))
+    run = read_run(path, remaps=dict(map(remap_of, remaps)), release=release)
     if len(run.run_ids) > 1 and not several:
         raise RecordingError(
             f"{path}: contains {len(run.run_ids)} runs, whose times overlap: must be one run"
@@ -388,7 +395,7 @@ def _open_recording(
 ) -> Opened:
     from capture_sim.recording.measured_run import run_from_bag
 
-    recorded = open_run(path, remaps, quiet=True)
+    recorded = open_run(path, remaps, release=release, quiet=True)
     place = Path(path).resolve()  # the path may be . or end in ..
     label = place.stem if path.endswith(".mcap") else place.name
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
@@ -397,7 +404,7 @@ def _open_recording(
         return Opened(
             recorded, label, f"recorded in {path}", software, recorded.wall_time, problems
         )
-    run = run_from_bag(recorded, scene_of(recorded, scene, ()), release)
+    run = run_from_bag(recorded, scene_of(recorded, scene, ()))
     return Opened(run, label, f"measured, in {path}", software, problems=problems, measured=True)
 
 

@@ -13,12 +13,7 @@ import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages import topics
-from capture_sim.recording.measured import (
-    first_contact,
-    measured_sources,
-    release_of,
-    touches_of,
-)
+from capture_sim.recording.measured import first_contact, measured_sources, touches_of
 from capture_sim.recording.read import Run
 from capture_sim.results import LOADS, first_cluster, loads_of
 from capture_sim.studies.measurements import Measurements, Series, measured_in
@@ -154,10 +149,11 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
         exact = dict(measured_in(samples).items())
         exact[DISTANCE] = Series(samples["t"], samples["tip_distance"])
         found = {name: {topics.BENCH_STATE.name: series} for name, series in exact.items()}
-    for name, by_topic in measured_sources(run, release_of(run)).items():
+    for name, by_topic in measured_sources(run).items():
         found.setdefault(name, {}).update(by_topic)
     # the detector's own path: the nearest place so far
-    nearest = [(status.t, status.nearest_distance) for status in run.statuses]
+    t_release = run.clock.t_release
+    nearest = [(status.t - t_release, status.nearest_distance) for status in run.statuses]
     near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
     if near.size:
         found.setdefault(DISTANCE, {})[topics.CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])

@@ -11,7 +11,7 @@ from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
-from capture_sim.messages.topics import SIMULATOR, Topic
+from capture_sim.messages.topics import Topic
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
 
@@ -59,8 +59,8 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     scene = with_limits(run.scene, run.criteria, ()) if scene is None else scene
     sources = _sources_in(run, scene)
     readers = {topic: MeasurementReader(topic) for topic in sources}
-    simulated = is_simulated(run)
-    detector = NoisyDetector(scene, is_released=simulated)
+    is_simulated = run.is_simulated
+    detector = NoisyDetector(scene, is_released=is_simulated)
     stored = [
         (int(time), place, topic, data)
         for topic in sources
@@ -71,14 +71,9 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     statuses: list[CaptureStatus] = []
     for log_time, _, topic, data in stored:
         stamp, values = readers[topic](data)
-        arrival = None if simulated else log_time / 1e9
+        arrival = None if is_simulated else log_time / 1e9
         statuses += detector.measure(sources[topic], stamp_seconds(stamp), values, arrival)
     return [*statuses, *detector.finish(cut=run.cut)]
-
-
-def is_simulated(run: Run) -> bool:
-    """Return True if a simulator announced the run: it begins with the release, on one clock."""
-    return run.announced is not None and SIMULATOR in run.announced.publishers
 
 
 def _sources_in(run: Run, scene: Scene) -> dict[Topic, Source]:

@@ -11,7 +11,6 @@ import numpy as np
 from capture_sim.errors import RecordingError
 from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import CONTACT_TRACE
-from capture_sim.recording.measured import times_of
 from capture_sim.recording.read import Run
 from capture_sim.samples import TOUCH, TRACE, columns_of
 
@@ -111,7 +110,7 @@ def table(run: Run, topic: str) -> dict[str, np.ndarray]:
     if TIME in columns and columns[TIME].shape == logged.shape:
         t = columns[TIME]
     else:
-        t = times_of(run, topic)
+        t = run.times(topic)
     return {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
 
 

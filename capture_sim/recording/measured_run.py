@@ -18,7 +18,7 @@ from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.kernels import plain
 from capture_sim.messages import topics
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase, stamp_seconds
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT, StringPhase
 from capture_sim.messages.topics import Topic
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
@@ -29,8 +29,6 @@ from capture_sim.recording.measured import (
     measured_sources,
     poses_of,
     rates_of,
-    release_of,
-    series_of,
 )
 from capture_sim.recording.read import Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
@@ -217,8 +215,8 @@ def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
         return scene  # a start that the simulator would refuse
 
 
-def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> MeasuredRun:
-    """Read a run from its measurements, on the stamps of the chaser's poses.
+def run_from_bag(run: Run, scene: Scene) -> MeasuredRun:
+    """Read a run from its measurements, at the stamps of the chaser's poses.
 
     Parameters
     ----------
@@ -227,32 +225,27 @@ def run_from_bag(run: Run, scene: Scene, released: float | None = None) -> Measu
     scene
         The geometry of buffer and cone, and the detector's criteria: where the recording holds no
         statuses, the detector decides now.
-    released
-        When, s after the first pose; None where it is recorded, see
-        :func:`capture_sim.recording.measured.release_of`.
 
     Raises
     ------
     RecordingError
         A topic is missing, or the release lies outside the recording.
     """
-    release = release_of(run, released)
-    measured = _aligned(run, release)
-    # the detector counts from a stamp of 1 s, the run from the release
-    late = stamp_seconds(release)
+    measured = _aligned(run)
+    t_release = run.clock.t_release
     statuses = run.statuses or detect_again(run, scene)
-    on_time = [status._replace(t=status.t - late) for status in statuses]
-    drawn = measured_run(run.name, scene, measured, on_time)
+    since_release = [status._replace(t=status.t - t_release) for status in statuses]
+    drawn = measured_run(run.name, scene, measured, since_release)
     return dataclasses.replace(drawn, problems=run.problems)
 
 
-def _aligned(run: Run, release: int) -> AlignedMeasurements:
+def _aligned(run: Run) -> AlignedMeasurements:
     """Return what a bag measures, at the stamps of the chaser's poses; RecordingError without."""
 
     def series(topic: Topic, *values: np.ndarray) -> Series:
-        return series_of(run.columns(topic), release, np.column_stack(values))
+        return run.clock.series(run.columns(topic), np.column_stack(values))
 
-    sources = measured_sources(run, release)
+    sources = measured_sources(run)
 
     def body(name: str, odometry: Topic) -> tuple[Series, Series]:
         found = [poses for poses in sources.get(name, {}).values() if poses.t.size]
@@ -293,7 +286,7 @@ def _aligned(run: Run, release: int) -> AlignedMeasurements:
 
     optional: dict[str, np.ndarray] = {}
     if run.columns(topics.CONTACT_WRENCH):
-        optional["tip_force"] = at(forces_in(run, topics.CONTACT_WRENCH, release))
+        optional["tip_force"] = at(forces_in(run, topics.CONTACT_WRENCH))
     if contact := run.columns(topics.CONTACT_STATE):
         for name in ("normal_force", "peak_force"):
             optional[name] = at(series(topics.CONTACT_STATE, contact[name]))

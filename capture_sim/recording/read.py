@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -18,20 +19,26 @@ from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.errors import RecordingError, one_line
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import columns, sequence_of
-from capture_sim.messages.convert import CRITERIA, RunDescription, stamp_seconds
+from capture_sim.messages.convert import CRITERIA, LaunchAction, RunDescription, stamp_seconds
 from capture_sim.messages.definitions import schema_text, typestore
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_CRITERIA,
     CAPTURE_STATUS,
+    CHASER_ODOMETRY,
+    CHASER_POSE,
     CONTACT_TRACE,
+    LAUNCH_COMMAND,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
+    TARGET_ODOMETRY,
+    TARGET_POSE,
     Topic,
     topic_named,
 )
+from capture_sim.recording.clock import Clock, Logged, find_clock, has_stamps, stamps_of
 from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.contents import Contents, read_contents, rename_topics
 from capture_sim.recording.scan import UNPACKED_RATIO
@@ -58,7 +65,11 @@ _ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
 def read_run(
-    path: Path | str, ratio: float = UNPACKED_RATIO, *, remaps: Mapping[str, str] | None = None
+    path: Path | str,
+    ratio: float = UNPACKED_RATIO,
+    *,
+    remaps: Mapping[str, str] | None = None,
+    release: float | None = None,
 ) -> Run:
     """Read a recorded run, a file or a bag's folder; checksums are checked.
 
@@ -75,6 +86,8 @@ def read_run(
     remaps
         Names in the file of topics that do not have the bench's, by the bench's
         (``{"chaser/odom": "/mocap/rb1/odom"}``), beside those that the recorder has noted.
+    release
+        Release time, s after the first pose; None to find it, see :attr:`Run.clock`.
 
     Raises
     ------
@@ -87,7 +100,7 @@ def read_run(
         remap(contents, remaps or {})
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
-    return Run(path, contents)
+    return Run(path, contents, release)
 
 
 def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
@@ -120,10 +133,11 @@ class Run:
         A line for each file that could not be read to its end; empty if there is none.
     """
 
-    def __init__(self, path: Path, contents: Contents) -> None:
+    def __init__(self, path: Path, contents: Contents, release: float | None = None) -> None:
         self.path = path
         self.damage = contents.damage
         self._contents = contents
+        self._given_release = release
         self._columns: dict[str, Columns] = {}
 
     @property
@@ -189,8 +203,13 @@ class Run:
 
     def _of_its_type(self, topic: Topic) -> Columns:
         """Return a topic's columns; empty where a bag of others has one of another type."""
-        found = self._contents.types.get(self._resolved(topic.name))
-        return self.columns(topic) if found == topic.type_name else {}
+        return self.columns(topic) if self._holds(topic) else {}
+
+    def _holds(self, topic: Topic) -> bool:
+        """Return True if the file holds messages of the topic, and of its type."""
+        name = self._resolved(topic.name)
+        is_typed = self._contents.types.get(name) == topic.type_name
+        return is_typed and bool(self._contents.messages[name])
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -276,6 +295,57 @@ class Run:
             It is not one of this version.
         """
         return load_scene_text(self.scene_text)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulator sent the run: one clock stamps all of it."""
+        is_announced = self.announced is not None and SIMULATOR in self.announced.publishers
+        return is_announced or self._holds(BENCH_STATE)
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The release, and the clocks that times count from it by.
+
+        That is the given release, else that of a simulated run, else that of the launcher's
+        command, by its stamp or by its arrival, else the announcement of the trial, else the
+        first pose, else the first message.
+
+        Raises
+        ------
+        RecordingError
+            The given release is not between the first and the last pose.
+        """
+        motion = (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY, BENCH_STATE)
+        release = self._logged(LAUNCH_COMMAND)
+        if release is not None:
+            is_release = self.columns(LAUNCH_COMMAND)["action"] == LaunchAction.RELEASE
+            release = Logged(*(times[is_release] for times in release))
+        if release is None or not release.stamps.size:
+            release = self._logged(RUN_INFO)
+        return find_clock(
+            next(filter(None, map(self._logged, motion)), None),
+            release,
+            min((times[0] for times in self._contents.log_times.values() if times), default=0),
+            is_simulated=self.is_simulated,
+            given=self._given_release,
+        )
+
+    def _logged(self, topic: Topic) -> Logged | None:
+        """Return stamps and log times of a topic; None if it has no readable message."""
+        with suppress(RecordingError):  # reported where the messages themselves are used
+            if fields := self._of_its_type(topic):
+                return Logged(stamps_of(fields), self.log_times(topic))
+        return None
+
+    def times(self, topic: str | Topic) -> np.ndarray:
+        """Return when a topic's messages were stamped, else logged, (n,), s since the release."""
+        fields = self.columns(topic)
+        if not has_stamps(fields):
+            return self.clock.since_by_log(self.log_times(topic))
+        known = topic if isinstance(topic, Topic) else topic_named(topic)
+        is_of_trial = known is RUN_INFO or (known is not None and SIMULATOR not in known.publishers)
+        since = self.clock.since_by_trial if is_of_trial else self.clock.since
+        return since(stamps_of(fields))
 
     @property
     def topics(self) -> dict[str, int]:
@@ -388,9 +458,7 @@ class Run:
         by_name: dict[str, list[Any]] = {
             name: recorded[name].tolist() for name in CaptureStatus._fields if name != "t"
         }
-        stamps = recorded["header.stamp.sec"].astype(np.int64) * 1_000_000_000
-        stamps += recorded["header.stamp.nanosec"]
-        by_name["t"] = [stamp_seconds(stamp) for stamp in stamps.tolist()]
+        by_name["t"] = [stamp_seconds(stamp) for stamp in stamps_of(recorded).tolist()]
         by_name["state"] = [CaptureState(state) for state in by_name["state"]]
         rows = zip(*by_name.values(), strict=True)
         return tuple(CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from capture_sim.cli import main
 from capture_sim.messages.topics import CAPTURE_STATUS, CHASER_POSE
 from capture_sim.nodes.recorder import OVERTAKING
-from capture_sim.recording.measured import release_of, stamps_of
+from capture_sim.recording.clock import stamps_of
 from capture_sim.recording.read import read_run
 
 RIG = Path(__file__).parents[2] / "examples" / "fake_rig.py"
@@ -61,7 +61,7 @@ def test_trials_after_idle_time_hold_no_earlier_messages(tmp_path, capsys):
         assert announced - arrivals[0] < OVERTAKING + 0.1e9
         assert np.diff(stamps).max() < 0.5e9, "a gap in the poses"
         assert np.ptp(arrivals - stamps) < 1e9, "poses logged later than they arrived"
-        assert 0 < release_of(run) - stamps[0] < 2e9
+        assert 0 < run.clock.release - stamps[0] < 2e9
         assert main(["detect", str(path)]) == 0, capsys.readouterr()
         printed = capsys.readouterr().out
         assert printed.rstrip().endswith("the same")

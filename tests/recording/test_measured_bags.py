@@ -131,13 +131,13 @@ def test_poses_of_another_type_do_not_hinder_the_export_of_what_else_is_there(re
 
 
 def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
-    bag = read_run(of_a_bench(recorded, tmp_path / "x.mcap", (*STANDARD, "/capture/status")))
+    bag = of_a_bench(recorded, tmp_path / "x.mcap", (*STANDARD, "/capture/status"))
     scene = capture_sim.load_scene("tilt_0")
-    seen = run_from_bag(bag, scene, 0.5)
+    seen = run_from_bag(read_run(bag, release=0.5), scene)
     assert seen.samples["t"] == pytest.approx(run.samples["t"][::10] - 0.5, abs=1e-6)
     assert decided_at(seen) == pytest.approx(decided_at(run) - 0.5, abs=1e-6)
     with pytest.raises(RecordingError, match=r"release = 60 s: must be 0 to [0-9.]+ s"):
-        run_from_bag(bag, scene, 60.0)
+        run_from_bag(read_run(bag, release=60.0), scene)
 
 
 def test_it_is_drawn_by_everything(recorded, tmp_path):

@@ -152,7 +152,7 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
     bench = Bench(scene)
     bench.advance(np.array([4.0]))
     true = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:4]
-    found, source = touches_of(read_run(bag), STOOD, run.scene)
+    found, source = touches_of(read_run(bag, release=STOOD), run.scene)
     found = found.of(slice(4))
     assert source.startswith("contact/wrench, 2e+04 Hz")
     assert found.start == pytest.approx(true["start"], abs=1.0 / CELL)

@@ -65,6 +65,37 @@ def test_times_of_a_table_count_from_the_release(path, tmp_path):
     assert table(theirs, "/chaser/odom")["t"] == pytest.approx(times[times > 1.995], abs=1e-9)
 
 
+def test_simulated_bag_that_begins_late_counts_from_its_release(path, tmp_path):
+    """Without the announcement: the simulator's state shows that one clock stamps all."""
+
+    def from_2_s(time, message):
+        if message.header.stamp.sec >= EPOCH_NS // 10**9 + 2:
+            yield time + 1_700_000_000_000_000_000, message
+
+    topics = (BENCH_TOPICS[0], ("/bench/state", "capture_sim/msg/BenchState"))
+    bag = read_run(rewritten(path, tmp_path / "bag", from_2_s, topics))
+    assert table(bag, "/chaser/odom")["t"][0] == pytest.approx(2.0, abs=0.01)
+    assert bag.samples["t"][0] == pytest.approx(2.0, abs=0.01)
+
+
+def test_poses_before_the_release_count_by_the_clock_of_the_bench(path, tmp_path):
+    """The launcher's stamp of the release, 1 s, lies before all poses and near some."""
+    boot = 2  # s, of the bench's clock when the recording begins; the release arrives 5 s later
+
+    def change(time, message):
+        if hasattr(message, "action"):
+            yield time + 5_000_000_000, message
+        else:
+            message.header.stamp.sec += boot
+            yield time, message
+
+    topics = (*BENCH_TOPICS[:2], ("/launcher/command", "capture_sim/msg/LaunchCommand"))
+    bag = read_run(rewritten(path, tmp_path / "bag", change, topics))
+    shifted = table(read_run(path), "/chaser/odom")["t"] - 5.0
+    assert table(bag, "/chaser/odom")["t"] == pytest.approx(shifted, abs=1e-6)
+    assert table(bag, "/launcher/command")["t"].tolist() == [0.0, 0.0]
+
+
 def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
     run = read_run(path)
     folder = tmp_path / "bag"

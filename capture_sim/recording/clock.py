@@ -1,0 +1,168 @@
+"""The clock of a recording: when the launcher let go, and times since then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum, auto
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import EPOCH_NS, stamp_seconds
+from capture_sim.studies.measurements import Series
+
+#: A release whose stamp is further than this from its arrival, ns, is stamped by another clock.
+_MAX_STAMP_DELAY = 1_000_000_000
+#: Number of poses whose median relates stamps to log times.
+_N_OFFSETS = 20
+
+
+class Origin(Enum):
+    """How the release was found."""
+
+    STAMP = auto()  # recorded, and stamped by the clock of the poses
+    ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place
+    GIVEN = auto()  # by the user, after the first pose
+    BEGINNING = auto()  # not recorded: the first pose, without poses the first message
+
+
+class Logged(NamedTuple):
+    """Messages of a topic by their stamps and their log times, (n,) int64 each, ns."""
+
+    stamps: np.ndarray
+    log_times: np.ndarray
+
+
+class Clock(NamedTuple):
+    """The release, t = 0, on every clock that a recording has times of."""
+
+    origin: Origin
+    release: int  # stamp by the clock of the poses, ns
+    log_time: int  # when it was logged, or would have been, ns
+    trial_release: int  # stamp by the clock of launcher and announcement, ns
+    first_pose: int  # stamp of the first pose, ns; of the release without poses
+
+    @property
+    def t_release(self) -> float:
+        """Time of the release in the recorder's samples, events and statuses, s.
+
+        Their times count from a stamp of 1 s.
+        """
+        return stamp_seconds(self.release)
+
+    @property
+    def after_first_pose(self) -> float:
+        """Time of the release, s after the first pose."""
+        return (self.release - self.first_pose) / 1e9
+
+    def since(self, stamps: np.ndarray) -> np.ndarray:
+        """Return stamps by the clock of the poses, ns, as times since the release, s."""
+        return (stamps - self.release) / 1e9
+
+    def since_by_trial(self, stamps: np.ndarray) -> np.ndarray:
+        """Return stamps by the trial's clock or by that of the poses, ns, as times, s.
+
+        A node goes by the trial's clock until it knows the bench's.
+        """
+        is_trial = np.abs(stamps - self.trial_release) < np.abs(stamps - self.release)
+        return (stamps - np.where(is_trial, self.trial_release, self.release)) / 1e9
+
+    def since_by_log(self, log_times: np.ndarray) -> np.ndarray:
+        """Return log times, ns, as times since the release, s."""
+        return (log_times - self.log_time) / 1e9
+
+    def series(self, columns: Mapping[str, np.ndarray], values: np.ndarray) -> Series:
+        """Return what a topic's messages measure, (n,) or (n, m) values, as a series.
+
+        Values that are not finite, and further ones of the same stamp, are left out.
+        """
+        t = self.since(stamps_of(columns))
+        finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
+        t, first = np.unique(t[finite], return_index=True)
+        return Series(t, values[finite][first])
+
+
+def has_stamps(columns: Mapping[str, np.ndarray]) -> bool:
+    """Return True if a topic's messages are stamped."""
+    return "clock.sec" in columns or "header.stamp.sec" in columns
+
+
+def stamps_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the stamps of a topic's messages, (n,) int64, ns."""
+    path = "clock" if "clock.sec" in columns else "header.stamp"
+    stamps = np.asarray(columns[f"{path}.sec"]).astype(np.int64) * 1_000_000_000
+    return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
+
+
+def find_clock(
+    poses: Logged | None,
+    release: Logged | None,
+    begin: int,
+    *,
+    is_simulated: bool,
+    given: float | None = None,
+) -> Clock:
+    """Find the release of a recording.
+
+    Parameters
+    ----------
+    poses
+        The poses of a vehicle; None if there are none.
+    release
+        The releases, else the announcements of the trial; None if there are none.
+    begin
+        First log time of all messages, ns.
+    is_simulated
+        True if a simulator's run is recorded: one clock stamps everything.
+    given
+        Release time, s after the first pose; None to find it.
+
+    Raises
+    ------
+    RecordingError
+        The given time is not between the first and the last pose.
+    """
+    trial_release = EPOCH_NS if release is None else int(release.stamps[0])
+    arrival = begin if release is None else int(release.log_times[0])
+    if given is not None:
+        origin, stamp = Origin.GIVEN, _after_first_pose(poses, given)
+    elif is_simulated:
+        origin, stamp = Origin.STAMP, EPOCH_NS
+    elif release is not None and poses is not None:
+        stamp = arrival + _stamp_offset(poses, poses.log_times - arrival)
+        origin = Origin.ARRIVAL
+        if abs(trial_release - stamp) <= _MAX_STAMP_DELAY:
+            origin, stamp = Origin.STAMP, trial_release
+    elif release is not None:
+        origin, stamp = Origin.STAMP, trial_release
+    else:
+        origin, stamp = Origin.BEGINNING, begin if poses is None else int(poses.stamps.min())
+    if poses is None:
+        return Clock(origin, stamp, arrival, trial_release, stamp)
+    log_time = stamp - _stamp_offset(poses, poses.stamps - stamp)
+    return Clock(origin, stamp, log_time, trial_release, int(poses.stamps.min()))
+
+
+def _stamp_offset(poses: Logged, distances: np.ndarray) -> int:
+    """Return the stamps less the log times of the nearest poses, ns.
+
+    A bench's clock may run slow or fast, so that poses far from the release do not count.
+    """
+    nearest = np.argsort(np.abs(distances), kind="stable")[:_N_OFFSETS]
+    return int(np.median((poses.stamps - poses.log_times)[nearest]))
+
+
+def _after_first_pose(poses: Logged | None, t: float) -> int:
+    """Return the stamp of a time after the first pose, s; RecordingError if it is outside."""
+    if poses is None:
+        raise RecordingError(
+            f"release = {t:g} s: counts from the first pose, but no pose is recorded"
+        )
+    first, last = int(poses.stamps.min()), int(poses.stamps.max())
+    if not 0.0 <= t <= (last - first) / 1e9:
+        raise RecordingError(
+            f"release = {t:g} s: must be 0 to {(last - first) / 1e9:g} s, from the first "
+            "pose to the last"
+        )
+    return first + round(t * 1e9)
