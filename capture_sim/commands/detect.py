@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 
@@ -66,9 +67,11 @@ def run(options: argparse.Namespace) -> int:
             label = status.label
     verdict = statuses[-1]
     since = _since(verdict, released)
+    nearest = f"closest approach {verdict.nearest_distance * 1e3:.3f} mm"
+    if not math.isfinite(verdict.nearest_distance):
+        nearest = "no position of the tip"
     echo(
-        f"verdict: {verdict.label} since {since:.3f} s; closest approach "
-        f"{verdict.nearest_distance * 1e3:.3f} mm, {len(statuses) - 1} measurements"
+        f"verdict: {verdict.label} since {since:.3f} s; {nearest}, {len(statuses) - 1} measurements"
     )
     if not recorded.statuses:
         return OK

@@ -285,7 +285,6 @@ def open_run(
     *,
     release: float | None = None,
     several: bool = False,
-    quiet: bool = False,
 ) -> Run:
     """Read a recording and print its problems.
 
@@ -299,8 +298,6 @@ def open_run(
         From :func:`add_release`.
     several
         True if the recording may contain several runs.
-    quiet
-        True to leave the problems to the caller.
 
     Raises
     ------
@@ -314,7 +311,7 @@ def open_run(
         raise RecordingError(
             f"{path}: contains {len(run.run_ids)} runs, whose times overlap: must be one run"
         )
-    for problem in () if quiet else (*run.left_out, *run.problems):
+    for problem in (*run.left_out, *run.problems):
         warn(f"{path}: {problem}")
     return run
 
@@ -336,7 +333,7 @@ def open_runs(
     release: float | None = None,
     remaps: Sequence[str] = (),
 ) -> list[Opened]:
-    """Open recordings, or run scenes given by name; print the problems of a recording.
+    """Open recordings and print their problems, or run scenes given by name.
 
     Parameters
     ----------
@@ -364,14 +361,10 @@ def open_runs(
         else _run_now(source)
         for source in sources
     ]
-    opened = [
+    return [
         dataclasses.replace(one, label=label)
         for one, label in zip(opened, _labels(opened, sources), strict=True)
     ]
-    for one in opened:
-        for problem in one.problems:
-            warn(f"{one.label}: {problem}")
-    return opened
 
 
 def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
@@ -395,7 +388,7 @@ def _open_recording(
 ) -> Opened:
     from capture_sim.recording.measured_run import run_from_bag
 
-    recorded = open_run(path, remaps, release=release, quiet=True)
+    recorded = open_run(path, remaps, release=release)
     place = Path(path).resolve()  # the path may be . or end in ..
     label = place.stem if path.endswith(".mcap") else place.name
     software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))

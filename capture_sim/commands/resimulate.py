@@ -6,7 +6,7 @@ import argparse
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_remaps, not_negative, open_run, scene_of
+from capture_sim.commands.inputs import add_remaps, not_negative, open_run
 from capture_sim.commands.output import echo
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import software_versions
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     recorded = open_run(options.recording, options.remaps)
-    scene = scene_of(recorded, None, ())
+    scene = recorded.scene
     if not recorded.samples.size:
         raise RecordingError(f"{options.recording}: contains no bench/state to compare with")
     compile_first()

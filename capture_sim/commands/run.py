@@ -64,8 +64,8 @@ def _remove_replaced(names: list[str], folder: Path) -> None:
     """Remove files that a recorded run would have replaced: they do not match the results."""
     recordings = [path for name in names if (path := folder / f"{name}.mcap").is_file()]
     if recordings:
-        from capture_sim.recording.offline import is_simulated
+        from capture_sim.recording.offline import is_repeatable
 
-        recordings = [path for path in recordings if is_simulated(path)]
+        recordings = [path for path in recordings if is_repeatable(path)]
     pictures = [path.with_suffix(".png") for path in recordings]
     remove_earlier([*recordings, *pictures, *([folder / OVERVIEW, folder / RRD] if names else [])])

@@ -183,7 +183,7 @@ def _comparable(
 ) -> Comparable:
     met = first_contact(run)
     if met is None:
-        raise RecordingError(f"{run.path}: no contact in it to align with")
+        raise RecordingError(f"{run.path}: contains no contact to align it by")
     series = {name: sources[name][topic] for name, topic in choice.items()}
     touches, source = touches_of(run)
     return Comparable(

@@ -13,7 +13,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER
-from capture_sim.recording.scan import UNPACKED_RATIO, Block, Damage, mapped, scan
+from capture_sim.recording.scan import UNPACKED_RATIO, Block, Damage, scan
 
 #: Encoding of ROS 2 messages.
 CDR = "cdr"
@@ -47,15 +47,14 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
     """
     contents = Contents()
     for file in bag_files(path):
-        with mapped(file) as data:
-            reader = _Reader(contents)
-            for found in scan(data, ratio):
-                if isinstance(found, Damage):
-                    name = f"{file.name}: " if path.is_dir() else ""
-                    contents.damage += (f"{name}{found}",)
-                    contents.has_verified_end &= found.in_index
-                else:
-                    reader.take(found)
+        reader = _Reader(contents)
+        for part in scan(file, ratio):
+            if isinstance(part, Damage):
+                name = f"{file.name}: " if path.is_dir() else ""
+                contents.damage += (f"{name}{part}",)
+                contents.has_verified_end &= part.in_index
+            else:
+                reader.take(part)
     for topic, times in contents.log_times.items():
         if any(later < time for time, later in pairwise(times)):
             order = sorted(range(len(times)), key=times.__getitem__)

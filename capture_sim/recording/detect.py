@@ -85,5 +85,8 @@ def _sources_in(run: Run, scene: Scene) -> dict[Topic, Source]:
             found[source] = topic
     for topic, source in wanted.items():
         if source not in found:
-            raise RecordingError(f"{run.path}: holds no {topic.name}, which the detector needs")
+            raise RecordingError(
+                f"{run.path}: contains no {topic.name}, which the detector needs; --remap reads it "
+                "from another topic"
+            )
     return {topic: source for source, topic in found.items()}

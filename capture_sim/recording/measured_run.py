@@ -251,8 +251,8 @@ def _aligned(run: Run) -> AlignedMeasurements:
         found = [poses for poses in sources.get(name, {}).values() if poses.t.size]
         if not found:
             raise RecordingError(
-                f"{run.name}: holds no pose of finite numbers of the {name}, on "
-                f"/motion_capture/{name} or {odometry.absolute_name}: nothing to draw"
+                f"{run.path}: contains no finite pose of the {name} (/motion_capture/{name} or "
+                f"{odometry.absolute_name}); --remap reads it from another topic"
             )
         poses = _unwrapped(found[0])
         if columns := run.columns(odometry):
@@ -266,9 +266,9 @@ def _aligned(run: Run) -> AlignedMeasurements:
     buffers = buffers_in(run)
     if not buffers:
         raise RecordingError(
-            f"{run.name}: holds neither {topics.BUFFER_STATE.absolute_name} nor "
-            f"{topics.JOINT_STATES.absolute_name} with {HINGE_JOINT} and {SLIDE_JOINT}: the place "
-            "of the tip is not known"
+            f"{run.path}: contains neither {topics.BUFFER_STATE.absolute_name} nor "
+            f"{topics.JOINT_STATES.absolute_name} with {HINGE_JOINT} and {SLIDE_JOINT}, so the "
+            "position of the tip is unknown"
         )
     topic, buffer = next(iter(buffers.items()))
     t = chaser.t

@@ -31,7 +31,7 @@ from capture_sim.messages.telemetry import (
     samples_per_message,
 )
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
-from capture_sim.recording.scan import Damage, mapped, scan
+from capture_sim.recording.scan import Damage, scan
 from capture_sim.recording.write import RUN_METADATA, RunWriter
 from capture_sim.results import extremes_to_text
 
@@ -79,7 +79,7 @@ def write_run(
     path = Path(path)
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
     while True:
-        replaced = is_device(path) or (replace and is_simulated(path))
+        replaced = is_device(path) or (replace and is_repeatable(path))
         target = path if replaced else free_path(path)
         try:
             with whole_file(target, replace=replaced) as part:
@@ -97,13 +97,13 @@ def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
         writer.closing["extremes"] = extremes_to_text(result.extremes)
 
 
-def is_simulated(path: Path) -> bool:
-    """Whether a file is a run that was simulated without ROS, and could be made again."""
-    with suppress(Exception), mapped(path) as data:  # whatever it is, it is no such file
-        for found in scan(data, 1.0):
-            if isinstance(found, Damage) or found.messages:
+def is_repeatable(path: Path) -> bool:
+    """Return True if a file is a run that was simulated without ROS: it can be made again."""
+    with suppress(Exception):  # whatever it is, it is no such file
+        for block in scan(path, 1.0):
+            if isinstance(block, Damage) or block.messages:
                 break
-            for entry in found.entries:
+            for entry in block.entries:
                 if isinstance(entry, Metadata) and entry.name == RUN_METADATA:
                     return entry.metadata.get("origin") == SIMULATED
     return False

@@ -162,6 +162,8 @@ class Run:
     @cached_property
     def missing(self) -> tuple[str, ...]:
         """What sequences and counts tell of lost messages and of an early end, in lines."""
+        if len(self.run_ids) > 1:
+            return (f"contains {len(self.run_ids)} runs: lost messages cannot be counted",)
         recorded = {
             topic: messages
             for name, messages in self._contents.messages.items()
@@ -273,7 +275,7 @@ class Run:
                 return self._contents.attachments[SCENE_ATTACHMENT].decode()
             except UnicodeDecodeError:
                 raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is no text") from None
-        raise RecordingError(f"{self.path}: holds no {SCENE_ATTACHMENT}")
+        raise RecordingError(f"{self.path}: contains no scene")
 
     @cached_property
     def announced(self) -> RunDescription | None:

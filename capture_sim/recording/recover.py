@@ -11,7 +11,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, whole_file
 from capture_sim.recording.bag_file import BAG_METADATA, BagFile, TopicEntry, profiles_in
 from capture_sim.recording.contents import bag_files, why_unreadable
-from capture_sim.recording.scan import UNPACKED_RATIO, Block, Damage, mapped, scan
+from capture_sim.recording.scan import UNPACKED_RATIO, Block, Damage, scan
 from capture_sim.recording.write import END_METADATA, RECOVERY_METADATA
 
 
@@ -95,14 +95,13 @@ class _Copy:
     def add(self, file: Path, ratio: float, prefix: str) -> None:
         """Copy a file up to its damage; ``prefix`` begins the line about that."""
         self._schemas, self._ids = {}, {}
-        with mapped(file) as data:
-            for found in scan(data, ratio):
-                if not isinstance(found, Damage):
-                    self._write(found)
-                    continue
-                self.losses.append(f"{prefix}{found}")
-                if not found.in_index:
-                    self.metadata.pop(END_METADATA, None)  # no checksum covers it
+        for part in scan(file, ratio):
+            if not isinstance(part, Damage):
+                self._write(part)
+                continue
+            self.losses.append(f"{prefix}{part}")
+            if not part.in_index:
+                self.metadata.pop(END_METADATA, None)  # no checksum covers it
 
     def _write(self, block: Block) -> None:
         for entry in block.entries:

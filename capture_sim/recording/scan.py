@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import mmap
+import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
@@ -48,6 +48,14 @@ _DAMAGE = (
     RuntimeError,  # lz4's
     zstandard.ZstdError,
 )
+#: ... because the file ends within it, or a length in it is wrong.
+_INCOMPLETE = (
+    EndOfFile,
+    RecordLengthLimitExceeded,
+    struct.error,
+    OverflowError,
+    MemoryError,
+)
 
 
 class Block(NamedTuple):
@@ -75,32 +83,33 @@ class Damage(NamedTuple):
         return text + (f", the last {self.duration:.3f} s after the first" if self.messages else "")
 
 
-@contextmanager
-def mapped(path: Path) -> Iterator[mmap.mmap]:
-    """Map an MCAP file into memory; RecordingError if it cannot be read or is not one."""
+def scan(path: Path, ratio: float) -> Iterator[Block | Damage]:
+    """Yield the contents of an MCAP file's data section; last its damage, if it has any.
+
+    ``ratio`` is how many times its size the file may unpack to.  RecordingError if the file cannot
+    be read or is not an MCAP file.
+    """
     try:
+        # without opening what has no size: a pipe would block
         if not path.is_dir() and not path.stat().st_size:
             raise RecordingError(f"{path}: not an MCAP file")
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            if data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 raise RecordingError(f"{path}: not an MCAP file")
-            yield data
+            file.seek(0)
+            yield from _blocks(file, os.fstat(file.fileno()).st_size, ratio)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
 
 
-def scan(data: mmap.mmap, ratio: float) -> Iterator[Block | Damage]:
-    """Yield the contents of a file's data section; last its damage, if it has any.
-
-    ``ratio`` is how many times its size the file may unpack to.
-    """
-    remaining = int(max(UNPACKED_LEAST, ratio * len(data)))
+def _blocks(file: IO[bytes], file_size: int, ratio: float) -> Iterator[Block | Damage]:
+    remaining = int(max(UNPACKED_LEAST, ratio * file_size))
     channels: set[int] = set()
     first, last, count = _TIME_LIMIT, 0, 0
     end, in_index = len(MCAP0_MAGIC), False
     try:
         reader = StreamReader(
-            data, emit_chunks=True, validate_crcs=True, record_size_limit=len(data)
+            file, emit_chunks=True, validate_crcs=True, record_size_limit=file_size
         )
         for record in reader.records:
             in_index = in_index or isinstance(record, DataEnd)
@@ -117,10 +126,14 @@ def scan(data: mmap.mmap, ratio: float) -> Iterator[Block | Damage]:
                     first, last = min(first, *times), max(last, *times)
                     count += len(times)
                 yield block
-            end = data.tell()
+            end = file.tell()
+        end = file.tell()
+        if end < file_size:
+            raise ValueError("more bytes follow the end mark")
     except _DAMAGE as error:
         duration = (last - first) / 1e9 if count else 0.0
-        yield Damage(end, len(data), _in_words(error), count, _written(data), duration, in_index)
+        reason, written = _in_words(error), _written(file, file_size)
+        yield Damage(end, file_size, reason, count, written, duration, in_index)
 
 
 def _block(record: McapRecord, limit: int) -> Block:
@@ -189,11 +202,11 @@ def _check(messages: Sequence[StoredMessage], times: Sequence[int], channels: se
         raise ValueError(f"a message of unknown channel {min(unknown)}")
 
 
-def _written(data: mmap.mmap) -> int | None:
+def _written(file: IO[bytes], file_size: int) -> int | None:
     """Return how many messages the index at a file's end reports; None without one."""
     with suppress(*_DAMAGE, OSError):
-        data.seek(0)
-        summary = SeekingReader(data, record_size_limit=len(data)).get_summary()
+        file.seek(0)
+        summary = SeekingReader(file, record_size_limit=file_size).get_summary()
         if summary is not None and summary.statistics is not None:
             return summary.statistics.message_count
     return None
@@ -201,7 +214,7 @@ def _written(data: mmap.mmap) -> int | None:
 
 def _in_words(error: Exception) -> str:
     """Return what is wrong with a record whose parsing raised one of _DAMAGE."""
-    if isinstance(error, EndOfFile | struct.error | OverflowError | MemoryError):
+    if isinstance(error, _INCOMPLETE):
         return "incomplete record"
     if isinstance(error, InvalidMagic):
         return "no end mark"

@@ -165,7 +165,7 @@ def test_compare_command(path, other, bench_bag, tmp_path, capsys):
     untouched = write_run(far, tmp_path / "far.mcap")
     capsys.readouterr()
     assert main(["compare", str(path), str(untouched), "--out", str(tmp_path)]) == 2
-    assert "no contact in it" in capsys.readouterr().err
+    assert "contains no contact to align it by" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("window", ["0.0001", "0"])

@@ -206,7 +206,7 @@ def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
 
 def test_topic_that_the_detector_needs_is_named(path, tmp_path):
     bag = read_run(rewritten(path, tmp_path / "bag", topics=BENCH_TOPICS[:1]))
-    with pytest.raises(RecordingError, match="holds no target/odom, which the detector needs"):
+    with pytest.raises(RecordingError, match="contains no target/odom, which the detector needs"):
         detect_again(bag, read_run(path).scene)
 
 

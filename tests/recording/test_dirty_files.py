@@ -1,0 +1,227 @@
+"""Files as a user may have them: every command reports in one line what is wrong, and where."""
+
+from __future__ import annotations
+
+import resource
+import zipfile
+
+import numpy as np
+import pytest
+from bags import copied, of_a_bench
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+import capture_sim
+from capture_sim.cli import main
+from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.definitions import typestore
+from capture_sim.messages.topics import CHASER_ODOMETRY
+from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
+from capture_sim.recording.playback import Playback
+from capture_sim.recording.read import read_run
+from capture_sim.recording.recover import recover
+from capture_sim.recording.write import RunWriter
+
+#: Commands that read a recording, with the least that they need.
+COMMANDS = {
+    "view": ["--scene", "tilt_0"],
+    "report": ["--scene", "tilt_0"],
+    "detect": ["--scene", "tilt_0"],
+    "identify": ["mu", "--scene", "tilt_0", "--starts", "1"],
+    "compare": [],
+    "export": [],
+    "recover": [],
+    "resimulate": [],
+}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    result = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=0.8)
+    return write_run(result, tmp_path_factory.mktemp("runs") / "tilt_0.mcap")
+
+
+def answers(file, folder, capsys, commands=tuple(COMMANDS)):
+    """Yield each command with its status, lines of standard error, and standard output."""
+    for command in commands:
+        options = COMMANDS[command]
+        if command not in ("detect", "identify", "resimulate"):
+            suffix = {"report": ".html", "recover": ".mcap"}.get(command, "")
+            options = [*options, "--out", str(folder / f"{command}{suffix}")]
+        others = [str(file)] if command == "compare" else []
+        status = main([command, str(file), *others, *options])
+        printed = capsys.readouterr()
+        yield command, status, printed.err.splitlines(), printed.out
+
+
+@pytest.mark.parametrize("kind", ["empty", "zip"])
+def test_file_of_another_kind_is_named_as_such(kind, tmp_path, capsys):
+    file = tmp_path / "run.mcap"
+    file.touch()
+    if kind == "zip":
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("a.txt", "text " * 1000)
+    for _, status, errors, _ in answers(file, tmp_path, capsys):
+        assert status == 2
+        assert errors == [f"capture-sim: {file}: not an MCAP file"]
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        Playback(file)
+    assert {p.name for p in tmp_path.iterdir()} <= {"run.mcap", "compare", "view"}
+
+
+def test_recording_cut_before_its_first_message_names_file_and_byte(path, tmp_path, capsys):
+    file = tmp_path / "head.mcap"
+    file.write_bytes(path.read_bytes()[:100])
+    damage = f"{file}: read up to byte 46 of 100 (incomplete record): 0 messages"
+    for command, status, errors, _ in answers(file, tmp_path, capsys):
+        assert status == (1 if command == "recover" else 2), command
+        if command != "recover":
+            assert errors[0] == f"capture-sim: {damage}", command
+        assert len(errors) <= 3, command
+    with pytest.raises(RecordingError, match="nothing to play: read up to byte 46 of 100"):
+        Playback(file)
+
+
+def test_two_recordings_one_behind_the_other_are_not_read_as_one(path, tmp_path, capsys):
+    """As `cat a.mcap b.mcap` leaves them: only the first is read, which is reported."""
+    file, size = tmp_path / "both.mcap", path.stat().st_size
+    file.write_bytes(path.read_bytes() * 2)
+    line = f"read up to byte {size} of {2 * size} (more bytes follow the end mark)"
+    for command, _, errors, printed in answers(file, tmp_path, capsys, ("detect", "recover")):
+        assert line in "\n".join([*errors, printed]), command
+    run = read_run(file)
+    assert run.topics == read_run(path).topics
+    assert not run.complete
+    assert run.extremes is not None  # what precedes the end mark has its checksum
+
+
+def test_two_runs_merged_into_one_file_are_named_as_two(path, tmp_path, capsys):
+    other = write_run(
+        capture_sim.simulate(capture_sim.load_scene("tilt_p10"), t_end=0.5), tmp_path / "b.mcap"
+    )
+    file = tmp_path / "merged.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        for source in (path, other):
+            ids = {}
+            with source.open("rb") as read:
+                for schema, channel, message in make_reader(read).iter_messages():
+                    if channel.topic not in ids:
+                        kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        ids[channel.topic] = writer.register_channel(channel.topic, "cdr", kind)
+                    times = (message.log_time, message.data, message.publish_time)
+                    writer.add_message(ids[channel.topic], *times)
+        writer.finish()
+    for command, status, errors, _ in answers(file, tmp_path, capsys):
+        assert status == (0 if command in ("export", "recover") else 2), command
+        if command != "recover":
+            assert len(errors) == 1, command
+            assert errors[0].startswith(f"capture-sim: {file}: contains 2 runs"), command
+
+
+def test_bag_of_another_robot_is_named_with_what_is_missing(path, tmp_path, capsys):
+    def elsewhere(topic, data):
+        yield f"/robot{topic}", "cdr", data
+
+    topics = ("/chaser/odom", "/joint_states")
+    file = copied(path, tmp_path / "robot.mcap", topics=topics, change=elsewhere)
+    expected = {
+        "view": f"{file}: contains no finite pose of the chaser",
+        "report": f"{file}: contains no finite pose of the chaser",
+        "detect": f"{file}: contains no chaser/odom, which the detector needs",
+        "identify": "nothing to fit to",
+        "compare": f"{file}: contains no contact to align it by",
+        "resimulate": f"{file}: contains no scene",
+    }
+    for command, status, errors, printed in answers(file, tmp_path, capsys):
+        assert status == (2 if command in expected else 0), command
+        assert len(errors) == (command in expected), command
+        if command in expected:
+            assert errors[0].startswith(f"capture-sim: {expected[command]}"), command
+        if command == "export":
+            assert "robot_chaser_odom.csv" in printed
+
+
+def test_poses_that_are_no_numbers_are_left_out(path, tmp_path, capsys):
+    store = typestore()
+
+    def lost(topic, data):
+        if topic == "/chaser/odom":
+            message = store.deserialize_cdr(data, CHASER_ODOMETRY.type_name)
+            message.pose.pose.position.x = np.nan
+            data = bytes(store.serialize_cdr(message, CHASER_ODOMETRY.type_name))
+        yield topic, "cdr", data
+
+    bare = of_a_bench(path, tmp_path / "bare.mcap")
+    file = copied(bare, tmp_path / "nan.mcap", change=lost)
+    ((_, status, errors, printed),) = answers(file, tmp_path, capsys, ("detect",))
+    assert (status, errors) == (0, [])
+    assert "verdict: undecided" in printed
+    assert "no position of the tip, 0 measurements" in printed
+    for command, status, errors, _ in answers(file, tmp_path, capsys, ("view", "report")):
+        assert status == 2, command
+        assert f"{file}: contains no finite pose of the chaser" in errors[0], command
+
+
+def test_recording_that_is_being_written_is_read_up_to_what_is_there(tmp_path, capsys):
+    result = capture_sim.simulate(capture_sim.load_scene("tilt_0"), t_end=0.8)
+    run = RunDescription.of(result.scene, "x", PUBLISHERS)
+    file = tmp_path / "growing.mcap"
+    writer = RunWriter(file, run)
+    stream = list(run_stream(result, run))
+    for topic, stamp, data in stream[: len(stream) // 2]:
+        writer.write(topic, data, stamp)
+    writer.flush()
+    for command, status, errors, _ in answers(file, tmp_path, capsys, ("detect", "export")):
+        assert status == 0, command
+        assert len(errors) == 1, command
+        assert f"{file}: read up to byte {file.stat().st_size} of" in errors[0], command
+    assert sum(read_run(file).topics.values()) == len(stream) // 2
+    writer.close()
+
+
+def test_file_that_shrinks_while_it_is_read_ends_no_process(path, tmp_path, monkeypatch):
+    """As a copy over it begins.  Of a mapped file the system would kill the reader."""
+    from capture_sim.recording import scan
+
+    file = tmp_path / "run.mcap"
+    file.write_bytes(path.read_bytes())
+    check = scan._check
+
+    def shrink(*args):
+        file.write_bytes(b"")
+        check(*args)
+
+    monkeypatch.setattr(scan, "_check", shrink)
+    (line,) = read_run(file).damage
+    assert "read up to byte" in line
+
+
+def test_full_disk_is_reported_of_the_new_file(path, tmp_path):
+    """Not of the one that is read, nor as a loss of one file of a bag."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for part in range(2):
+        (folder / f"bag_{part}.mcap").write_bytes(path.read_bytes())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))  # Python ignores SIGXFSZ
+    try:
+        for source in (path, folder):
+            with pytest.raises(RecordingError, match=r"out.mcap: cannot write: File too large"):
+                recover(source, tmp_path / "out.mcap")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("command", ["view", "report", "compare", "export", "recover"])
+def test_folder_that_nothing_can_be_written_to_is_named(command, path, capsys):
+    """/proc refuses every user, root included."""
+    name = {"report": "x.html", "recover": "x.mcap"}.get(command, "x")
+    others = [str(path)] if command == "compare" else []
+    assert main([command, str(path), *others, "--out", f"/proc/{name}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "/proc" in line
+    assert ": cannot be written: " in line or ": cannot write: " in line
