@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.files import file_name, free_path
@@ -31,6 +32,8 @@ from capture_sim.recording.write import RunWriter
 LIVE = "live"
 #: Bytes that may wait for the disk; take() waits when there are more.
 QUEUE_BYTES = 64 * 1024 * 1024
+#: Bytes that a waiting message needs besides its own.
+MESSAGE_COST = 150
 #: Seconds after which a begun chunk is handed to the operating system.
 FLUSH_PERIOD = 0.5
 #: Seconds between looks at the queue.
@@ -41,28 +44,6 @@ STALL_LIMIT = 10.0
 CLOSE_LIMIT = 5.0
 
 
-def open_new(
-    directory: Path,
-    run: RunDescription,
-    metadata: Mapping[str, str],
-    topics: Sequence[Topic],
-    remaps: Mapping[Topic, str],
-) -> RunWriter:
-    """Open ``<directory>/<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
-
-    A live recording has its name from the beginning, so that what a kill leaves is where one
-    looks for it.
-    """
-    while True:
-        path = free_path(directory / f"{file_name(run.name)}.mcap")
-        try:
-            return RunWriter(path, run, metadata, topics=topics, remaps=remaps)
-        except RecordingError as error:
-            if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
-                raise
-            # another recorder was faster
-
-
 @dataclass(frozen=True)
 class RecordingReport:
     """What came of a recording."""
@@ -70,9 +51,8 @@ class RecordingReport:
     # the file; None when no run was announced, so that nothing was written
     path: Path | None
     complete: bool  # every publisher has ended its streams and every message came
-    topics: Mapping[
-        str, TopicCount
-    ]  # messages received, written, expected and missing, by topic name
+    # messages received, written, expected and missing, by topic name
+    topics: Mapping[str, TopicCount]
     problems: tuple[str, ...]  # one line for everything that is wrong; empty when complete
 
 
@@ -195,6 +175,23 @@ class LiveRecorder:
     def __exit__(self, *error: object) -> None:
         self.close()
 
+    def _open_new(self, run: RunDescription) -> RunWriter:
+        """Open ``<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
+
+        A live recording has its name from the beginning, so that what a kill leaves is where one
+        looks for it.
+        """
+        while True:
+            path = free_path(self._directory / f"{file_name(run.name)}.mcap")
+            try:
+                return RunWriter(
+                    path, run, self._metadata, topics=self._topics, remaps=self._remaps
+                )
+            except RecordingError as error:
+                if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
+                    raise
+                # another recorder was faster
+
     def _log_time(self, topic: Topic, data: bytes, arrival: int | None = None) -> int | None:
         stamp = stamp_of(topic, data) if self._simulated else arrival or time.time_ns()
         if stamp is not None and stamp < 0:
@@ -207,8 +204,7 @@ class LiveRecorder:
             run = RunDescription.of_message(info)
             self._simulated = SIMULATOR in run.publishers
             first = (RUN_INFO, data, self._log_time(RUN_INFO, data))
-            where = (self._directory, run, self._metadata, self._topics, self._remaps)
-            self.path = self._queue.begin(first, *where)
+            self.path = self._queue.begin(first, partial(self._open_new, run))
             self._completeness.add(RUN_INFO, None)
             self.run = run
             self._completeness.publishers = run.publishers
@@ -231,34 +227,31 @@ class LiveRecorder:
             )
 
 
+#: Topic, bytes and log time (ns) of a message; None for the latest log time so far.
 _Waiting = tuple[Topic, bytes, int | None]
-
-
-def _stalled(limit: float) -> str:
-    return f"the disk has written nothing for {limit:g} s: the recording ends there"
 
 
 class _WriteQueue:
     """Hands messages to the file in a thread of its own, in batches, in bounded memory.
 
     The thread looks every :data:`WRITE_PERIOD` instead of being woken by each message: at 1 kHz
-    the waking costs more than the writing.  What it fails by is raised by every later call.
+    the waking costs more than the writing.  A failure is kept: every later call raises it too.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._lock = threading.Condition()
         self._waiting: list[_Waiting] = []
-        self._bytes = 0
+        self._bytes = 0  # that the waiting messages need
         self._closing: dict[str, str] | None = None
         self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
         self._last_written = time.monotonic()
 
-    def begin(self, first: _Waiting, *where: Any) -> Path:
+    def begin(self, first: _Waiting, open_file: Callable[[], RunWriter]) -> Path:
         """Open the file and start writing: the first message, then what waits; return its path."""
         try:
-            writer = open_new(*where)
+            writer = open_file()
         except RecordingError as error:
             self._error = error
             raise
@@ -270,19 +263,19 @@ class _WriteQueue:
     def put(self, *message: *_Waiting) -> None:
         """Append a message; wait while the queue is full and the disk writes."""
         with self._lock:
-            if self._bytes >= self._limit and self._thread is not None:
+            if self._is_full and self._thread is not None:
                 self._lock.wait_for(
-                    lambda: self._bytes < self._limit or self._error is not None, STALL_LIMIT
+                    lambda: not self._is_full or self._error is not None, STALL_LIMIT
+                )
+            if self._is_full and self._error is None:
+                self._error = (
+                    RecordingError("no run is announced that the waiting messages could belong to")
+                    if self._thread is None
+                    else _stall_error(STALL_LIMIT)
                 )
             self._check()
-            if self._bytes >= self._limit:
-                raise RecordingError(
-                    "no run is announced that the waiting messages could belong to"
-                    if self._thread is None
-                    else _stalled(STALL_LIMIT)
-                )
             self._waiting.append(message)
-            self._bytes += len(message[1])
+            self._bytes += len(message[1]) + MESSAGE_COST
 
     def close(self, closing: dict[str, str]) -> None:
         """Write all that waits, then the closing metadata, and close the file.
@@ -296,37 +289,46 @@ class _WriteQueue:
         while self._thread is not None and self._thread.is_alive():
             self._thread.join(WRITE_PERIOD)
             if time.monotonic() - self._last_written > CLOSE_LIMIT:
-                raise RecordingError(_stalled(CLOSE_LIMIT))
+                raise self._error or _stall_error(CLOSE_LIMIT)
         self._check()
+
+    @property
+    def _is_full(self) -> bool:
+        return self._bytes >= self._limit
 
     def _check(self) -> None:
         if self._error is not None:
             raise self._error
 
     def _work(self, writer: RunWriter) -> None:
-        flushed = time.monotonic()
         try:
-            while self._closing is None or self._waiting:
-                with self._lock:
-                    self._lock.wait_for(lambda: self._closing is not None, WRITE_PERIOD)
-                    batch, self._waiting = self._waiting, []
-                    self._bytes = 0
-                    self._lock.notify_all()
-                for message in batch:
-                    writer.write(*message)
-                    self._last_written = time.monotonic()
-                if time.monotonic() - flushed > FLUSH_PERIOD:
-                    writer.flush()
-                    flushed = time.monotonic()
-            writer.closing.update(self._closing or {})
-            writer.close()
+            self._write_all(writer)
         except Exception as error:  # whatever it is, the callers of put() must learn of it
             with suppress(Exception):  # the file is as whole as it can be
                 writer.close()
+            if not isinstance(error, RecordingError):
+                error = RecordingError(f"{writer.path}: {type(error).__name__}: {error}")
             with self._lock:
-                self._error = (
-                    error
-                    if isinstance(error, RecordingError)
-                    else RecordingError(f"{writer.path}: {type(error).__name__}: {error}")
-                )
+                self._error = self._error or error
                 self._lock.notify_all()
+
+    def _write_all(self, writer: RunWriter) -> None:
+        flushed = time.monotonic()
+        while self._closing is None or self._waiting:
+            with self._lock:
+                self._lock.wait_for(lambda: self._closing is not None, WRITE_PERIOD)
+                batch, self._waiting = self._waiting, []
+                self._bytes = 0
+                self._lock.notify_all()
+            for message in batch:
+                writer.write(*message)
+                self._last_written = time.monotonic()
+            if time.monotonic() - flushed > FLUSH_PERIOD:
+                writer.flush()
+                flushed = time.monotonic()
+        writer.closing.update(self._closing or {})
+        writer.close()
+
+
+def _stall_error(limit: float) -> RecordingError:
+    return RecordingError(f"the disk has written nothing for {limit:g} s: the recording ends there")

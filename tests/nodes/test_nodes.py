@@ -669,6 +669,7 @@ def test_disk_that_fails_ends_the_recorder_with_one_line(start_all):
     assert "Traceback" not in nodes["recorder"].text
     assert "Error occurred at" not in nodes["recorder"].text
     assert "tilt_0.mcap" in nodes["recorder"].lines[-1]
+    assert nodes["recorder"].text.count("cannot write") == 1
     nodes["simulator"].status()
     assert "done, 5936 samples" in nodes["simulator"].text  # as without a killed one
 

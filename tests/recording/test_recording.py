@@ -41,6 +41,7 @@ from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
     CAPTURE_STATUS,
+    CLOCK,
     JOINT_STATES,
     RUN_INFO,
     STREAM_COUNTS,
@@ -490,6 +491,45 @@ def test_recorder_without_a_run_writes_nothing(sent, tmp_path):
 def test_waiting_messages_are_bounded(sent, tmp_path):
     with pytest.raises(RecordingError, match="no run is announced"):
         record(tmp_path, sent[1:], queue_bytes=10_000)
+
+
+def test_waiting_messages_without_content_are_bounded_too(tmp_path):
+    recorder = LiveRecorder(tmp_path, queue_bytes=10_000)
+    data = bytes(12)  # encapsulation and a stamp
+    for _ in range(60):
+        recorder.take(CLOCK, data)
+    with pytest.raises(RecordingError, match="no run is announced"):
+        for _ in range(60):
+            recorder.take(CLOCK, data)
+
+
+def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, monkeypatch):
+    """The first call waits, every later one fails at once with the same line."""
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
+    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    stalled, write, written = threading.Event(), RunWriter.write, []
+
+    def write_or_stall(writer, topic, data, stamp):
+        if len(written) == 1000:
+            writer.flush()
+            stalled.wait(30.0)
+        write(writer, topic, data, stamp)
+        written.append(topic)
+
+    monkeypatch.setattr(RunWriter, "write", write_or_stall)
+    recorder = LiveRecorder(tmp_path, queue_bytes=300_000)
+    with pytest.raises(RecordingError, match=r"nothing for 0.3 s: the recording ends") as first:
+        for topic, data in sent:
+            recorder.take(topic, data)
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 60.0)
+    began = time.monotonic()
+    for call in (lambda: recorder.take(*sent[1500]), recorder.close):
+        with pytest.raises(RecordingError) as later:
+            call()
+        assert later.value is first.value
+    assert time.monotonic() - began < 10.0
+    assert sum(read_run(tmp_path / f"{NAME}.mcap").topics.values()) == 1000
+    stalled.set()
 
 
 def test_small_queue_waits_and_loses_nothing(sent, tmp_path):
