@@ -83,7 +83,7 @@ def met(scene: Scene, target: DesignTarget) -> tuple[bool, str, float]:
     if target.first_contact:
         end = next((s for s in result.statuses if s.final), result.statuses[-1]).t
     before = result.touches[result.touches["start"] <= end]
-    force, verdict = float(before["peak_force"].max(initial=0.0)), result.verdict.label
+    force, verdict = float(before["peak_force"].max(initial=0.0)), result.verdict
     kept = target.peak_force is None or force <= target.peak_force
     return verdict == "captured" and kept, verdict, force
 

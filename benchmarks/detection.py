@@ -61,7 +61,7 @@ def replay(result, name, how, replays, rate=100.0):
     for k in range(replays):
         rng = np.random.default_rng([zlib.crc32(name.encode()), k])
         last, t = judge(result.scene, disturbed(result, how, rng, rate))
-        wrong += last.state is not result.verdict
+        wrong += last.state.label != result.verdict
         delays.append(t - decided)
     return wrong, delays
 
@@ -80,14 +80,14 @@ def standard(asked, _):
         rows.append(
             [
                 name,
-                result.verdict.label,
+                result.verdict,
                 f"{result.samples['tip_distance'].min() * 1e3:.2f}",
                 f"{wrong} of {asked.replays}",
                 f"{np.median(delays):.2f}",
                 f"{max(delays):.2f}",
             ]
         )
-        total = by_verdict.setdefault(result.verdict.label, [0, 0])
+        total = by_verdict.setdefault(result.verdict, [0, 0])
         total[0] += wrong
         total[1] += asked.replays
     head = ["run", "verdict", "nearest mm", "wrong", "later by s: median", "worst"]

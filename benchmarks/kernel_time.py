@@ -1,4 +1,4 @@
-"""An executor that counts how long its tasks are in compiled kernels."""
+"""An executor that counts how long its tasks are in compiled kernels, and outside them."""
 
 from __future__ import annotations
 
@@ -11,38 +11,51 @@ from capture_sim.detection import exact
 from capture_sim.engine import loop
 
 
-def timed(work: Callable[[Any], Any], task: Any) -> tuple[Any, float]:
-    """Do a task; return its answer and the time that it was in kernels, s."""
-    spent = 0.0
+def timed(work: Callable[[Any], Any], task: Any) -> tuple[Any, float, float, float]:
+    """Do a task; return its answer, its kernels' wall time, their processor time and its own, s."""
+    wall = processor = 0.0
 
     def counting(kernel: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
-            nonlocal spent
-            began = time.perf_counter()
+            nonlocal wall, processor
+            began, used = time.perf_counter(), time.process_time()
             try:
                 return kernel(*arguments)
             finally:
-                spent += time.perf_counter() - began
+                wall += time.perf_counter() - began
+                processor += time.process_time() - used
 
         return run
 
-    kernels = loop.advance, exact.follow
+    kernels, used = (loop.advance, exact.follow), time.process_time()
     loop.advance, exact.follow = map(counting, kernels)
     try:
-        return work(task), spent
+        answer = work(task)
+        return answer, wall, processor, time.process_time() - used
     finally:
         loop.advance, exact.follow = kernels
 
 
 class KernelTime(Executor):
-    """Hands tasks to another executor and sums the time of their kernels, s."""
+    """Hands tasks to another executor and sums their times, s.
+
+    Attributes
+    ----------
+    wall, processor : float
+        Of the kernels.
+    tasks : float
+        Processor time of the tasks, the kernels included.
+    """
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self.seconds = 0.0
+        self.wall = self.processor = self.tasks = 0.0
 
     def map(self, fn: Callable[..., Any], *iterables: Iterable[Any], **_: Any) -> Iterator[Any]:
+        """Return the answers in the order of the tasks."""
         (tasks,) = map(list, iterables)
-        for answer, seconds in self._executor.map(timed, [fn] * len(tasks), tasks):
-            self.seconds += seconds
+        for answer, wall, processor, whole in self._executor.map(timed, [fn] * len(tasks), tasks):
+            self.wall += wall
+            self.processor += processor
+            self.tasks += whole
             yield answer

@@ -404,8 +404,8 @@ def claims(evidence: Evidence) -> Iterator[Claim]:
 
 
 def _verdict(run: Result, where: str, says: str, captured: bool, why: str = "") -> Claim:
-    agrees = (run.verdict.label == "captured") == captured
-    here = f"{run.verdict.label}; nearest {run.summary['nearest_distance'] * 1e3:.2f} mm"
+    agrees = (run.verdict == "captured") == captured
+    here = f"{run.verdict}; nearest {run.summary['nearest_distance'] * 1e3:.2f} mm"
     paper = f"{run.scene.name}: {says}"
     return Claim(where, paper, here, "" if agrees else "differs", why, agrees)
 

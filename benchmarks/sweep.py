@@ -48,13 +48,18 @@ def speed(asked: Namespace, _: Path) -> list[str]:
             # libraries and kernels are loaded once: that is no part of the rate
             sweep(scene, vary, runs=100, executor=pool)
             executor = KernelTime(pool)
-            began = time.perf_counter()
+            began, used = time.perf_counter(), time.process_time()
             sweep(scene, vary, runs=asked.runs, executor=executor)
-            wall = time.perf_counter() - began
-        least = executor.seconds / cores
-        rate = asked.runs / wall
-        rows.append([name, f"{wall:.1f}", f"{least:.1f}", f"{wall / least:.2f}", f"{rate:.0f}"])
+            wall, here = time.perf_counter() - began, time.process_time() - used
+        least = executor.wall / cores
+        kernels = executor.processor / asked.runs
+        outside = (executor.tasks - executor.processor + here) / asked.runs
+        rows.append(
+            [name, f"{wall:.1f}", f"{least:.1f}", f"{wall / least:.2f}", f"{asked.runs / wall:.0f}"]
+        )
+        rows[-1] += [f"{kernels * 1e3:.2f}", f"{outside * 1e3:.2f}"]
     head = [f"{asked.runs} runs", "wall time s", "kernels / cores s", "ratio", "runs/s"]
+    head += ["kernels, processor ms a run", "outside them"]
     return [f"{cores} processes on {cores} cores.", "", table(head, rows)]
 
 

@@ -3,7 +3,7 @@
 >>> import capture_sim
 >>> result = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
 >>> result.verdict
-<CaptureState.CAPTURED: 2>
+'captured'
 """
 
 from __future__ import annotations

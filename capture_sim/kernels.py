@@ -143,6 +143,7 @@ def entry_kernel(function: F) -> F:
     return cast("F", Kernel(function, entry=True))
 
 
+@cache
 def plain(function: F) -> F:
     """Return the Python function of a kernel, calling those of other kernels, for use outside."""
     if not isinstance(function, Kernel):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from capture_sim.detection.exact import CaptureStatus
 from capture_sim.samples import EXTREMES, Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene
 
@@ -145,16 +146,20 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     touches
         (n,) of dtype TOUCH.
     """
-    before, after = extremes
-    periods = {"": [before] if after is None else [before, after], "_before_latch": [before]}
+    # as plain numbers: a record looks each up by its name
+    names = EXTREMES.names or ()
+    rows = [dict(zip(names, row.item(), strict=True)) for row in extremes if row is not None]
     loads: dict[str, Any] = {}
     for load in LOADS:
-        peak = min if load.least else max
-        for period, parts in periods.items():
-            numbers = [(row[name], row[f"{name}_time"]) for row in parts for name in load.extremes]
-            known = [(float(value), float(t)) for value, t in numbers if math.isfinite(value)]
-            value, t = peak(known, default=(None, None), key=lambda number: number[0])
-            loads[load.key + period] = value
+        for period, parts in (("", rows), ("_before_latch", rows[:1])):
+            value = t = None
+            for row in parts:
+                for name in load.extremes:
+                    number = row[name]
+                    is_peak = value is None or (number < value if load.least else number > value)
+                    if is_peak and math.isfinite(number):
+                        value, t = number, row[f"{name}_time"]
+            loads[f"{load.key}{period}"] = value
             loads[f"{load.key}{period}_time"] = t if value or load.least else None
     del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
     loads["touches"] = int(touches.size)
@@ -248,12 +253,12 @@ def summarize(
     samples: np.ndarray,
     touches: np.ndarray,
     events: Sequence[Event],
-    verdict: str,
+    status: CaptureStatus | None,
     wall_time: float | None,
     extremes: Extremes | None = None,
     problems: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the main results of a run, SI units; None without contact or wall time.
+    """Return the main results of a run, SI units; None without contact, verdict or wall time.
 
     The loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they come from the
     samples, and ``loads_from`` names the sample rate.  ``problems`` are the reasons why the run or
@@ -267,7 +272,8 @@ def summarize(
     simulated = float(samples["t"][-1]) if samples.size else 0.0
     return {
         "name": scene.name,
-        "verdict": verdict,
+        "verdict": None if status is None else status.state.label,
+        "left_again": status is not None and status.left_again,
         "problems": list(problems),
         "impact_speed": impact_speed(events),
         "first_contact_time": float(first["start"].min()) if met else None,
@@ -359,7 +365,10 @@ def rows(
     found = []
     named = [summary["name"] for summary in summaries] if names is None else names
     for name, summary in zip(named, summaries, strict=True):
-        found.append([name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])])
+        row = [name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])]
+        if summary["left_again"]:
+            row[1] += ", left"
+        found.append(row)
         if summary["max_latch_force_time"] is not None:
             earlier = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS)
             cells = (

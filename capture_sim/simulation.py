@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from capture_sim.bench import Bench, Statistics, check_times, compile_kernels, drive
+from capture_sim.bench import Bench, Statistics, check_times, compile_kernels, drive, joined
 from capture_sim.detection.align import Source
-from capture_sim.detection.exact import CaptureState, CaptureStatus, ExactDetector
+from capture_sim.detection.exact import CaptureStatus, ExactDetector
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import MissingPackageError, SceneError, SimulationError
 from capture_sim.launch.plan import LaunchPlan
@@ -157,9 +157,9 @@ class Result:
         return _judge(self.scene, self.watched, cut=bool(self.failure))
 
     @property
-    def verdict(self) -> CaptureState:
-        """Verdict of the detector, or undecided."""
-        return self.statuses[-1].state
+    def verdict(self) -> str:
+        """Verdict of the detector: captured, rebound, missed, stuck or undecided."""
+        return self.statuses[-1].state.label
 
     @cached_property
     def loads(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Result:
             self.samples,
             self.touches,
             self.events,
-            self.statuses[-1].label,
+            self.statuses[-1],
             self.wall_time,
             self.extremes,
             self.problems,
@@ -320,9 +320,7 @@ def simulate(
     grid = bench.times(0, math.floor(run.t_end * run.state_rate) + 2) if wanted is None else wanted
     pieces = list(drive(bench, grid))
     failure = pieces[-1].failure
-    # in a row as bytes: field by field NumPy takes eight times as long
-    raw = [piece.samples.view(f"V{SAMPLE.itemsize}") for piece in pieces]
-    samples = np.concatenate(raw).view(SAMPLE)
+    samples = joined([piece.samples for piece in pieces])
     result = Result(
         scene=scene,
         plan=bench.plan,

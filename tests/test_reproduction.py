@@ -44,7 +44,7 @@ def test_first_impact_from_one_metre_comes_after_ten_seconds(evidence):
     assert touch == pytest.approx(10.0, abs=1e-9)
     k = int(np.searchsorted(far.t, touch))
     assert abs(far.samples["tip_axial"][[0, k]] @ [1, -1]) == pytest.approx(1.0, abs=1e-3)
-    assert far.verdict.label == "captured"
+    assert far.verdict == "captured"
     for key in ("first_contact_duration", "first_contact_peak_force"):
         assert far.summary[key] == pytest.approx(near.summary[key], rel=1e-6)
 
@@ -92,7 +92,7 @@ def test_a_radius_of_capture_decides_cases_2_and_3(evidence):
 def test_assumptions_as_in_the_scenes_give_the_cases_verdict(evidence, case):
     point = run_case((case, tuple((a.field, a.assumed) for a in ASSUMPTIONS)))
     whole = evidence.run(case)
-    assert point.verdict is whole.verdict
+    assert point.verdict == whole.verdict
     final = next((s for s in whole.statuses if s.final), whole.statuses[-1])
     # The run to a verdict goes on for up to 0.2 s. It starts farther away, so its steps are others:
     # the two integrations agree within 1e-8 m (2e-9 m seen).

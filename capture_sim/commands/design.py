@@ -167,7 +167,7 @@ class _Candidates:
     def show(self, candidate: Candidate) -> None:
         """Show a candidate buffer and its strokes."""
         self._count += 1
-        verdict = "" if candidate.verdict is None else f"  {candidate.verdict.label}"
+        verdict = "" if candidate.verdict is None else f"  {candidate.verdict}"
         line = (
             f"{self._count:4d}  k_A {candidate.k_A:9.5g}  k_T {candidate.k_T:9.5g}  "
             f"c_A {candidate.c_A:8.4g}  {candidate.axial_stroke * 1e3:8.4f} mm  "
@@ -210,7 +210,7 @@ def _report(design: Design) -> None:
     )
     if design.margin is not None:
         echo(f"  captures up to {design.margin:g} times the spread")
-    echo(f"\nsimulation of the design: {outcome.verdict.label}, {outcome.reason}")
+    echo(f"\nsimulation of the design: {outcome.verdict}, {outcome.reason}")
     print_table(["whole run", "", "at s", "target", "margin"], _load_rows(design))
     for key, limit in exceeded(design).items():
         exceeding = next(load for load in LOADS if load.key == key)
@@ -254,7 +254,6 @@ def _keep(design: Design, folder: Path) -> None:
 
     def plain(candidate: Candidate) -> dict[str, Any]:
         row = dataclasses.asdict(candidate)
-        row["verdict"] = None if candidate.verdict is None else candidate.verdict.label
         row["nearest"] = None if math.isnan(candidate.nearest) else candidate.nearest
         return row
 

@@ -194,6 +194,8 @@ def _report(
 ) -> None:
     counts = ", ".join(f"{count} {name}" for name, count in table["verdict"].value_counts().items())
     echo(f"verdicts: {counts}")
+    if table["left_again"].any():
+        echo(f"{table['left_again'].sum()} of the captured runs left the capture zone again")
     drawn = [axis.name for axis in samples.axes if axis.distribution]
     if drawn:
         _print_probability(table, samples, options)

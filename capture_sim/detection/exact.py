@@ -91,10 +91,14 @@ class CaptureStatus(NamedTuple):
     reason: str
 
     @property
+    def left_again(self) -> bool:
+        """True if the tip was captured and is outside the capture zone again."""
+        return self.state is CaptureState.CAPTURED and _OUTSIDE_AGAIN in self.reason
+
+    @property
     def label(self) -> str:
         """The state for tables; of a capture also that the tip has left the zone again."""
-        left = self.state is CaptureState.CAPTURED and _OUTSIDE_AGAIN in self.reason
-        return f"{self.state.label}, left" if left else self.state.label
+        return f"{self.state.label}, left" if self.left_again else self.state.label
 
 
 class Criteria(NamedTuple):
@@ -189,6 +193,8 @@ MEMORY = np.dtype(
     ]
 )
 
+#: The same with fields as attributes, for Python.
+_MEMORY_BY_NAME = np.dtype((np.record, MEMORY))
 _NUMBERS = (
     *("t", "distance", "axial_offset", "lateral_offset", "relative_attitude", "relative_speed"),
     *("nearest_distance", "time_in_state"),
@@ -499,6 +505,11 @@ class ExactDetector:
         return CaptureState(int(self._memory["state"][0]))
 
     @property
+    def since(self) -> float:
+        """When the state began, s since the release."""
+        return float(self._memory["since"][0])
+
+    @property
     def final(self) -> bool:
         """True if there is a verdict."""
         return self.state.is_verdict
@@ -519,6 +530,10 @@ class ExactDetector:
         """
         return self._follow(samples, self._row, to_verdict=True)
 
+    def to_end(self, samples: np.ndarray) -> None:
+        """Take all of the next samples, (n,) of dtype SAMPLE; :meth:`finish` has the status."""
+        self._follow(samples, self._row, to_verdict=False)
+
     def _follow(self, samples: np.ndarray, rows: np.ndarray, *, to_verdict: bool) -> int:
         if not samples.size:
             return 0
@@ -537,7 +552,7 @@ class ExactDetector:
         cut
             True if the run was ended before its time.
         """
-        memory, row = self._memory.view(np.recarray)[0], self._row[0]
+        memory, row = self._memory.view(_MEMORY_BY_NAME)[0], self._row[0]
         if math.isnan(row["distance"]):
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
         elif not self.final:

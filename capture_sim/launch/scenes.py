@@ -142,16 +142,16 @@ def _supports(scene: Scene) -> None:
     for vehicle in ("chaser", "target"):
         balls = [list(ball) for ball in getattr(scene.supports, vehicle).balls]
         try:
-            load = loads(scene, vehicle)
+            load = loads(scene, vehicle).tolist()
         except np.linalg.LinAlgError:
-            load = np.array([math.nan])
+            load = [math.nan]
         allowed = ""
-        if not np.all(np.isfinite(load)) or np.abs(load).max() > 1e6 * scene.gravity * 1e3:
+        if not all(abs(force) <= 1e6 * scene.gravity * 1e3 for force in load):  # NaN is not
             allowed = "three points that do not lie in one line"
-        elif load.min() < 0.0:
+        elif min(load) < 0.0:
             allowed = (
                 "a triangle round the centre of mass; as it is, ball "
-                f"{int(load.argmin())} would lift off"
+                f"{load.index(min(load))} would lift off"
             )
         if allowed:
             raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
 from capture_sim.model.contact import FRICTION_LAWS, HYSTERESIS_FACTOR
 from capture_sim.model.supports import ball_loads
-from capture_sim.scene.parts import BallSupport, Scene
+from capture_sim.scene.parts import Scene
 
 #: Constants of a run; the kernels only read them.
 PARAMETERS = np.dtype(
@@ -107,11 +108,17 @@ def loads(scene: Scene, vehicle: str) -> np.ndarray:
         )
     else:
         support, mass, com_offset = scene.supports.target, scene.target.mass, 0.0
-    return ball_loads(np.array(support.balls), mass * scene.gravity, com_offset, 0.0)
+    return _cached_loads(support.balls, mass * scene.gravity, com_offset)
 
 
-def _limits(support: BallSupport, load: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.array(support.balls), support.c_rr * load])
+@lru_cache(maxsize=8)
+def _cached_loads(
+    balls: tuple[tuple[float, float], ...], weight: float, com_offset: float
+) -> np.ndarray:
+    # checked and packed for every scene, and the same in most runs of a study
+    load = ball_loads(np.array(balls), weight, com_offset, 0.0)
+    load.flags.writeable = False
+    return load
 
 
 def pack(
@@ -159,8 +166,10 @@ def pack(
     if scene.supports is not None:
         p["has_supports"] = 1
         p["v_eps_ball"] = scene.supports.rolling_regularization_speed
-        p["balls_S"] = _limits(scene.supports.chaser, loads(scene, "chaser"))
-        p["balls_T"] = _limits(scene.supports.target, loads(scene, "target"))
+        for vehicle, balls in (("chaser", p["balls_S"]), ("target", p["balls_T"])):
+            support = getattr(scene.supports, vehicle)
+            balls[:, :2] = support.balls
+            balls[:, 2] = support.c_rr * loads(scene, vehicle)
         p["rolling_limit_S"] = p["balls_S"][:, 2].sum()
     if scene.latch is not None:
         p["has_latch"] = 1

@@ -480,9 +480,9 @@ class Run:
         return Detector(**{field: float(limits[name][-1]) for name, field in CRITERIA.items()})
 
     @property
-    def verdict(self) -> CaptureState | None:
+    def verdict(self) -> str | None:
         """The detector's last state; None where it was not recorded."""
-        return self.statuses[-1].state if self.statuses else None
+        return self.statuses[-1].state.label if self.statuses else None
 
     def _check_numbers(
         self, topic: Topic, name: str, values: np.ndarray, kinds: type[IntEnum]

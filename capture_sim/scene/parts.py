@@ -81,27 +81,27 @@ class Probe(Checked):
     tip_radius: float = quantity("m", POSITIVE, doc="radius of the tip sphere, R_t")
     density: float = quantity("kg/m^3", POSITIVE, doc="density of rod and tip sphere")
 
-    @property
+    @cached_property
     def rod_mass(self) -> float:
         """Mass of the rod, kg."""
         return self.density * math.pi * self.radius**2 * self.length
 
-    @property
+    @cached_property
     def tip_mass(self) -> float:
         """Mass of the sphere, kg."""
         return self.density * 4.0 / 3.0 * math.pi * self.tip_radius**3
 
-    @property
+    @cached_property
     def mass(self) -> float:
         """Mass of rod and sphere, kg."""
         return self.rod_mass + self.tip_mass
 
-    @property
+    @cached_property
     def com_offset(self) -> float:
         """Centre of mass behind the tip's centre, m."""
         return self.rod_mass * (self.tip_radius + self.length / 2.0) / self.mass
 
-    @property
+    @cached_property
     def inertia(self) -> float:
         """Inertia about the probe's own centre of mass, kg m^2."""
         d = self.com_offset
@@ -508,7 +508,7 @@ class Scene(Checked):
             return self.buffer.rest_length
         return self.probe.length + self.probe.tip_radius
 
-    @property
+    @cached_property
     def chaser_total_mass(self) -> float:
         """Mass of the chaser with cylinder and probe, kg."""
         return self.chaser.mass + self.cylinder.mass + self.probe.mass

@@ -147,12 +147,14 @@ def accept(value: Any, what: Declared, where: str) -> Any:
 def _number(value: Any, what: Declared, where: str) -> float | int:
     if isinstance(value, str) and what.kind is float:
         value = _text_in_si(value, what, where)
+    number: float | int = value
     try:
-        if isinstance(value, bool) or not isinstance(value, numbers.Real):
-            raise TypeError
-        number: float | int = what.kind(value)
-        if number != value and not math.isnan(value):
-            raise ValueError  # no whole number
+        if type(value) is not what.kind:
+            if isinstance(value, bool) or not isinstance(value, numbers.Real):
+                raise TypeError
+            number = what.kind(value)
+            if number != value and not math.isnan(value):
+                raise ValueError  # no whole number
     except OverflowError:
         raise refuse(where, value, what.unit, f"finite and {what.allowed or ANY}") from None
     except (TypeError, ValueError):
@@ -203,9 +205,11 @@ class Checked:
         cls.__doc__ = "\n".join([*lines, "    "])
 
     def __post_init__(self) -> None:
-        for what in declared(type(self)).values():
-            value = accept(getattr(self, what.name), what, f"{type(self).__name__}.{what.name}")
-            object.__setattr__(self, what.name, value)
+        part, given = type(self).__name__, self.__dict__
+        for name, what in declared(type(self)).items():
+            value = accept(given[name], what, f"{part}.{name}")
+            if value is not given[name]:
+                object.__setattr__(self, name, value)
 
 
 def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:

@@ -28,7 +28,6 @@ from scipy import ndimage
 from scipy.optimize import minimize, root
 
 from capture_sim.bench import Bench
-from capture_sim.detection.exact import CaptureState
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
@@ -131,7 +130,7 @@ class Candidate:
     torsion: float
     peak_force: float
     nearest: float = math.nan
-    verdict: CaptureState | None = None
+    verdict: str | None = None
     reason: str = ""
 
 
@@ -678,10 +677,10 @@ def _no_damper(flow: _Flow, tried: Sequence[_Damper], springs: Springs) -> str:
     why = (
         f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, "
         f"{best.nearest * 1e3:.3g} mm, with c_A = {best.c_A:.4g} N s/m "
-        f"({best.outcome.verdict.label}: {best.outcome.reason})"
+        f"({best.outcome.verdict}: {best.outcome.reason})"
     )
     if below := [damper for damper in tried if damper.c_A < best.c_A]:
-        stuck = sum(damper.outcome.verdict is CaptureState.STUCK for damper in below)
+        stuck = sum(damper.outcome.verdict == "stuck" for damper in below)
         energy = "too little energy" if 2 * stuck > len(below) else "too much energy"
         why += f"; with less, {energy} is left ({_verdicts(below)})"
     if above := [damper for damper in tried if damper.c_A > best.c_A]:
@@ -691,5 +690,5 @@ def _no_damper(flow: _Flow, tried: Sequence[_Damper], springs: Springs) -> str:
 
 def _verdicts(dampers: Sequence[_Damper]) -> str:
     """Return how often each verdict was given."""
-    labels = [damper.outcome.verdict.label for damper in dampers]
+    labels = [damper.outcome.verdict for damper in dampers]
     return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.exact import CaptureState
+from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import EDGES, problem_of
 from capture_sim.studies.sweep import FAILED
 
 if TYPE_CHECKING:
     import pandas
 
-CAPTURED = CaptureState.CAPTURED.label
 #: Loads that are shown first, in pictures and printed tables.
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)

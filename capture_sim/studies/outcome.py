@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ _BLOCK = 20
 _RATE = 2000.0  # Hz, of the samples of a first contact: the buffer's force
 _CONTACT_BLOCK = 200  # samples per call into the engine
 
+#: The verdict of a capture.
+CAPTURED = CaptureState.CAPTURED.label
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -33,12 +37,14 @@ class Outcome:
 
     Attributes
     ----------
-    verdict : CaptureState
-        As the detector gives it.
+    verdict : str
+        Of the detector: captured, rebound, missed, stuck or undecided.
     t : float
         Time of the verdict, s since the release.
     reason : str
         The detector's, or why the run had to stop.
+    left_again : bool
+        Whether the tip was captured and is outside the capture zone again.
     first_touch : float
         s since the release; NaN without a touch.
     loads : dict
@@ -49,9 +55,10 @@ class Outcome:
         Why the integration had to stop, if it did: the rest is of the run up to there.
     """
 
-    verdict: CaptureState
+    verdict: str
     t: float
     reason: str
+    left_again: bool
     first_touch: float
     loads: dict[str, Any]
     energy_residual: float
@@ -60,7 +67,7 @@ class Outcome:
     @property
     def captured(self) -> bool:
         """Whether the tip was captured."""
-        return self.verdict is CaptureState.CAPTURED
+        return self.verdict == CAPTURED
 
 
 def run_to_verdict(scene: Scene) -> Outcome:
@@ -92,26 +99,33 @@ def run_to_end(scene: Scene) -> Outcome:
 
 def _run(scene: Scene, *, to_verdict: bool) -> Outcome:
     bench, detector, failure, residual = Bench(scene), ExactDetector(scene), "", 0.0
-    times = np.arange(math.floor(scene.run.t_end * scene.run.rate) + 2) / scene.run.rate
-    times = times[times <= scene.run.t_end]
+    times = _measured_at(scene.run.t_end, scene.run.rate)
     for piece in drive(bench, times, block=_BLOCK if to_verdict else times.size):
         residual = np.abs(piece.samples["energy_residual"]).max(initial=residual)
-        if not detector.final:
-            detector.until_verdict(piece.samples)
         failure = str(piece.failure or "")
-        if to_verdict and detector.final:
+        if not to_verdict:
+            detector.to_end(piece.samples)
+        elif detector.until_verdict(piece.samples) and detector.final:
             break
     status = detector.finish(cut=bool(failure))
     began = bench.times_of(EventKind.TOUCH)
     return Outcome(
-        verdict=status.state,
-        t=status.t,
+        verdict=status.state.label,
+        t=detector.since,
         reason=failure or status.reason,
+        left_again=status.left_again,
         first_touch=float(began[0]) if began.size else math.nan,
         loads=loads_of(bench.extremes, bench.touches),
         energy_residual=float(residual),
         failure=failure,
     )
+
+
+@lru_cache(maxsize=4)
+def _measured_at(t_end: float, rate: float) -> np.ndarray:
+    """Return the times of the detector's measurements, s; most runs of a study share them."""
+    times: np.ndarray = np.arange(math.floor(t_end * rate) + 2) / rate
+    return times[times <= t_end]
 
 
 @dataclass(frozen=True)

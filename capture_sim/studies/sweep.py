@@ -44,6 +44,7 @@ _RUN_UP = 2e-3  # m, from the start to the first touch where the approach is var
 _OUTCOME = {
     "verdict": "",
     "verdict_time": "s",
+    "left_again": "",
     "first_touch_time": "s",
     "energy_residual": "J",
 }
@@ -61,6 +62,13 @@ def result_units() -> dict[str, str]:
         key = name.removesuffix("_time").removesuffix("_before_latch")
         units[name] = "s" if name.endswith("_time") else of_load[key]
     return {**units, **_NOTES}
+
+
+@functools.cache
+def _result_columns(*, check: bool) -> tuple[str, ...]:
+    """Return the names of the results of a run."""
+    left_out = ("design",) if check else ("design", "verdict_at_half_tolerance")
+    return tuple(name for name in result_units() if name not in left_out)
 
 
 def sweep(
@@ -197,7 +205,7 @@ def run_samples(
     rows, count = samples.rows, len(samples.rows)
     chunks = [rows[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
     work = functools.partial(_run_rows, Recipe(scene, names), check)
-    done: list[dict[str, Any]] = []
+    done: list[tuple[Any, ...]] = []
     try:
         with (
             nullcontext(executor) if executor else open_executor(None if count > 1 else 1) as ready
@@ -213,7 +221,7 @@ def run_samples(
     table = pandas.DataFrame(inputs)
     if len(set(samples.designs)) > 1:
         table["design"] = samples.designs[:finished]
-    results = pandas.DataFrame(done, columns=[c for c in result_units() if done and c in done[0]])
+    results = pandas.DataFrame(done, columns=list(_result_columns(check=check)))
     table = pandas.concat([table, results], axis=1)
     table.index.name = "run"
     units = {**{axis.name: axis.unit for axis in samples.axes}, **result_units()}
@@ -271,30 +279,34 @@ class Recipe:
         return changes
 
 
-def _run_rows(recipe: Recipe, check: bool, rows: Sequence[tuple[Any, ...]]) -> list[dict[str, Any]]:
+def _run_rows(
+    recipe: Recipe, check: bool, rows: Sequence[tuple[Any, ...]]
+) -> list[tuple[Any, ...]]:
     return [_run_row(recipe, row, check=check) for row in rows]
 
 
-def _run_row(recipe: Recipe, row: tuple[Any, ...], *, check: bool) -> dict[str, Any]:
+def _run_row(recipe: Recipe, row: tuple[Any, ...], *, check: bool) -> tuple[Any, ...]:
+    """Return the results of a run in the order of :func:`_result_columns`."""
+    results: dict[str, Any]
     try:
         start = recipe.scene_of(row)
-        result = _results(run_to_end(start))
+        results = _results(run_to_end(start))
         if check:
             again = run_to_end(_at_half_tolerance(start))
-            result["verdict_at_half_tolerance"] = _results(again)["verdict"]
+            results["verdict_at_half_tolerance"] = _verdict(again)
     except SceneError as error:
-        result = _failed(str(error))
-        if check:
-            result["verdict_at_half_tolerance"] = FAILED
-    return result
+        results = {"verdict": FAILED, "verdict_at_half_tolerance": FAILED, "failure": str(error)}
+        results |= {"left_again": False, "touches": 0}
+    return tuple([results.get(name, math.nan) for name in _result_columns(check=check)])
 
 
 def _results(outcome: Outcome) -> dict[str, Any]:
     """Return what a row of the table holds of a run."""
     loads = {name: math.nan if x is None else x for name, x in outcome.loads.items()}
     return {
-        "verdict": FAILED if outcome.failure else outcome.verdict.label,
+        "verdict": _verdict(outcome),
         "verdict_time": outcome.t,
+        "left_again": outcome.left_again,
         "first_touch_time": outcome.first_touch,
         "energy_residual": outcome.energy_residual,
         **loads,
@@ -302,10 +314,8 @@ def _results(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _failed(failure: str) -> dict[str, Any]:
-    """Return the results of a run that could not be begun."""
-    results: dict[str, Any] = {name: math.nan for name in result_units() if name not in _NOTES}
-    return {**results, "verdict": FAILED, "touches": 0, "failure": failure}
+def _verdict(outcome: Outcome) -> str:
+    return FAILED if outcome.failure else outcome.verdict
 
 
 def _at_half_tolerance(scene: Scene) -> Scene:

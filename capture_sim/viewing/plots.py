@@ -212,7 +212,7 @@ def _mark_verdict(axes: Axes, run: ViewableRun, window: Window) -> None:
         (e.t, "latched", style.GREY, 0.95) for e in run.events if e.kind is EventKind.LATCHED
     ]
     if decided is not None:
-        look = style.VERDICTS.get(run.statuses[-1].state)
+        look = style.VERDICTS.get(run.statuses[-1].state.label)
         moments.append((decided, source.verdict(run), look.colour if look else style.BLACK, 0.72))
     start, end = window
     for t, text, colour, height in moments:

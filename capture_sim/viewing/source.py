@@ -97,9 +97,9 @@ class Opened:
 
 def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
     """Return a run in a few numbers, as results.json has them."""
-    word = verdict(run)
     bench = (run.scene, run.samples, run.touches, run.events)
-    return summarize(*bench, word, wall_time, run.extremes, run.problems)
+    status = run.statuses[-1] if run.statuses else None
+    return summarize(*bench, status, wall_time, run.extremes, run.problems)
 
 
 def first_touch(run: ViewableRun) -> Event | None:

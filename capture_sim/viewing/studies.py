@@ -53,15 +53,15 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
     # of the searches for springs the last run, which is the nearest to the target
     by_damper = {c.c_A: c for c in design.history if c.verdict is not None}
     trials = list(by_damper.values())
-    for state, (colour, marker) in style.VERDICTS.items():
-        matching_trials = [trial for trial in trials if trial.verdict is state]
+    for verdict, (colour, marker) in style.VERDICTS.items():
+        matching_trials = [trial for trial in trials if trial.verdict == verdict]
         if matching_trials:
             axes.plot(
                 [trial.c_A for trial in matching_trials],
                 [trial.nearest * 1e3 for trial in matching_trials],
                 marker,
                 color=colour,
-                label=state.label,
+                label=verdict,
                 ms=7,
             )
     if trials:

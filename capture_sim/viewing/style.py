@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from capture_sim.detection.exact import CaptureState
-
 BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
@@ -47,11 +45,11 @@ class Look(NamedTuple):
 
 
 VERDICTS = {
-    CaptureState.CAPTURED: Look(GREEN, "o"),
-    CaptureState.REBOUND: Look(ORANGE, "D"),
-    CaptureState.STUCK: Look(WINE, "s"),
-    CaptureState.MISSED: Look("#6FA5C4", "X"),
-    CaptureState.UNDECIDED: Look(BLACK, "P"),
+    "captured": Look(GREEN, "o"),
+    "rebound": Look(ORANGE, "D"),
+    "stuck": Look(WINE, "s"),
+    "missed": Look("#6FA5C4", "X"),
+    "undecided": Look(BLACK, "P"),
 }
 #: Of the lanes over time.
 PHASES = {
@@ -65,7 +63,7 @@ PHASES = {
 STATES = {
     "approach": PALE,
     "contact": CONTACT,
-    **{state.label: look.colour for state, look in VERDICTS.items()},
+    **{verdict: look.colour for verdict, look in VERDICTS.items()},
 }
 
 #: Of axes' labels, in points; chosen to be read when a figure is shown at half its size.

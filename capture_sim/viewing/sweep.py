@@ -12,17 +12,16 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from capture_sim.detection.exact import CaptureState
 from capture_sim.results import LOADS
 from capture_sim.studies.axes import Axis
 from capture_sim.studies.dispersion import (
-    CAPTURED,
     MAIN_LOADS,
     capture_probability,
     computed_rows,
     plain_rows,
     rank_correlations,
 )
+from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sweep import FAILED
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
@@ -30,8 +29,7 @@ from capture_sim.viewing.canvas import subplots
 if TYPE_CHECKING:
     import pandas
 
-_COLOURS = {state.label: look.colour for state, look in style.VERDICTS.items()}
-_MARKERS = {state.label: look.marker for state, look in style.VERDICTS.items()}
+_COLOURS = {verdict: look.colour for verdict, look in style.VERDICTS.items()}
 _UNCOMPUTED = style.LIGHT
 #: Most panels of a map.
 _MAX_PANELS = 9
@@ -115,7 +113,7 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str) -> Figure:
                 panel.plot(
                     rows[axis.name] * x.factor,
                     rows[name] * y.factor,
-                    _MARKERS[str(verdict)],
+                    style.VERDICTS[str(verdict)].marker,
                     color=_COLOURS[str(verdict)],
                     label=verdict,
                 )
@@ -205,11 +203,9 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
     for panel, name in zip(panels.flat, MAIN_LOADS, strict=True):
         shown = _load(name)
         parts = {
-            state.label: (computed.loc[computed["verdict"] == state.label, name] * shown.factor)
-            for state in CaptureState
-            if state.label in _COLOURS
+            verdict: (computed.loc[computed["verdict"] == verdict, name] * shown.factor).dropna()
+            for verdict in _COLOURS
         }
-        parts = {verdict: values.dropna() for verdict, values in parts.items()}
         parts = {verdict: values for verdict, values in parts.items() if len(values)}
         panel.hist(
             list(parts.values()),

@@ -36,7 +36,7 @@ def bench():
 def test_sensors_change_nothing_but_what_is_measured(bench):
     without = simulate(load_scene("tilt_m10"))
     assert bench.samples.tobytes() == without.samples.tobytes()
-    assert bench.verdict is without.verdict
+    assert bench.verdict == without.verdict
 
 
 def test_the_load_cell_feels_the_whole_impulse_however_short_the_touches(free):
@@ -163,7 +163,7 @@ def test_motion_capture_is_what_the_detector_sees():
     result = simulate(load_scene("tilt_0", ["sensors.motion_capture={rate: 200}"]))
     times = [status.t for status in result.statuses[:-1]]
     assert np.diff(times) == pytest.approx(0.005)
-    assert result.verdict is simulate(load_scene("tilt_0")).verdict
+    assert result.verdict == simulate(load_scene("tilt_0")).verdict
     error = [
         status.axial_offset - result.samples["tip_axial"][round(status.t * 1000)]
         for status in result.statuses[:-1]

@@ -224,7 +224,7 @@ def test_noise_loss_and_jitter_change_no_verdict(runs, name):
     for seed in range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "3"))):
         rng = np.random.default_rng([seed, 1])
         last, _ = judge(result.scene, disturbed(result, Disturbance(), rng))
-        assert last.state is result.verdict, f"seed {seed}: {last.reason}"
+        assert last.state.label == result.verdict, f"seed {seed}: {last.reason}"
         assert last.final
 
 

@@ -120,7 +120,7 @@ def test_run_read_back_is_the_run(result, path):
         assert bits(run.touches[name]) == bits(result.touches[name])
     assert np.isnan(run.touches["rate_ratio"]).all()
     assert list(run.statuses) == result.statuses
-    assert run.verdict is result.verdict
+    assert run.verdict == result.verdict
     assert len(run.events) == len(result.events)
     for mine, theirs in zip(run.events, result.events, strict=True):
         assert (mine.kind, mine.t, mine.wall, mine.detail) == (

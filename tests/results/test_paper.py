@@ -38,7 +38,7 @@ def test_nearest_approach_is_that_of_the_independent_model(runs, name, nearest, 
     k = int(early["tip_distance"].argmin())
     assert early["tip_distance"][k] == pytest.approx(nearest, abs=0.1e-3)
     assert early["t"][k] == pytest.approx(at, abs=0.01)
-    assert run.verdict.label == verdict
+    assert run.verdict == verdict
 
 
 def test_buffer_against_clamped_probe(runs):
@@ -53,7 +53,7 @@ def test_buffer_against_clamped_probe(runs):
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])
 def test_the_three_experiments_end_in_capture(name):
     run = simulate(load_scene(name))
-    assert run.verdict.label == "captured"
+    assert run.verdict == "captured"
     latched = next(e for e in run.events if e.kind.label == "latched")
     before = [t for t in run.touches if t["start"] < latched.t]
     assert before, "the tip must have met the wall before it is caught"
@@ -85,4 +85,4 @@ def test_the_bench_without_latches_runs_to_its_end(name):
     run = simulate(load_scene(name, ["latch=null"]))
     assert run.events[-1].kind.label == "end"
     assert run.t[-1] == pytest.approx(20.0)
-    assert run.verdict.label == "captured"
+    assert run.verdict == "captured"

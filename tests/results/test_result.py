@@ -1,6 +1,7 @@
 """What simulate() takes and hands out, as one meets it in a notebook."""
 
 import importlib
+import json
 import sys
 
 import numpy as np
@@ -17,6 +18,8 @@ from capture_sim.results import (
     loads_of,
     sampled_extremes,
 )
+from capture_sim.studies.executors import InProcess
+from capture_sim.studies.outcome import run_to_end
 from capture_sim.viewing.source import summary_of
 
 
@@ -82,6 +85,16 @@ def test_several_runs_are_drawn_over_each_other(run):
     assert len(colours) >= 2
 
 
+def test_the_verdict_is_one_text_everywhere():
+    scene = load_scene("paper_designed")
+    result = simulate(scene)
+    table = capture_sim.sweep(scene, {"buffer.c_A": [scene.buffer.c_A]}, executor=InProcess())
+    verdicts = [result.verdict, result.summary["verdict"], run_to_end(scene).verdict]
+    verdicts += [*table["verdict"], json.loads(json.dumps(result.summary))["verdict"]]
+    assert verdicts == ["captured"] * 5
+    assert {type(verdict) for verdict in verdicts} == {str}
+
+
 def test_a_verdict_not_asked_for_costs_nothing(monkeypatch):
     """Samples of one's own are computed alone; the detector's are when the verdict is wanted."""
     counts = []
@@ -96,7 +109,7 @@ def test_a_verdict_not_asked_for_costs_nothing(monkeypatch):
     own = simulate("tilt_0", t_eval=[0.0, 2.8, 3.0])
     assert sum(counts) == 3
     whole = simulate("tilt_0")
-    assert own.verdict is whole.verdict
+    assert own.verdict == whole.verdict
     assert own.loads == whole.loads
     assert own.watched.tobytes() == whole.samples.tobytes()
 
@@ -138,7 +151,7 @@ def test_a_finished_run_is_kept_where_the_finer_one_fails():
         simulate("paper_designed", {"run.max_steps": steps, "run.rtol": 1e-10})
     run = simulate("paper_designed", {"run.max_steps": steps}, check=True)
     assert "max_steps" in run.check.failure
-    assert run.verdict.label == "captured"
+    assert run.verdict == "captured"
     known = np.isfinite(run.check.error)
     assert run.t[known][-1] == failed.value.result.t[-1]
     assert run.check.error[100] < 1e-8

@@ -15,7 +15,7 @@ def test_run_to_verdict_is_the_whole_runs_verdict():
         whole = simulate(load_scene(name))
         final = next(status for status in whole.statuses if status.final)
         short = run_to_verdict(whole.scene)
-        assert (short.verdict, short.t, short.reason) == (final.state, final.t, final.reason)
+        assert (short.verdict, short.t, short.reason) == (final.label, final.t, final.reason)
         before = whole.touches[whole.touches["start"] <= final.t]
         assert short.loads["max_normal_force"] == pytest.approx(
             before["peak_force"].max(), rel=1e-12

@@ -112,17 +112,19 @@ def test_approach_that_is_not_varied_is_that_of_the_scene(scenes_run):
         assert approach_of(scene) == pytest.approx((angle, offset, speed), abs=1e-12)
 
 
-def test_a_row_is_the_run_that_simulate_makes():
-    table = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 25]}, executor=HERE)
+@pytest.mark.parametrize("name", ["tilt_0", "paper_designed"])
+def test_a_row_is_the_run_that_simulate_makes(name):
+    table = capture_sim.sweep(name, {"buffer.c_A": [5, 25]}, executor=HERE)
     for _, row in table.iterrows():
-        result = simulate("tilt_0", {"buffer.c_A": row["buffer.c_A"]})
-        assert row["verdict"] == result.verdict.label
+        result = simulate(name, {"buffer.c_A": row["buffer.c_A"]})
+        assert row["verdict"] == result.verdict
         final = next(status for status in result.statuses if status.final)
         assert row["verdict_time"] == final.t
         for load in LOADS:
             assert row[load.key] == result.summary[load.key], load.key
             before = result.summary.get(f"{load.key}_before_latch")
             assert before is None or row[f"{load.key}_before_latch"] == before
+        assert row["left_again"] == result.summary["left_again"]
         assert row["touches"] == result.summary["touches"]
         assert row["first_touch_time"] == result.summary["first_contact_time"]
         # of the samples at run.rate, a part of those of the summary
@@ -137,7 +139,7 @@ def test_the_command_of_a_run_repeats_it_to_the_bit():
     recipe = Recipe(scene, tuple(vary))
     for number, values in enumerate(samples.rows):
         alone = run_to_end(load_scene("tilt_p10", [*SHORT, *recipe.overrides_of(values)]))
-        assert table["verdict"][number] == alone.verdict.label
+        assert table["verdict"][number] == alone.verdict
         loads = {name: math.nan if x is None else x for name, x in alone.loads.items()}
         row = table.loc[number, list(loads)].to_dict()
         assert row == pytest.approx(loads, rel=0, abs=0, nan_ok=True)
@@ -322,7 +324,7 @@ def test_an_experiment_is_the_approach_that_it_is(name):
     assert angle == pytest.approx(math.radians({"0": 0, "p10": 10, "m10": -10}[name[5:]]))
     assert (offset, speed) == (pytest.approx(0.005), pytest.approx(0.1))
     near = simulate(placed(launched.scene, angle, offset, speed), t_end=4.0)
-    assert near.verdict is launched.verdict
+    assert near.verdict == launched.verdict
     for key in ("impact_speed", "first_contact_duration", "first_contact_impulse"):
         assert near.summary[key] == pytest.approx(launched.summary[key], rel=2e-3)
     assert near.summary["first_contact_time"] == pytest.approx(2e-3 / speed, rel=2e-3)
