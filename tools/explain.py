@@ -1,4 +1,4 @@
-"""Pictures for who sees the bench for the first time: its geometry with every symbol, a capture.
+"""Draws the pictures that introduce the bench: its geometry with every symbol, and a capture.
 
     python -m tools.explain docs
 
@@ -25,9 +25,13 @@ from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, new_figure, save
+from capture_sim.viewing.curves import PlottedRun, plotted_runs
 from capture_sim.viewing.drawing import draw_path
 from capture_sim.viewing.figures import state_at
 from capture_sim.viewing.shapes import (
+    CHASER,
+    THETA_P,
+    H,
     Shape,
     circle,
     cone_shapes,
@@ -38,7 +42,7 @@ from capture_sim.viewing.shapes import (
     tip_in_world,
     wall,
 )
-from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, in_contact, verdict
+from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, verdict
 
 # of the drawing, so that small motions are seen
 _STROKE, _TORSION = -0.035, 0.14  # m, rad
@@ -49,10 +53,10 @@ _FPS, _SLOWER = 12, 8  # pictures a second, times slower than real time
 def draw_geometry(scene: Scene) -> Figure:
     """Draw the bench from above with every symbol of the model, from a scene with a string."""
     figure = new_figure(14.0, 9.6)
-    whole, close = figure.subplots(2, 1, height_ratios=[1.0, 1.55])
-    _draw_launch(whole, scene)
-    _draw_symbols(close, scene)
-    for axes in (whole, close):
+    launch, symbols = figure.subplots(2, 1, height_ratios=[1.0, 1.55])
+    _draw_launch(launch, scene)
+    _draw_symbols(symbols, scene)
+    for axes in (launch, symbols):
         axes.set_aspect("equal")
         axes.set_axis_off()
     return figure
@@ -82,24 +86,32 @@ def _draw_launch(axes: Axes, scene: Scene) -> None:
         ],
     )
     for text, x, y in (
-        ("chaser", chaser[0] - 0.01, chaser[1] + 0.05),
-        ("target", target[0] + 0.04, target[1] + 0.06),
-        ("rail", chaser[0] + 0.19, chaser[1] - 0.055),
+        ("chaser", chaser[0] - 0.01, chaser[1] + 0.06),
+        ("target", target[0] + 0.04, target[1] + 0.04),
+        ("rail", chaser[0] + 0.2, chaser[1] - 0.05),
         ("string", target[0] - 0.15, pulley[1] + 0.015),
         ("pulley", pulley[0], pulley[1] + 0.03),
         ("mass (hangs)", pulley[0] + 0.07, pulley[1] + 0.035),
-        ("probe", chaser[0] + 0.26, chaser[1] + 0.02),
-        ("cone", target[0] - 0.15, target[1] + 0.075),
+        ("buffer", chaser[0] + 0.2, chaser[1] + 0.05),
+        ("probe", chaser[0] + 0.31, chaser[1] + 0.03),
+        ("cone", target[0] - 0.16, target[1] + 0.085),
     ):
         _say(axes, text, (x, y), ha="left" if "mass" in text else "center")
-    axes.set_xlim(chaser[0] - 0.16, pulley[0] + 0.17)
-    axes.set_ylim(pulley[1] - 0.04, chaser[1] + 0.14)
-    corner = np.array([chaser[0] - 0.1, pulley[1] - 0.02])
+    assert scene.supports is not None
+    for vehicle, balls, share in (
+        (chaser, scene.supports.chaser.balls, -0.5),
+        (target, scene.supports.target.balls, 0.5),
+    ):
+        x, y = vehicle + np.array(max(balls, key=lambda ball: ball[1]))
+        _point_to(axes, "ball wheel", (x + 0.14 * share, y + 0.03), (x + 0.01 * share, y + 0.008))
+    axes.set_xlim(chaser[0] - 0.2, pulley[0] + 0.17)
+    axes.set_ylim(pulley[1] - 0.04, chaser[1] + 0.15)
+    corner = np.array([chaser[0] - 0.18, pulley[1] - 0.02])
     for end, name in (((0.06, 0.0), "x"), ((0.0, 0.06), "y")):
         axes.annotate(
             "", tuple(corner + end), tuple(corner), arrowprops={"arrowstyle": "->", "lw": 1.6}
         )
-        _say(axes, name, corner + np.array(end) * 1.2)
+        _say(axes, name, corner + np.array(end) * 1.25)
 
 
 def _draw_symbols(axes: Axes, scene: Scene) -> None:
@@ -107,6 +119,7 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
     h = scene.rest_length + _STROKE
     # the tip at the +y wall, the chaser straight
     along = np.array([np.cos(_TORSION), np.sin(_TORSION)])
+    side = np.array([-along[1], along[0]])
     lip = wall(cone, 1)[1]
     face = 0.45 * lip + 0.55 * wall(cone, 1)[0]
     inwards = -np.array([np.sin(beta), np.cos(beta)])
@@ -120,8 +133,7 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
         for n, s in cone_shapes(scene).items()
         if "centre" not in n
     ]
-    spring = _spring(hinge + 0.25 * h * along, hinge + 0.62 * h * along)
-    draw_shapes(axes, [*state_shapes(scene, q, style.BLUE), *walls, spring])
+    draw_shapes(axes, [*state_shapes(scene, q, style.BLUE), *walls])
     be, edge = np.array([-cone.L_T, 0.0]), wall(cone, 1) - (cone.L_T, 0.0)
     other = wall(cone, -1) - (cone.L_T, 0.0)
     axes.set_title(
@@ -132,67 +144,63 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
     low = hinge[1] - 0.135
     _measure(axes, (q[0], low), (hinge[0], low), "a")
     _measure(axes, (be[0], low), (0.0, low), "$L_T$")
-    _measure(axes, be + (0.022, 0), be + (0.022, cone.R_c), "$R_c$", (0.010, 0.0))
-    off = -0.012 * inwards
-    _measure(axes, edge[0] + off, edge[1] + off, "$L_c$", (0.008, 0.008))
+    _measure(axes, be + (0.022, 0), be + (0.022, cone.R_c), "$R_c$", (0.012, 0.0))
+    behind = -0.012 * inwards * (1.0, -1.0)
+    _measure(axes, other[0] + behind, other[1] + behind, "$L_c$", (0.009, -0.009))
     # strokes and torsion with their signs
-    side = np.array([-along[1], along[0]])
-    beside = 0.012 * side - 0.19 * h * along
-    _measure(axes, hinge + 0.03 * side, tip + 0.03 * side, "h = $h_0$ + stroke", beside)
+    _measure(axes, hinge + 0.062 * side, tip + 0.062 * side, "h = $h_0$ + stroke", 0.013 * side)
     arrow = {"arrowstyle": "->", "lw": 2.0, "color": style.VERMILION}
-    end, start = (tuple(hinge + share * h * along - 0.018 * side) for share in (0.3, 0.6))
+    end, start = (tuple(hinge + share * h * along + 0.022 * side) for share in (0.4, 0.72))
     axes.annotate("", end, start, arrowprops=arrow)
-    at = hinge + 0.45 * h * along - 0.031 * side
+    at = hinge + 0.58 * h * along + 0.037 * side
     _say(axes, "stroke < 0: compression", at, style.VERMILION)
-    axes.plot(*np.stack([hinge, hinge + (0.16, 0.0)]).T, color=style.GREY, lw=0.9, ls=":")
     degrees = np.rad2deg(_TORSION)
-    axes.add_patch(Arc(hinge, 0.26, 0.26, theta1=0, theta2=degrees, color=style.VERMILION, lw=2.0))
-    _say(axes, "torsion > 0", hinge + (0.165, -0.009), style.VERMILION)
-    axes.plot(*np.stack([other[0], other[0] - (0.05, 0)]).T, color=style.GREY, lw=0.9, ls=":")
+    reference = np.array([[0.07, 0.0], [0.105, 0.0]]) + hinge
+    axes.plot(*reference.T, color=style.GREY, lw=0.9, ls=":")
+    axes.add_patch(Arc(hinge, 0.18, 0.18, theta1=0, theta2=degrees, color=style.VERMILION, lw=2.0))
+    _say(axes, "torsion > 0", hinge + (0.09, -0.022), style.VERMILION)
+    _say(axes, "tip, radius $R_t$", tip + (-0.035, -0.025))
+    axes.plot(*np.stack([other[0], other[0] - (0.036, 0)]).T, color=style.GREY, lw=0.9, ls=":")
     axes.add_patch(Arc(other[0], 0.06, 0.06, theta1=180, theta2=180 + np.rad2deg(beta), lw=1.5))
     _say(axes, r"$\beta$", other[0] + (-0.037, -0.014))
     axes.plot(*np.stack([edge[0], other[0]]).T, color=style.GREEN, lw=1.6, ls=style.FREE_LINE)
-    for text, at, to in (
-        ("chaser's centre of mass", (q[0], q[1] + 0.05), q[:2]),
-        ("hinge, torsional\nspring $k_T$, $c_T$", hinge + (-0.055, 0.085), hinge),
+    for text, place, to in (
+        ("hinge, torsional\nspring $k_T$, $c_T$", hinge + (-0.05, 0.085), hinge + (-0.002, 0.006)),
         (
             "axial spring and\ndamper $k_A$, $c_A$",
-            hinge + 0.43 * h * along + (-0.035, 0.082),
-            hinge + 0.43 * h * along + (0, 0.01),
+            hinge + (0.068, -0.07),
+            hinge + 0.04 * along - 0.009 * side,
         ),
-        ("tip, radius $R_t$", tip + (-0.05, 0.064), tip + (-0.007, 0.008)),
-        ("+y wall", edge[1] + (0.022, 0.024), edge[1]),
-        ("-y wall", other[1] + (-0.035, -0.008), other[1]),
-        ("BE: inner edge, its centre\nis where the tip shall come", (0.045, -0.088), be),
-        ("target's centre of mass", (0.045, 0.055), (0.0, 0.0)),
-        ("capture zone", be + (-0.02, -0.1), be + (-0.001, -0.005)),
+        ("cylinder, length $L_C$", hinge + (-0.075, -0.07), hinge - 0.07 * along - 0.01 * side),
+        ("+y wall", edge[1] + (0.038, 0.03), edge[1] + (0.004, 0.004)),
+        ("-y wall", other[1] + (-0.008, -0.024), other[1]),
     ):
-        axes.annotate(
-            text,
-            tuple(to),
-            tuple(at),
-            fontsize=13,
-            ha="center",
-            va="center",
-            zorder=9,
-            arrowprops={"arrowstyle": "-", "lw": 0.8, "color": style.GREY},
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
-        )
-    for x, y in ((q[0], q[1]), (0.0, 0.0)):
-        axes.plot(x, y, "o", ms=7, color=style.BLACK, mfc="white", mew=2.0, zorder=8)
-    axes.plot(*be, "+", ms=11, mew=2.0, color=style.GREEN, zorder=8)
-    axes.plot(*hinge, "o", ms=8, color=style.DARK, zorder=8)
-    axes.set_xlim(q[0] - 0.06, 0.11)
-    axes.set_ylim(low - 0.02, 0.125)
+        _point_to(axes, text, place, to)
+    centre: Any = {"marker": "o", "ms": 7, "color": style.BLACK, "mfc": "white", "mew": 2.0}
+    centre |= {"ls": "", "zorder": 8}
+    axes.plot(*np.array([[q[0], q[1]], [0.0, 0.0]]).T, label="centre of mass", **centre)
+    ball: Any = {"marker": "o", "ms": 15, "color": style.GREY, "mfc": "white", "ls": ""}
+    axes.plot([], [], label="ball wheel", **ball)
+    target: Any = {"ms": 11, "mew": 2.0, "color": style.GREEN, "ls": "", "zorder": 8}
+    axes.plot(*be, marker="+", label="BE, inner edge of the cone: its centre", **target)
+    axes.plot([], [], marker="o", mfc="none", label="capture zone", **target)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, -0.06), fontsize=13, frameon=False, ncols=4)
+    axes.set_xlim(q[0] - 0.15, 0.145)
+    axes.set_ylim(low - 0.05, 0.125)
 
 
-def _spring(start: np.ndarray, end: np.ndarray) -> Shape:
-    along = end - start
-    side = np.array([-along[1], along[0]]) / np.linalg.norm(along) * 0.009
-    share = np.linspace(0.0, 1.0, 18)
-    swing = np.where(np.arange(18) % 2, 1.0, -1.0) * ((share > 0) & (share < 1))
-    return Shape(
-        start + share[:, None] * along + swing[:, None] * side, style.BROWN, 2.0, order=4.0
+def _point_to(axes: Axes, text: str, place: Any, to: Any) -> None:
+    """Name what is at ``to`` by a text with a line."""
+    axes.annotate(
+        text,
+        tuple(to),
+        tuple(place),
+        fontsize=13,
+        ha="center",
+        va="center",
+        zorder=9,
+        arrowprops={"arrowstyle": "-", "lw": 0.8, "color": style.GREY},
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
     )
 
 
@@ -208,7 +216,7 @@ def _say(axes: Axes, text: str, at: Any, colour: str = style.BLACK, ha: str = "c
 
 
 def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = None) -> Path:
-    """Save a capture as a moving picture: the bench from above, and the tip in the cone.
+    """Save a capture as a moving picture: the bench, the buffer, and the tip in the cone.
 
     Parameters
     ----------
@@ -222,46 +230,63 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
     RecordingError
         The file cannot be written.
     """
-    scene, path = run.scene, Path(path)
+    path = Path(path)
     touch, decided = first_touch(run), decided_at(run)
     begin = 0.0 if touch is None else max(touch.t - 0.15, 0.0)
     end = float(run.samples["t"][-1]) if decided is None else decided
-    frames, touching = [], in_contact(run)
     count = pictures or int((end - begin) * _FPS * _SLOWER) + 1
-    for t in np.linspace(begin, end, count):
-        figure = new_figure(9.6, 4.0)
-        bench, cone = figure.subplots(1, 2, width_ratios=[1.9, 1.0])
-        q = state_at(run, float(t))
-        draw_shapes(bench, [*rail_shapes(scene), *state_shapes(scene, q, style.BLUE)])
-        bench.set(xlim=(q[0] - 0.16, q[5] + 0.16), ylim=(-0.17, 0.17), aspect="equal")
-        bench.set_xlim(scene.initial.target.x - 0.66, scene.initial.target.x + 0.24)
-        word = verdict(run) if t >= end else f"1/{_SLOWER} of real time"
-        bench.set_title(f"{scene.name}, {t:.2f} s: {word}", fontsize=14, loc="left")
-        draw_shapes(cone, cone_shapes(scene).values(), 1e3)
-        upto = run.samples["t"] <= t
-        samples = run.samples[upto]
-        draw_path(cone, scene, samples, touching[upto], style.BLUE)
-        tip = Shape(
-            circle(tip_in_cone(samples)[-1], scene.probe.tip_radius),
-            style.BLACK,
-            1.0,
-            style.BLUE,
-            order=3.0,
-        )
-        draw_shapes(cone, [tip], 1e3)
-        cone.set(xlim=(-85, 40), ylim=(-80, 80), aspect="equal")
-        cone.set_title("the tip in the cone", fontsize=14)
-        for axes in (bench, cone):
-            axes.set_axis_off()
-        figure.set_dpi(72)
-        figure.canvas.draw()
-        frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB"))  # type: ignore[attr-defined]
+    [plotted] = plotted_runs(run)
+    frames = [_draw_frame(plotted, float(t), end) for t in np.linspace(begin, end, count)]
     palette = frames[-1].quantize(48)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     times = [1000 // _FPS] * (len(small) - 1) + [2500]
     with whole_file(path) as part:
         small[0].save(part, save_all=True, append_images=small[1:], duration=times, loop=0)
     return path
+
+
+def _draw_frame(plotted: PlottedRun, t: float, end: float) -> Image.Image:
+    """Draw the bench, the buffer and the tip in the cone at one instant."""
+    run, scene = plotted.run, plotted.run.scene
+    figure = new_figure(9.6, 5.2)
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.7, 1.0], height_ratios=[1.25, 1.0])
+    bench, buffer, cone = (figure.add_subplot(at) for at in (grid[0, 0], grid[1, 0], grid[:, 1]))
+    q = state_at(run, t)
+    draw_shapes(bench, [*rail_shapes(scene), *state_shapes(scene, q, plotted.colour)])
+    middle = scene.initial.target.x
+    bench.set(xlim=(middle - 0.66, middle + 0.24), ylim=(-0.17, 0.17), aspect="equal")
+    word = verdict(run) if t >= end else f"1/{_SLOWER} of real time"
+    bench.set_title(f"{scene.name}, {t:.2f} s: {word}", fontsize=14, loc="left")
+    _draw_buffer(buffer, scene, q, plotted.colour)
+    draw_shapes(cone, cone_shapes(scene).values(), 1e3)
+    before = run.samples["t"] <= t
+    samples = run.samples[before]
+    draw_path(cone, scene, samples, plotted.holds[before], plotted.colour)
+    outline = circle(tip_in_cone(samples)[-1], scene.probe.tip_radius)
+    draw_shapes(cone, [Shape(outline, style.BLACK, 1.0, plotted.colour, order=3.0)], 1e3)
+    cone.set(xlim=(-85, 40), ylim=(-80, 80), aspect="equal")
+    cone.set_title("the tip in the cone", fontsize=14)
+    for axes in (bench, buffer, cone):
+        axes.set_axis_off()
+    figure.set_dpi(72)
+    figure.canvas.draw()
+    return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
+
+
+def _draw_buffer(axes: Axes, scene: Scene, q: np.ndarray, colour: str) -> None:
+    """Draw the buffer large, as seen from the chaser, with the tip's rest position dashed."""
+    at_rest = np.zeros(8)
+    at_rest[H] = scene.rest_length
+    seen = at_rest.copy()
+    seen[THETA_P], seen[H] = q[THETA_P] - q[CHASER[2]], q[H]
+    rest_tip = circle(tip_in_world(scene, at_rest[None])[0], scene.probe.tip_radius)
+    chaser = state_shapes(scene, seen, colour, both=False)
+    draw_shapes(axes, [Shape(rest_tip, style.GREY, 1.2, dashed=True, order=3.5), *chaser])
+    hinge = scene.buffer.hinge_offset
+    axes.set(xlim=(hinge - 0.07, hinge + 0.26), ylim=(-0.05, 0.05), aspect="equal")
+    stroke, torsion = (q[H] - scene.rest_length) * 1e3, seen[THETA_P] * 1e3
+    text = f"the buffer: stroke {stroke:+.1f} mm, torsion {torsion:+.1f} mrad"
+    axes.set_title(text, fontsize=14, loc="left")
 
 
 def main(folder: Path) -> None:

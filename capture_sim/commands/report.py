@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
-from capture_sim.commands.output import echo
+from capture_sim.commands.output import Progress, echo
 
 DESCRIPTION = (
     "Write one self-contained HTML page about runs: results, plots, energy, errors, parameters. "
@@ -36,5 +37,7 @@ def run(options: argparse.Namespace) -> int:
     page = options.out / "report.html" if is_folder else options.out
     prepare_folder(page.parent)
     opened = open_runs(options.runs, options.scene, options.release, options.remaps)
-    echo(f"report in {save_report(opened, page)}")
+    with Progress("steps") as progress:
+        saved = save_report(opened, page, partial(progress.at, "report"))
+    echo(f"report in {saved}")
     return OK

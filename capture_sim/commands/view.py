@@ -9,7 +9,7 @@ from typing import Any
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
-from capture_sim.commands.output import draw, echo
+from capture_sim.commands.output import Progress, draw, echo
 from capture_sim.errors import RecordingError
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
@@ -82,14 +82,14 @@ def _within(one: Opened, window: tuple[float, float]) -> Opened:
 def _draw_figures(
     runs: list, labels: list[str], folder: Path, window: tuple[float, float] | None
 ) -> None:
-    if window is None:
-        # with a window they are resolved already
-        runs = [resolved_or_not(run) for run in runs]
     drawn = dict(FIGURES)
     if window is None:
         drawn["snapshots"] = snapshots
-    for name, figure in drawn.items():
-        aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
-        paths = (folder / f"{name}{ending}" for ending in (".svg", ".png"))
-        save(figure(runs, labels=labels, **aligned), *paths)
+        runs = [resolved_or_not(run) for run in runs]  # with a window they are already
+    with Progress("figures") as progress:
+        for done, (name, figure) in enumerate(drawn.items()):
+            progress.at("figures", done, len(drawn))
+            aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
+            paths = (folder / f"{name}{ending}" for ending in (".svg", ".png"))
+            save(figure(runs, labels=labels, **aligned), *paths)
     echo(f"figures of the paper in {folder}")

@@ -73,8 +73,8 @@ class Box(NamedTuple):
 
 
 def chaser_box(scene: Scene) -> Box:
-    """Return the chaser's body: up to just behind the hinge."""
-    return Box(-_REAR, 0.9 * scene.buffer.hinge_offset, _HALF_WIDTH)
+    """Return the chaser's body: up to just in front of the hinge, which it holds."""
+    return Box(-_REAR, scene.buffer.hinge_offset + _CYLINDER_RADIUS, _HALF_WIDTH)
 
 
 def target_box(scene: Scene) -> Box:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,21 @@ def subplots(
     for each in axes.flat:
         dress(each, grid, font)
     return figure, axes
+
+
+def columns_for(count: int) -> int:
+    """Return in how many columns panels of so many runs are laid, to be read on a page."""
+    return 2 if count == 4 else min(count, 3)
+
+
+def hide_unused(axes_grid: np.ndarray, used: Container[Axes]) -> None:
+    """Take axes out of a grid, (rows, columns); number the lowest used one of each column."""
+    for column in axes_grid.T:
+        shown = [axes for axes in column if axes in used]
+        for axes in column:
+            if axes not in used:
+                axes.set_axis_off()
+            axes.tick_params(labelbottom=axes is shown[-1])
 
 
 def rows_of_axes(

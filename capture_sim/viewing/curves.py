@@ -47,16 +47,18 @@ LAYERS = (
 HOLDS = ("free", "in contact", "latched")
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out
 _POINTS = 600
+_MARKERS = 6  # of a run on each of its curves
 
 
 class PlottedRun(NamedTuple):
-    """A run as it is drawn: its name, colour, and from when its time counts."""
+    """A run as it is drawn: its name, colour, marker, and from when its time counts."""
 
     run: ViewableRun
     label: str
     colour: str
     origin: float  # s
     touching: np.ndarray  # (n,) bool, of its samples
+    marker: tuple[str, str] | None  # of matplotlib and plotly; None where the colour is enough
 
     @property
     def holds(self) -> np.ndarray:
@@ -261,8 +263,44 @@ def plotted_runs(
     for i, (run, name) in enumerate(zip(several, names, strict=True)):
         touch = first_touch(run)
         origin = touch.t if aligned and touch is not None else 0.0
-        shown.append(PlottedRun(run, name, style.run_colour(first + i), origin, in_contact(run)))
+        marker = style.run_marker(first + i) if len(several) > style.COLOURS_ALONE else None
+        colour = style.run_colour(first + i)
+        shown.append(PlottedRun(run, name, colour, origin, in_contact(run), marker))
     return shown
+
+
+def marked_points(length: np.ndarray, number: int, count: int) -> np.ndarray:
+    """Return which points of a curve bear its run's marker, indices (k,).
+
+    Parameters
+    ----------
+    length
+        Time or length of the curve up to each point, (n,), ascending.
+    number, count
+        Number of the run and of all runs: the markers of curves that coincide do not.
+    """
+    if length.size < 2:
+        return np.zeros(0, int)
+    shares = (np.arange(_MARKERS) + (number + 0.5) / count) / _MARKERS
+    at = length[0] + shares * (length[-1] - length[0])
+    return np.unique(np.searchsorted(length, at))
+
+
+def highest_touches(t: np.ndarray, values: np.ndarray, plotted: PlottedRun) -> np.ndarray:
+    """Return where a run's highest touches have their maximum in a curve, indices (k,).
+
+    ``t`` (n,), s, is as drawn and ascending; the values (n,) have every touch in them.
+    """
+    touches = plotted.run.touches
+    first, last = (np.searchsorted(t, touches[end] - plotted.origin) for end in ("start", "end"))
+    pieces = zip(first.tolist(), last.tolist(), strict=True)
+    peaks = np.array([a + int(values[a : b + 1].argmax()) for a, b in pieces if a < b], int)
+    return np.asarray(peaks[np.argsort(-values[peaks], kind="stable")[:_MARKERS]])
+
+
+def path_length(path: np.ndarray) -> np.ndarray:
+    """Return the length of a path up to each of its points, (n,), from points (n, 2)."""
+    return np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
 
 
 def common_window(shown: Iterable[PlottedRun], window: Window | None = None) -> Window:

@@ -11,7 +11,16 @@ from matplotlib.axes import Axes
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes
-from capture_sim.viewing.curves import PlottedRun, Quantity, Window, held_by, split
+from capture_sim.viewing.curves import (
+    PlottedRun,
+    Quantity,
+    Window,
+    held_by,
+    highest_touches,
+    marked_points,
+    path_length,
+    split,
+)
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
 
 _MM = 1e3
@@ -25,10 +34,13 @@ def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
         _draw_cone(axes, scene)
     axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
     axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
-    for plotted in shown:
+    for number, plotted in enumerate(shown):
         draw_path(axes, plotted.run.scene, plotted.run.samples, plotted.holds, plotted.colour)
         if several:
-            axes.plot([], [], color=plotted.colour, lw=3.2, label=plotted.label)
+            path = tip_in_cone(plotted.run.samples) * _MM
+            path = path[_in_frame(plotted.run.scene, path)]
+            draw_markers(axes, plotted, path, path_length(path), number, len(shown))
+            axes.plot([], [], label=plotted.label, **run_look(plotted, _PATH))
     colour = style.GREY if several else shown[0].colour
     for name in held_by(shown):
         axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
@@ -63,13 +75,39 @@ def draw_path(
     axes: Axes, scene: Scene, samples: np.ndarray, holds: np.ndarray, colour: str
 ) -> None:
     """Draw the path of the tip's centre; its line tells what holds the tip."""
-    (left, right), (low, high) = frame_bounds(scene)
     path = tip_in_cone(samples) * _MM
-    # what lies far outside of the frame needs no line
-    near = (path > (left - 50.0, low - 50.0)).all(axis=1)
-    near &= (path < (right + 50.0, high + 50.0)).all(axis=1)
+    near = _in_frame(scene, path, margin=50.0)  # beyond, no line is needed
     for name, part in split(path[near], holds[near]).items():
         axes.plot(*part.T, color=colour, zorder=5, **line_look(name, _PATH))
+
+
+def _in_frame(scene: Scene, path: np.ndarray, margin: float = 0.0) -> np.ndarray:
+    """Return whether points (n, 2), mm, lie in the frame with a margin round it, (n,) bool."""
+    (left, right), (low, high) = frame_bounds(scene)
+    inside = (path > (left - margin, low - margin)).all(axis=1)
+    return np.asarray(inside & (path < (right + margin, high + margin)).all(axis=1))
+
+
+def draw_markers(
+    axes: Axes, plotted: PlottedRun, curve: np.ndarray, length: np.ndarray, number: int, count: int
+) -> None:
+    """Draw the marker of one of several runs at some points of its curve, (n, 2), if it has one.
+
+    ``length`` is the time or length of the curve up to each point, (n,).
+    """
+    if plotted.marker is None or count == 1:
+        return
+    some = marked_points(length, number, count)
+    look = run_look(plotted) | {"ls": "", "zorder": 6}
+    axes.plot(*curve[some].T, **look)
+
+
+def run_look(plotted: PlottedRun, width: float = CURVE) -> dict[str, Any]:
+    """Return how matplotlib draws a run's entry in a legend: its colour, and its marker if any."""
+    look: dict[str, Any] = {"color": plotted.colour, "lw": width}
+    if plotted.marker is not None:
+        look |= {"marker": plotted.marker[0], "ms": 9.0, "mec": "white", "mew": 0.5}
+    return look
 
 
 def line_look(name: str, width: float = CURVE) -> dict[str, Any]:
@@ -101,7 +139,7 @@ def draw_quantity(
             axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":", label=name)
     if quantity.sign:
         axes.axhline(0.0, color=style.GREY, lw=0.8)
-    for plotted in shown:
+    for number, plotted in enumerate(shown):
         t, values = quantity.curve(plotted.run)
         inside = (t - plotted.origin >= window[0]) & (t - plotted.origin <= window[1])
         t, values = t[inside] - plotted.origin, values[inside]
@@ -110,6 +148,12 @@ def draw_quantity(
                 axes.plot(t, part, color=plotted.colour, **line_look(name))
         else:
             axes.plot(t, values, color=plotted.colour, lw=1.5)
+        if quantity.located is None:
+            curve = np.stack([t, values], axis=-1)
+            draw_markers(axes, plotted, curve, t, number, len(shown))
+        elif plotted.marker is not None and len(shown) > 1:
+            some = highest_touches(t, values, plotted)
+            axes.plot(t[some], values[some], **run_look(plotted) | {"ls": "", "zorder": 6})
     if quantity.from_zero:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel(quantity.axis)

@@ -28,7 +28,7 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import draw_shapes, subplots
+from capture_sim.viewing.canvas import columns_for, draw_shapes, hide_unused, subplots
 from capture_sim.viewing.curves import (
     PANELS,
     STROKE,
@@ -43,7 +43,13 @@ from capture_sim.viewing.curves import (
     plotted_runs,
     time_label,
 )
-from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, line_look
+from capture_sim.viewing.drawing import (
+    draw_markers,
+    draw_quantity,
+    draw_trajectory,
+    line_look,
+    run_look,
+)
 from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes, tip_in_world
 from capture_sim.viewing.source import ViewableRun, first_touch, start_word, time_window
 
@@ -120,12 +126,17 @@ def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
 def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
     """Draw the paths of the tip's centre side by side, each in its own cone (Figure 13)."""
     shown = plotted_runs(runs, labels)
-    figure, [row] = subplots(5.4 * len(shown), 6.2, 1, len(shown), grid=None, sharey=True)
-    for axes, plotted in zip(row, shown, strict=True):
+    columns = columns_for(len(shown))
+    rows = -(-len(shown) // columns)
+    figure, axes_grid = subplots(5.4 * columns, 6.2 * rows, rows, columns, grid=None, sharey=True)
+    used = list(axes_grid.flat)[: len(shown)]
+    for axes, plotted in zip(used, shown, strict=True):
         draw_trajectory(axes, [plotted])
         axes.set_title(plotted.label, fontsize=style.FONT, fontweight="bold")
-        if axes is not row[0]:
+        if axes not in axes_grid[:, 0]:
             axes.set_ylabel("")
+    for axes in axes_grid.flat[len(shown) :]:
+        axes.set_axis_off()
     return figure
 
 
@@ -165,23 +176,24 @@ def velocities(
 
 
 def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw force over stroke of the axial buffer; the loops' area is what its damper took."""
+    """Draw force over stroke of the axial buffer; the loops' area is the energy of its damper."""
     shown = plotted_runs(runs, labels)
-    figure, [[axes]] = subplots(7.4, 5.6)
-    for plotted in shown:
+    figure, [[axes]] = subplots(8.4, 5.0)
+    for number, plotted in enumerate(shown):
         samples = plotted.run.samples
-        taken = samples["dissipated_axial"][-1] * 1e3
-        axes.plot(
-            STROKE.of(samples),
-            samples["axial_force"],
-            color=plotted.colour,
-            lw=1.5,
-            label=f"{plotted.label}: {taken:.1f} mJ in the damper",
-        )
+        stroke, force = STROKE.of(samples), samples["axial_force"]
+        dissipated = samples["dissipated_axial"][-1] * 1e3
+        axes.plot(stroke, force, color=plotted.colour, lw=1.5)
+        loops = np.stack([stroke, force], axis=-1)
+        draw_markers(axes, plotted, loops, samples["t"], number, len(shown))
+        label = f"{plotted.label}: {dissipated:.1f} mJ in the damper"
+        axes.plot([], [], label=label, **run_look(plotted))
     axes.set_xlabel(STROKE.axis)
     axes.set_ylabel("force of spring and damper  [N]")
     # above: inside, the loops are everywhere
-    figure.legend(loc="outside upper center", fontsize=style.SMALL)
+    columns = 1 if len(shown) <= _MANY else 2
+    figure.set_figheight(4.6 + 0.3 * -(-len(shown) // columns))
+    figure.legend(loc="outside upper center", fontsize=style.SMALL, ncols=columns)
     return figure
 
 
@@ -217,29 +229,35 @@ def snapshots(
         for plotted in shown
     ]
     # a single strip is laid in two columns, read line by line
-    single, rows = len(shown) == 1, max(map(len, instants))
-    columns, rows = (2, -(-rows // 2)) if single else (len(shown), rows)
+    single, height = len(shown) == 1, max(map(len, instants))
+    columns = 2 if single else columns_for(len(shown))
+    rows = -(-height // 2) if single else height * -(-len(shown) // columns)
     figure, axes_grid = subplots(1.0, 1.0, rows, columns, grid=None, sharex=True, sharey=True)
-    seen = []
+    strips = [
+        axes_grid[i // columns * height : (i // columns + 1) * height, i % columns]
+        for i in range(len(shown))
+    ]
+    used: list[Axes] = []
     for strip, plotted, when in zip(
-        [axes_grid.ravel()] if single else axes_grid.T, shown, instants, strict=True
+        [axes_grid.ravel()] if single else strips, shown, instants, strict=True
     ):
-        for axes in strip[len(when) :]:
-            axes.set_axis_off()
         for letter, axes, t in zip(string.ascii_lowercase, strip, when, strict=False):
             _draw_instant(axes, plotted, float(t), letter)
-            seen.append(axes.dataLim)
+            used.append(axes)
         if not single:
             strip[0].set_title(plotted.label, fontsize=style.FONT + 1, fontweight="bold")
     if single:
         figure.suptitle(shown[0].label, fontsize=style.FONT + 1, fontweight="bold")
-    left, low, right, high = Bbox.union(seen).padded(_MARGIN).extents
+    hide_unused(axes_grid, used)
+    seen = Bbox.union([axes.dataLim for axes in used])
+    left, low, right, high = seen.padded(_MARGIN).extents
     high += 0.09 * (right - left)  # room for the caption
     axes_grid[0, 0].set(xlim=(left, right), ylim=(low, high))  # of all
     panel = _PANEL * (high - low) / (right - left) + 0.12
     figure.set_size_inches((_PANEL + 0.75) * columns, rows * panel + 1.5)
-    for axes in axes_grid[-1]:
-        axes.set_xlabel("x in the world  [m]")
+    for column in axes_grid.T:
+        lowest = [axes for axes in column if axes in used][-1]
+        lowest.set_xlabel("x in the world  [m]")
     for axes in axes_grid[:, 0]:
         axes.set_ylabel("y  [m]")
     key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_way_line, shown))
@@ -328,7 +346,7 @@ def _label_runs(
     """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
     if len(shown) > 1:
         for plotted in shown:
-            axes.plot([], [], color=plotted.colour, lw=2.6, label=plotted.label)
+            axes.plot([], [], label=plotted.label, **run_look(plotted))
     tone = shown[0].colour if len(shown) == 1 else style.GREY
     if contact:
         for name in held_by(shown):

@@ -16,7 +16,13 @@ from capture_sim.messages.urdf import Box, chaser_box, target_box
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import shapes, source, style
-from capture_sim.viewing.canvas import draw_shapes, dress, new_figure, rows_of_axes
+from capture_sim.viewing.canvas import (
+    columns_for,
+    draw_shapes,
+    dress,
+    new_figure,
+    rows_of_axes,
+)
 from capture_sim.viewing.curves import (
     DISTANCE,
     STROKE,
@@ -32,6 +38,7 @@ from capture_sim.viewing.source import ViewableRun
 
 _MM = 1e3
 _FONT = 13.5
+_BLOCK = 13.53  # inches, height of a run in the overview, without its title
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
 _ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
@@ -86,19 +93,22 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
 
 
 def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = None) -> Figure:
-    """Return the figure of several runs side by side, one column each, under their labels.
+    """Return the figure of several runs side by side, at most three abreast, under their labels.
 
     These are the scenes' names, numbered where they are the same, unless given.
     """
     shown = plotted_runs(runs, labels)
     titles = [source.headline(plotted.run, plotted.label, _COLUMN) for plotted in shown]
-    figure = new_figure(6.0 * len(runs), 14.0, arranged=False)
+    columns = columns_for(len(runs))
     top = 0.2 + 0.27 * max(len(title.splitlines()) for title in titles)
+    block = _BLOCK + top
+    figure = new_figure(6.0 * columns, block * -(-len(runs) // columns), arranged=False)
     rows = [(1.4, 1.03), (5.0, 0.96), (2.25, 0.43), (1.9, 0.0)]
     benches = []
     for i, (plotted, title) in enumerate(zip(shown, titles, strict=True)):
-        sides = (6.0 * i + 1.05, 6.0 * i + 5.82)
-        bench, cone, *over_time = rows_of_axes(figure, sides, top, rows)
+        line, column = divmod(i, columns)
+        sides = (6.0 * column + 1.05, 6.0 * column + 5.82)
+        bench, cone, *over_time = rows_of_axes(figure, sides, top + block * line, rows)
         seen = draw_bench(bench, plotted)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
         dashed = (
@@ -253,13 +263,9 @@ def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
         seen += shapes.state_shapes(scene, start, plotted.colour, ghost=True, both=False)
     draw_shapes(axes, seen)
     degrees = round(float(np.rad2deg(then[shapes.TARGET[2]])))
-    _name(axes, "chaser", chaser_box(scene), then[list(shapes.CHASER)])
-    _name(
-        axes,
-        f"target\n{degrees:+d}°" if degrees else "target\n0°",
-        target_box(scene),
-        then[5:],
-    )
+    _name(axes, "chaser", chaser_box(scene), then[list(shapes.CHASER)], side=0.5)
+    turned = f"target\n{degrees:+d}°" if degrees else "target\n0°"
+    _name(axes, turned, target_box(scene), then[5:])
     axes.set_aspect("equal")
     axes.margins(0.03)
     dress(axes, None, _FONT)
@@ -269,9 +275,10 @@ def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
     return f"at the {source.start_word(scene)} and at the {when}" if moved else f"at the {when}"
 
 
-def _name(axes: Axes, text: str, box: Box, pose: np.ndarray) -> None:
-    """Write along a body's front-to-rear axis, in its middle."""
-    middle = shapes.placed(np.array([[(box.back + box.front) / 2, 0.0]]), *pose)[0]
+def _name(axes: Axes, text: str, box: Box, pose: np.ndarray, side: float = 0.0) -> None:
+    """Write along a body's front-to-rear axis, in its middle or to a side, 0 to 1, of it."""
+    place = np.array([[(box.back + box.front) / 2, side * box.half_width]])
+    middle = shapes.placed(place, *pose)[0]
     axes.text(
         float(middle[0]),
         float(middle[1]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import datetime
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass
 from itertools import groupby
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
+from PIL import Image
 from plotly.offline import get_plotlyjs
 
 import capture_sim
@@ -84,7 +85,13 @@ _MEASURED = (
 )
 
 
-def save_report(opened: Sequence[Opened], path: Path | str) -> Path:
+#: Is called with how many steps of the report are done, and of how many.
+ShowProgress = Callable[[int, int], None]
+
+
+def save_report(
+    opened: Sequence[Opened], path: Path | str, progress: ShowProgress = lambda done, count: None
+) -> Path:
     """Save the report of runs as one HTML file; return its path.
 
     Raises
@@ -92,26 +99,34 @@ def save_report(opened: Sequence[Opened], path: Path | str) -> Path:
     RecordingError
         The file cannot be written.
     """
-    path, text = Path(path), report(opened)
+    path, text = Path(path), report(opened, progress)
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
 
 
-def report(opened: Sequence[Opened]) -> str:
-    """Return the report of runs as one page of HTML."""
+def report(opened: Sequence[Opened], progress: ShowProgress = lambda done, count: None) -> str:
+    """Return the report of runs as one page of HTML; each run is simulated again."""
     names, runs = [one.label for one in opened], [one.run for one in opened]
     summaries = [summary_of(one.run, one.wall_time) for one in opened]
     shown = plotted_runs(runs, names, aligned=len(runs) > 1)
     known = [one for one in shown if has_ledger(one.run)]
     panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
     simulated = len(known) == len(runs)
-    drawn = [report_figures.trajectories(shown)]
+    drawn = [report_figures.trajectory(plotted, i) for i, plotted in enumerate(shown)]
     drawn += [report_figures.over_time(panel, shown) for panel in panels]
     if simulated:  # neither is measured on a bench
         drawn.append(report_figures.load_stroke(shown))
         drawn.append(report_figures.over_time("intrusion", shown))
-    drawn.append(report_figures.velocities(shown))
+    drawn += report_figures.velocities(shown)
+    energies, layer_colours = report_figures.energies(known)
+    about_runs, strips, steps = [], [], 1 + 2 * len(opened)
+    for i, (one, plotted) in enumerate(zip(opened, shown, strict=True)):
+        progress(1 + 2 * i, steps)
+        about_runs.append(_of_run(one))
+        progress(2 + 2 * i, steps)
+        strips.append(_strip(plotted, i))
+    progress(steps, steps)
     differing, shared = parameter_rows([run.scene for run in runs])
     groups = groupby(heads(), key=lambda head: head[0] or head)  # nameless ones stand alone
     environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
@@ -121,14 +136,16 @@ def report(opened: Sequence[Opened]) -> str:
         version=capture_sim.__version__,
         sections=_SECTIONS,
         names=names,
-        runs=list(map(_of_run, opened)),
+        runs=about_runs,
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
         columns=[(name, unit) for _, name, unit in heads()],
         results=rows(summaries, names),
         legend=" ".join([*LEGEND, *notes(summaries)]),
         figures=drawn,
-        pictures=[_strip(one, i) for i, one in enumerate(shown)],
-        energies=[report_figures.energy(known)] if known else [],
+        pictures=strips,
+        energies=energies,
+        layers=layer_colours,
+        key=[(one.label, one.colour, one.marker and _GLYPHS[one.marker[1]]) for one in shown],
         ledger=energy_rows([one.run for one in known]) if known else [],
         ledger_names=[one.label for one in known],
         not_measured=[one.label for one in shown if not has_ledger(one.run)],
@@ -167,11 +184,29 @@ def _of_run(one: Opened) -> dict[str, Any]:
     }
 
 
+#: Markers of plotly as letters, for the key.
+_GLYPHS = {
+    "circle": "●",
+    "square": "■",
+    "diamond": "◆",
+    "cross": "✚",
+    "x": "✖",
+    "star": "★",
+    "pentagon": "⬟",
+    "triangle-left": "◀",
+    "triangle-right": "▶",
+    "hexagon": "⬢",
+}
+
+
 def _strip(one: PlottedRun, i: int) -> dict[str, str]:
     """Return the i-th run from above in some instants, as an image within the page."""
-    buffer = io.BytesIO()
-    figures.snapshots(one.run, labels=[one.label], first=i).savefig(buffer, format="png", dpi=80)
-    data = base64.b64encode(buffer.getvalue()).decode()
+    drawn, small = io.BytesIO(), io.BytesIO()
+    figures.snapshots(one.run, labels=[one.label], first=i).savefig(drawn, format="png", dpi=80)
+    with Image.open(drawn) as picture:
+        # few colours: a third of the bytes
+        picture.convert("RGB").quantize(48, dither=Image.Dither.NONE).save(small, "PNG")
+    data = base64.b64encode(small.getvalue()).decode()
     return {"caption": f"{one.label}, from above", "source": f"data:image/png;base64,{data}"}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import rerun as rr
 
 from capture_sim.messages.urdf import chaser_box, target_box
+from capture_sim.samples import Phase
 from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream
@@ -30,6 +31,7 @@ _STRING_Y = -0.17  # beside the bodies, over a pulley behind the target
 _PULLEY_RADIUS, _PULLEY_BEHIND = 0.02, 0.18
 
 _BLACK, _DARK, _GREY = (style.rgb(colour) for colour in (style.BLACK, style.DARK, style.GREY))
+_LATCHED = style.rgb(style.PHASES["latched"])
 _X_AXIS = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])  # turns z to x
 _Y_AXIS = rr.Quaternion(xyzw=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # turns z to -y
 
@@ -66,7 +68,7 @@ class BenchLog:
         self._move_tip(samples, touching)
 
     def trail(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        """Log the tip's way, (n,) samples: thin, and thick where it touches."""
+        """Log the tip's path, (n,) samples: thin, thick in contact, green while latched."""
         above = self._scene.probe.tip_radius + 0.001
         strip = _level(shapes.tip_in_world(self._scene, samples["q"]), above)
         self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
@@ -76,6 +78,9 @@ class BenchLog:
         pieces = [way[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
         thick = rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0)
         self._draw("way_in_contact", thick)
+        latched = [way[samples["phase"] == Phase.LATCHED]]
+        strip = rr.LineStrips2D(latched, radii=0.6, colors=_LATCHED, draw_order=22.0)
+        self._draw("way_latched", strip)
 
     def trail_piece(self, samples: np.ndarray) -> None:
         """Log the next piece of the tip's way, seen together with those before it."""
@@ -232,6 +237,7 @@ class BenchLog:
         columns(entity, t, rr.Arrows3D, vectors=_level(force), origins=origin)
         places = shapes.tip_in_cone(samples) * _MM
         tint = np.where(touching[:, None], self._colour, style.light(self._colour))
+        tint[samples["phase"] == Phase.LATCHED] = _LATCHED
         tint = tint.astype(np.uint8)
         columns(f"{self._map}/tip", t, rr.Points2D, positions=places, colors=tint)
         columns(f"{self._map}/centre", t, rr.Points2D, positions=places)

@@ -24,6 +24,8 @@ THETA_P, H = 3, 4
 _BALL_RADIUS = 0.009
 _HALF_GAUGE = 0.03
 _WALL_THICKNESS = 0.006
+_HOUSING, _COLLAR, _COIL = 0.010, 0.012, 0.008  # half-widths of the buffer's parts
+_TURNS = 8
 
 
 class Shape(NamedTuple):
@@ -85,11 +87,11 @@ def circle(centre: np.ndarray, radius: float, count: int = 73) -> np.ndarray:
 
 
 def rail_shapes(scene: Scene) -> list[Shape]:
-    """Return the rail as far as it guides the chaser's centre."""
+    """Return the rail: it guides the chaser's centre over its length, and bears the whole body."""
     if scene.rail is None:
         return []
-    start = scene.initial.chaser
-    ends = np.array([[0.0, 1.0], [scene.rail.length, 1.0]])
+    start, box = scene.initial.chaser, chaser_box(scene)
+    ends = np.array([[box.back, 1.0], [scene.rail.length - box.back, 1.0]])
     return [
         Shape(placed(ends * (1.0, y), start.x, start.y, start.theta), style.GREY, 2.0, order=0.5)
         for y in (_HALF_GAUGE, -_HALF_GAUGE)
@@ -117,13 +119,15 @@ def state_shapes(
     width, fill = (1.0, "") if ghost else (1.5, style.LIGHT)
     hinge, tip = hinge_in_world(scene, q[None])[0], tip_in_world(scene, q[None])[0]
     body = placed(chaser_box(scene).corners, *pose)
+    tip_fill = "" if ghost else colour
     shapes = [
         Shape(body, line, width, fill, ghost, 1.0),
-        Shape(np.stack([hinge, tip]), line, 1.0 if ghost else 3.0, dashed=ghost),
-        Shape(
-            circle(tip, scene.probe.tip_radius, 37), line, 1.0, "" if ghost else colour, ghost, 3.0
-        ),
+        Shape(circle(tip, scene.probe.tip_radius, 37), line, 1.0, tip_fill, ghost, 3.0),
     ]
+    if ghost:
+        shapes.append(Shape(np.stack([hinge, tip]), line, 1.0, dashed=True))
+    else:
+        shapes += buffer_shapes(scene, q)
     if scene.supports is not None and not ghost:
         shapes += _balls(scene.supports.chaser.balls, pose)
     if not both:
@@ -138,10 +142,40 @@ def state_shapes(
     return shapes
 
 
+def buffer_shapes(scene: Scene, q: np.ndarray) -> list[Shape]:
+    """Return cylinder, rod, collar and spring of the buffer at the coordinates q (8,).
+
+    The rod slides in the cylinder; the spring between hinge and collar is as long as the stroke
+    leaves it.
+    """
+    x, y = hinge_in_world(scene, q[None])[0].tolist()
+    h, probe = float(q[H]), scene.probe
+    front = h - probe.tip_radius
+    collar = h - (probe.tip_radius + 0.5 * probe.length)
+    share = np.linspace(0.0, 1.0, 4 * _TURNS + 1)
+    coil = np.stack([share * collar, _COIL * np.sin(2 * np.pi * _TURNS * share)], axis=-1)
+    rod = np.array([[front - probe.length, 0.0], [front, 0.0]])
+    ring = np.array([[collar, -_COLLAR], [collar, _COLLAR]])
+    housing = np.array([[-1.0, -1.0], [0.0, -1.0], [0.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    housing *= (max(scene.cylinder.length, _HOUSING), _HOUSING)
+    pin = circle(np.zeros(2), 0.4 * _HOUSING, 19)
+    return [
+        Shape(placed(points, x, y, float(q[THETA_P])), line, width, fill, order=order)
+        for points, line, width, fill, order in (
+            (housing, style.GREY, 1.0, "#FFFFFF", 2.0),
+            (rod, style.BLACK, 2.4, "", 2.1),
+            (coil, style.BROWN, 1.2, "", 2.2),
+            (ring, style.BLACK, 2.4, "", 2.3),
+            (pin, style.BLACK, 1.0, style.DARK, 2.4),
+        )
+    ]
+
+
 def _balls(balls: Iterable[Sequence[float]], pose: np.ndarray) -> list[Shape]:
     centres = placed(np.array(list(balls)), *pose)
     return [
-        Shape(circle(centre, _BALL_RADIUS, 25), style.GREY, 0.9, "#FFFFFF") for centre in centres
+        Shape(circle(centre, _BALL_RADIUS, 25), style.GREY, 0.9, "#FFFFFF", order=1.5)
+        for centre in centres
     ]
 
 

@@ -1,8 +1,8 @@
 """One look for everything that is drawn: colours, marks, units, sizes.
 
 Colours, most of them of Okabe and Ito (2008), differ for people with any common colour vision.
-Each means one thing in pictures, report and rerun: a run keeps its colour, a wall its marker, a
-verdict its colour and marker.  The bench itself is drawn in greys.
+Each means one thing in pictures, report and rerun: a run keeps its colour and marker, a wall its
+triangle, a verdict its colour and marker.  The bench itself is drawn in greys.
 """
 
 from __future__ import annotations
@@ -20,6 +20,12 @@ PURPLE = "#CC79A7"
 ROSE = "#F29CC4"
 CRIMSON = "#C04060"
 BROWN = "#8C510A"
+LIME = "#77BB00"
+VIOLET = "#AA00FF"
+OLIVE = "#665500"
+MAGENTA = "#FF44EE"
+LAVENDER = "#8888FF"
+PLUM = "#773399"
 WINE = "#882255"
 DARK = "#404040"
 GREY = "#7F7F7F"
@@ -27,8 +33,23 @@ LIGHT = "#D9D9D9"
 CONE = "#9CC3DB"
 PALE = "#E3EEF5"
 
-#: One for each run, in order; they repeat after that.
-RUNS = (BLUE, VERMILION, ROSE, CRIMSON, BROWN)
+#: Colour of each run, in order; they repeat after that.
+RUNS = (BLUE, VERMILION, ROSE, CRIMSON, VIOLET, LIME, OLIVE, MAGENTA, LAVENDER, PLUM)
+#: Runs whose colours differ for people with any colour vision. Of more runs, each has a marker too.
+COLOURS_ALONE = 4
+#: Marker of each run in matplotlib and plotly; triangles up and down are the walls'.
+RUN_MARKERS = (
+    ("o", "circle"),
+    ("s", "square"),
+    ("D", "diamond"),
+    ("P", "cross"),
+    ("X", "x"),
+    ("*", "star"),
+    ("p", "pentagon"),
+    ("<", "triangle-left"),
+    (">", "triangle-right"),
+    ("h", "hexagon"),
+)
 #: The tip touches the cone.
 CONTACT = YELLOW
 #: The zone of capture, and what lies in it.
@@ -95,6 +116,11 @@ LINES = {
 def run_colour(i: int) -> str:
     """Return the colour of the i-th run."""
     return RUNS[i % len(RUNS)]
+
+
+def run_marker(i: int) -> tuple[str, str]:
+    """Return the marker of the i-th run in matplotlib and in plotly."""
+    return RUN_MARKERS[i % len(RUN_MARKERS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

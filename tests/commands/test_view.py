@@ -11,6 +11,7 @@ from matplotlib.image import imread
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.commands import output, view
 from capture_sim.commands.inputs import load
 from capture_sim.recording.offline import write_run
 from capture_sim.viewing.source import distinct_names
@@ -120,3 +121,17 @@ def test_window_that_cannot_be_is_refused_in_one_line(recorded, tmp_path, capsys
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert said in error
+
+
+def test_figures_and_report_show_how_far_they_are(recorded, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rerun", reason="needs rerun")
+    monkeypatch.setattr(output, "_PAUSE", 0.0)
+    monkeypatch.setattr(view, "FIGURES", dict(list(view.FIGURES.items())[:2]))
+    monkeypatch.setattr(view, "draw", lambda *_, **__: None)
+    path = str(recorded[0])
+    assert main(["view", path, "--figures", "--out", str(tmp_path)]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("figures:")]
+    assert lines[-1].startswith("figures: 2 of 3 figures, ")
+    assert lines[-1].endswith(" s left")
+    assert main(["report", path, "--out", str(tmp_path / "r.html")]) == 0
+    assert capsys.readouterr().err.splitlines()[-1].startswith("report: 3 of 3 steps, ")

@@ -20,7 +20,8 @@ from capture_sim.cli import main
 from capture_sim.recording.offline import write_run
 from capture_sim.results import rows
 from capture_sim.viewing import style
-from capture_sim.viewing.report import error_statement
+from capture_sim.viewing.report import error_statement, save_report
+from capture_sim.viewing.source import Opened
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,9 @@ def values_of(axis):
 
 def test_figures_hold_the_runs_in_their_colours(page, runs):
     found = Page(page.read_text(encoding="utf-8")).figures
-    assert {"trajectories", "impact_force", "distance", "velocities", "energy"} <= set(found)
+    each = {f"{name}-{i}" for name in ("trajectory", "energy") for i in range(len(runs))}
+    vehicles = {"velocities-chaser", "velocities-target"}
+    assert {"impact_force", "distance", *each, *vehicles} <= set(found)
     for run, colour in zip(runs, style.RUNS, strict=False):
         mine = [
             curve
@@ -181,6 +184,34 @@ def test_experiments_given_by_name_are_run(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.fixture(scope="module")
+def nine(runs, undamped, tmp_path_factory):
+    """The page of nine runs, and their names."""
+    names = ("paper_case_1", "paper_case_2", "paper_case_3", "paper_designed", "paper_clamped")
+    several = [*runs, undamped, *map(capture_sim.simulate, names)]
+    opened = [Opened(run, run.scene.name, "a simulation", ["x 1"]) for run in several]
+    done = []
+    path = tmp_path_factory.mktemp("nine") / "report.html"
+    save_report(opened, path, lambda *step: done.append(step))
+    # progress is shown with every run
+    assert [count for _, count in done] == [19] * 19
+    assert [step for step, _ in done] == list(range(1, 20))
+    return path, [one.label for one in opened]
+
+
+def test_page_of_nine_runs_is_small(nine):
+    """Of 6 MB plotly itself is 4.8."""
+    path, names = nine
+    text = path.read_text(encoding="utf-8")
+    assert path.stat().st_size < 6.0e6
+    assert text.count("!function") == 1 or text.count("plotly.js v") == 1  # the library, once
+    found = Page(text).figures
+    for i, name in enumerate(names):
+        colours = {c["line"]["color"] for c in found[f"trajectory-{i}"]["data"]}
+        assert style.run_colour(i) in colours
+        assert f'data-run="{name}"' in text
+
+
 # in a browser
 
 
@@ -222,6 +253,42 @@ def test_page_opens_without_errors_and_is_seen(page, tmp_path):
     for colour in style.RUNS[:3]:
         near = np.abs(image - np.array(style.rgb(colour), np.int16)).max(axis=-1) < 13
         assert near.sum() > 2000
+
+
+MEASURE = """<script>addEventListener("load", () => {
+  const boxes = [...document.querySelectorAll("figure")].map((figure) => {
+    const box = figure.getBoundingClientRect(), drawn = figure.querySelector("svg, img");
+    return [box.left, box.right, drawn.getBoundingClientRect().width, box.height];
+  });
+  document.querySelectorAll(".key button")[1].click();
+  const hidden = document.getElementById("figure-distance").data.filter((c) => c.visible === false);
+  console.log("measured " + JSON.stringify({
+    width: innerWidth, wide: document.documentElement.scrollWidth, boxes, hidden: hidden.length,
+    names: [...new Set(hidden.map((curve) => curve.name))] }));
+});</script></body>"""
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [500, 1400])
+def test_every_figure_fits_a_phone_and_a_screen(nine, tmp_path, width):
+    """And a button of the key hides its run."""
+    path, names = nine
+    measured = tmp_path / "measured.html"
+    measured.write_text(path.read_text(encoding="utf-8").replace("</body>", MEASURE))
+    reported = chromium(
+        measured, tmp_path, f"--window-size={width},900", f"--screenshot={tmp_path / 'x.png'}"
+    )
+    [line] = [line for line in reported if "measured" in line]
+    found = json.loads(re.search(r'measured (\{.*\})"', line)[1])
+    assert found["width"] == width
+    assert found["wide"] <= width  # nothing scrolls sideways but a table in its frame
+    assert len(found["boxes"]) == 9 + 6 + 2 + 9 + 9
+    for left, right, drawn, height in found["boxes"]:
+        assert 0 <= left < right <= width
+        assert drawn > 0.9 * (right - left)
+        assert height > 200
+    assert found["names"] == [names[1]]
+    assert found["hidden"] > 0
 
 
 @needs_chromium

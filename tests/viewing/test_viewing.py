@@ -11,6 +11,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 import capture_sim
 from capture_sim.errors import RecordingError
@@ -240,16 +241,29 @@ def extent(text):
 
 
 def test_headings_stay_within_their_panels_and_columns(overviews):
-    for runs, figure in overviews:
-        column = figure.bbox.width / len(runs)
+    for _, figure in overviews:
+        width = figure.bbox.width / 3
         for i, axes in enumerate(figure.axes):
             heading = axes.title.get_window_extent()
             if "impact" in axes.get_title():  # of the whole column
-                assert i // 4 * column <= heading.x0
-                assert heading.x1 <= (i // 4 + 1) * column
+                column = i // 4 % 3
+                assert column * width <= heading.x0
+                assert heading.x1 <= (column + 1) * width
             else:
                 assert axes.bbox.x0 <= heading.x0
                 assert heading.x1 <= axes.bbox.x1
+
+
+def test_overview_wraps_and_no_run_covers_another(overviews):
+    """At most three abreast: a page is read, not a banner."""
+    for runs, figure in overviews:
+        assert figure.get_figwidth() == 18.0
+        blocks = [figure.axes[4 * i : 4 * i + 4] for i in range(len(runs))]
+        assert 4 * len(blocks) == len(figure.axes)
+        boxes = [Bbox.union([axes.get_tightbbox() for axes in block]) for block in blocks]
+        for i, box in enumerate(boxes):
+            assert 0.0 <= box.y0 < box.y1 <= figure.bbox.height
+            assert not any(box.overlaps(other) for other in boxes[:i])
 
 
 def test_no_line_runs_through_a_text(drawn):
@@ -332,7 +346,7 @@ NORMAL = np.eye(3)
 PROTAN = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
 DEUTAN = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]])
 BESIDE_EACH_OTHER = {
-    "runs": style.RUNS[:4],
+    "runs": style.RUNS[: style.COLOURS_ALONE],
     "verdicts": [look.colour for look in style.VERDICTS.values()],
     "phases": [*style.PHASES.values()],
     "states": [*style.STATES.values()],
@@ -349,6 +363,17 @@ def test_colours_differ_also_for_the_colour_blind(what, matrix):
     for i in range(len(seen)):
         for j in range(i):
             assert np.abs(seen[i] - seen[j]).max() > least, (what, i, j)
+
+
+def test_ten_runs_have_colours_and_markers_of_their_own():
+    """Without a colour-blind eye all ten colours differ; with one, the markers do."""
+    colours = np.array([to_rgb(style.run_colour(i)) for i in range(10)])
+    for i in range(10):
+        assert (np.abs(colours[i] - colours[:i]).max(axis=1) > 0.2).all()
+    for which in (0, 1):
+        markers = {style.run_marker(i)[which] for i in range(10)}
+        assert len(markers) == 10
+        assert not markers & {wall[which] for wall in style.WALLS.values()}
 
 
 def test_nothing_but_a_run_has_a_runs_colour():

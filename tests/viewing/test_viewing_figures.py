@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import itertools
 import json
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 
 import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import EventKind
 from capture_sim.viewing import figures, report_figures, style
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.curves import Trace, plotted_runs
+from capture_sim.viewing.curves import PANELS, Trace, plotted_runs
 from capture_sim.viewing.figures import snapshot_times, snapshots
 from capture_sim.viewing.shapes import tip_in_world
 from capture_sim.viewing.source import resolved, resolved_or_not
@@ -124,6 +127,86 @@ def test_overlaid_runs_start_together_at_their_first_touch(runs):
     assert "first touch" in axes.get_xlabel()
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names[:3] == ["tilt_0", "tilt_p10", "tilt_m10"]
+
+
+@pytest.fixture(scope="module")
+def many(runs, undamped):
+    """Ten runs."""
+    return [*runs, *runs, *runs, undamped]
+
+
+def test_ten_overlaid_runs_are_told_apart(many):
+    """Each has a colour and marker of its own on its curves and in the legend."""
+    for figure in (figures.distance(many), figures.load_stroke(many), figures.velocities(many)):
+        entries = figure.legends[0].legend_handles
+        lines = [entry for entry in entries if isinstance(entry, Line2D)]
+        looks = {(e.get_color(), e.get_marker()) for e in lines if e.get_marker() != "None"}
+        assert len(looks) == 10
+        assert len({colour for colour, _ in looks}) == 10
+        for axes in figure.axes:
+            marked = {
+                (line.get_color(), line.get_marker()): len(line.get_xdata())
+                for line in axes.get_lines()
+                if line.get_marker() != "None" and len(line.get_xdata())
+            }
+            assert set(marked) == looks
+            assert all(3 <= count <= 6 for count in marked.values())
+
+
+def test_markers_lie_on_the_curves(many):
+    [axes] = figures.distance(many, aligned=True).axes
+    run = many[1]
+    [marks] = [
+        line.get_xydata()
+        for line in axes.get_lines()
+        if line.get_color() == style.RUNS[1] and line.get_linestyle() == "None"
+    ]
+    t = run.samples["t"] - run.touches["start"].min()
+    expected = np.interp(marks[:, 0], t, run.samples["tip_distance"] * 1e3)
+    assert marks[:, 1] == pytest.approx(expected, abs=1e-9)
+
+
+def test_strips_and_cones_of_many_runs_wrap(many):
+    strips = snapshots(many[:5], count=2)
+    assert strips.get_figwidth() < 20.0
+    drawn = [axes for axes in strips.axes if axes.axison]
+    assert len(drawn) == 10
+    # the lowest of each column is numbered
+    assert sum(bool(axes.get_xlabel()) for axes in drawn) == 3
+    cones = figures.trajectories(many[:5])
+    assert cones.get_figwidth() < 20.0
+    assert sum(axes.axison for axes in cones.axes) == 5
+
+
+@pytest.mark.parametrize("name", ["axial_performance", "distance", "impact_force"])
+def test_curves_of_the_report_are_those_of_the_samples(undamped, name):
+    """Points are left out where a line through the rest shows the same."""
+    [plotted] = plotted_runs(undamped)
+    page = json.loads(report_figures.over_time(name, [plotted]).data)
+    quantity = PANELS[name]
+    t, values = quantity.curve(undamped)
+    lines = [curve for curve in page["data"] if curve["mode"] == "lines"]
+    points = [np.stack([numbers(line["x"]), numbers(line["y"])]) for line in lines]
+    start, end = page["layout"]["xaxis"]["range"]
+    seen = (t >= start) & (t <= end)
+    extent = np.array([end - start, np.ptp(np.append(values[seen], 0.0))])
+    samples = np.stack([t[seen], values[seen]], axis=-1) / extent
+    nearest = np.full(len(samples), np.inf)
+    for x, y in points:
+        line = np.stack([x, y], axis=-1) / extent
+        for a, b in itertools.pairwise(line[np.isfinite(line).all(axis=1)]):
+            along = np.clip((samples - a) @ (b - a) / max((b - a) @ (b - a), 1e-30), 0.0, 1.0)
+            offset = samples - a - along[:, None] * (b - a)
+            nearest = np.minimum(nearest, np.hypot(*offset.T))
+    assert nearest.max() < 1e-3  # a third of a pixel
+    assert sum(x.size for x, _ in points) < 0.7 * seen.sum()
+    highest = max(np.nanmax(y) for _, y in points)
+    assert highest == pytest.approx(values[seen].max(), rel=1e-3)
+
+
+def numbers(axis):
+    """Return the numbers of a curve as plotly stores them."""
+    return np.frombuffer(base64.b64decode(axis["bdata"]), dtype=axis["dtype"])
 
 
 def test_stops_are_drawn_in_pictures_and_report(runs):

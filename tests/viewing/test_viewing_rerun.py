@@ -17,7 +17,7 @@ import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.samples import EventKind
+from capture_sim.samples import EventKind, Phase
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import tip_in_cone
 from capture_sim.viewing.source import first_touch, in_contact, resolved
@@ -234,7 +234,7 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
     by_title = {view.name: view for view in views}
     viewer.set_time("since_first_touch", duration=SHOWN, play_state="paused")
     settled(viewer)
-    lateral, opening, touching = [], [], []
+    lateral, opening, touching, latched = [], [], [], []
     for run, colour in zip(runs, style.RUNS, strict=False):
         name = run.scene.name
         bench = picture(
@@ -248,13 +248,18 @@ def test_every_view_shows_every_run_in_its_colour(viewer, runs, tmp_path):
         opening.append(rows.mean() / bench.shape[0])
         assert 0.4 < columns.mean() / bench.shape[1] < 0.8
         cone = picture(viewer, by_title[f"{name}: in the cone, mm"])
-        touches = in_contact(run)[round((first_touch(run).t + SHOWN) * 1000)]
+        now = round((first_touch(run).t + SHOWN) * 1000)
+        touches = in_contact(run)[now]
         shown = style.rgb(colour) if touches else style.light(style.rgb(colour))
+        if run.samples["phase"][now] == Phase.LATCHED:
+            shown = style.rgb(style.ZONE)
+            latched.append(run.scene.name)
         mask = hue_mask(cone, np.array(shown) / 255)
         assert mask.sum() > 0.01 * mask.size
         lateral.append(np.nonzero(mask)[0].mean() / mask.shape[0])
         touching.append(bool(touches))
     assert 0 < sum(touching) < len(runs)
+    assert latched == ["tilt_0"]
     # seen from above, +y is up: compare with where the tips really are
     k = [round((first_touch(run).t + SHOWN) * 1000) for run in runs]
     truth = [-float(run.samples["tip_lateral"][i]) for run, i in zip(runs, k, strict=True)]
