@@ -1,4 +1,4 @@
-"""Files that are whole once they have their name, under names that lead nowhere else."""
+"""Files that are complete when they get their name, and names that stay in their folder."""
 
 from __future__ import annotations
 
@@ -12,33 +12,27 @@ from pathlib import Path
 
 from capture_sim.errors import RecordingError
 
-#: Bytes of a name, so that a number, a suffix and a mark for unfinished files fit behind it.
+#: Bytes of a name, so that a number, a suffix and a mark for unfinished files fit after it.
 NAME_BYTES = 180
 
 _UNSAFE = re.compile(r"[^\w.+=,@-]+")
 
 
 def file_name(text: str, fallback: str = "unnamed") -> str:
-    """Return the name of a file for whatever text from outside, with no folder in it.
+    """Return the name of a file, without a folder, for any text such as a run's or a topic's name.
 
     Letters, digits and ``. _ + = , @ -`` stay; all else becomes ``_``.  A name neither begins
-    with a dot, which would hide it, nor with a dash, which commands take for an option.
-
-    Parameters
-    ----------
-    text
-        A run's or a topic's name, say.
-    fallback
-        Returned where nothing is left.
+    with a dot, which would hide it, nor with a dash, which commands take for an option.  The
+    fallback is returned if nothing is left.
     """
-    # lone surrogates are no text that a file system takes
+    # no file system accepts lone surrogates
     clean = _UNSAFE.sub("_", text.encode(errors="replace").decode()).lstrip(".-")
     clean = clean.encode()[:NAME_BYTES].decode(errors="ignore")
     return clean if clean.strip("_.") else fallback
 
 
 def free_path(path: Path) -> Path:
-    """Return the path, or with ``_2``, ``_3`` ... behind its stem the first that is free."""
+    """Return the path, or the first free one with ``_2``, ``_3`` ... after its stem."""
     candidate, number = path, 1
     while os.path.lexists(candidate):
         number += 1
@@ -47,37 +41,19 @@ def free_path(path: Path) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Whether a path is neither a file nor a folder, as ``/dev/stdout``."""
+    """Return True if a path exists and is neither a file nor a folder, e.g. ``/dev/stdout``."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
 @contextmanager
 def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Write a file under a temporary name, and rename it when it is complete.
+    """Yield a temporary path of the same suffix, and rename that file when it is complete.
 
     If the block ends without an error, the file gets its name in one step, so other processes
     that read or write the same file always find a complete one.  After an error no file remains;
-    after a kill, ``.<name>.part-<random><suffix>`` remains.
-
-    Parameters
-    ----------
-    path
-        Where the file goes; its folder is made.  A device (``/dev/stdout``) is written to
-        directly.
-    replace
-        Whether a file of that name may be replaced.
-
-    Yields
-    ------
-    Path
-        To write to; of the same suffix.
-
-    Raises
-    ------
-    FileExistsError
-        The file exists and may not be replaced.
-    RecordingError
-        It cannot be written.
+    after a kill, ``.<name>.part-<random><suffix>`` remains.  The folder is made; a device
+    (``/dev/stdout``) is written to directly.  RecordingError if the file cannot be written,
+    FileExistsError if it exists and ``replace`` is False.
     """
     part = path.with_name(f".{path.stem[:NAME_BYTES]}.part-{secrets.token_hex(4)}{path.suffix}")
     try:
@@ -89,7 +65,7 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         if replace:
             part.replace(path)
         else:
-            _take_name(part, path)
+            _link_new(part, path)
     except OSError as error:
         if isinstance(error, FileExistsError) and path.exists():
             raise
@@ -101,8 +77,8 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
-def _take_name(part: Path, path: Path) -> None:
-    """Give a file its name without replacing another that has it, in one step."""
+def _link_new(part: Path, path: Path) -> None:
+    """Rename a file in one step; FileExistsError if another has the name."""
     try:
         os.link(part, path)
     except FileExistsError:

@@ -1,10 +1,10 @@
 """Ctrl-C that is neither lost nor raised at a bad moment.
 
-A command is ended by KeyboardInterrupt, as any Python program.  Where that meets a compiler's
-callback, a destructor or a module's import, Python loses it or prints a traceback; compiling and
-loading the kernels is little else, so it is done in a thread of its own.
+A command is ended by KeyboardInterrupt, as any Python program.  In a compiler's callback, a
+destructor or a module's import, Python loses it or prints a traceback.  Compiling and loading the
+kernels consists of these, so it is done in a thread of its own.
 
-A node is ended by an event, :data:`STOP`, which its main thread looks at wherever it waits.
+A node is ended by an event, :data:`STOP`, which its main thread checks wherever it waits.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ T = TypeVar("T")
 #: Set when a node's process is asked to end.
 STOP = threading.Event()
 _NAME = "worker"
-#: A thread that waits for something else looks at :data:`STOP` this often, s.
-_POLL = 0.05
+#: A thread that waits for another event checks :data:`STOP` with this period, s.
+_POLL_PERIOD = 0.05
 
 
 def watch_signals(
@@ -35,8 +35,8 @@ def watch_signals(
 ) -> Callable[[], None]:
     """Set an event when one of the signals comes; return a function that restores the handlers.
 
-    Nothing is raised, so no cleanup is interrupted and no signal is lost in a destructor.  Does
-    nothing outside of the main thread, for which alone Python has handlers.
+    Nothing is raised, so no cleanup is interrupted and no signal is lost in a destructor.  Outside
+    of the main thread, where Python allows no handlers, nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         return lambda: None
@@ -62,25 +62,17 @@ def watch_signals(
 
 
 def wait_for(event: threading.Event) -> None:
-    """Wait for an event.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        :data:`STOP` was set before.
-    """
-    while not event.wait(_POLL):
+    """Wait for an event; KeyboardInterrupt if :data:`STOP` is set before."""
+    while not event.wait(_POLL_PERIOD):
         if STOP.is_set():
             raise KeyboardInterrupt
 
 
 def in_worker(work: Callable[[], T]) -> T:
-    """Do some work; return what it returns, raise what it raises.
+    """Call a function in a thread; return its result or raise its error.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C, at once: the work goes on behind, see :func:`leave_if_busy`.
+    After Ctrl-C, KeyboardInterrupt is raised at once, while the function continues: see
+    :func:`leave_if_busy`.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()  # signals are not for this thread
@@ -105,17 +97,11 @@ def in_worker(work: Callable[[], T]) -> T:
 
 
 def leave_if_busy(status: int, *names: str) -> None:
-    """End the process here and now if a thread is still at work outside of Python.
+    """End the process at once, with this exit status, if a thread is at work outside of Python.
 
-    ``os._exit``, as nothing else can: LLVM takes no interruption, and Python's own end would wait
-    for the thread, or, where it does not, abort when that comes back (before Python 3.14).
-
-    Parameters
-    ----------
-    status
-        Exit status of the process.
-    names
-        Of other threads that may be; those of :func:`in_worker` always count.
+    Only ``os._exit`` can: LLVM cannot be interrupted, and Python's own end would wait for the
+    thread, or, where it does not, abort when that returns (before Python 3.14).  The threads are
+    those of :func:`in_worker` and those of the given names.
     """
     if any(thread.name in (_NAME, *names) for thread in threading.enumerate()):
         sys.stdout.flush()
@@ -124,19 +110,12 @@ def leave_if_busy(status: int, *names: str) -> None:
 
 
 def end_within(seconds: int, status: int) -> None:
-    """End the process so long from now, if it has not ended by then, with this exit status.
+    """End the process with this exit status if it has not ended after some seconds (wall).
 
-    Fast DDS as the wheels have it may spin for ever when a participant is destroyed in the very
-    moment in which another comes or goes (eProsima Fast-DDS issue 6513: built for the C++ library
+    Fast DDS as the wheels have it may spin for ever when a participant is destroyed at the moment
+    in which another appears or disappears (eProsima Fast-DDS issue 6513: built for the C++ library
     of GCC 9, a deadline overflows).  rclpy holds Python's lock meanwhile, so that no thread, no
     handler and no ``finally`` runs: a timer of the C library calls that library's ``_exit``.
-
-    Parameters
-    ----------
-    seconds
-        (wall)
-    status
-        Exit status of the process, if so.
     """
     sys.stdout.flush()
     sys.stderr.flush()

@@ -12,7 +12,7 @@ from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scen
 from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError, one_line
-from capture_sim.recording.detect import detect_again, with_limits
+from capture_sim.recording.detect import detect_again, with_criteria
 from capture_sim.scene.parts import Detector
 
 # s: as fine as a float is for stamps that count from 1970
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     changed = _limits_changed(options.overrides)
     recorded = open_run(options.recording, options.remaps)
     scene = scene_of(recorded, options.scene, options.overrides)
-    judged_by = with_limits(scene, recorded.criteria, changed)
+    judged_by = with_criteria(scene, recorded.criteria, changed)
     for limit in fields(Detector):
         name, unit = limit.name, limit.metadata["unit"]
         value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))

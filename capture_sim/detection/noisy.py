@@ -433,9 +433,14 @@ class NoisyDetector:
         for place in self._path.finish():
             self._decide(place)
         last = self._place
-        if not self._state.is_verdict and self.clocks_differ:
+        if self._state.is_verdict:
+            pass
+        elif self.clocks_differ:
             self._blame_clocks()
-        elif not self._state.is_verdict and last is not None:
+        elif last is None:  # too few measurements to know the noise, and so an approach
+            memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_APPROACHED
+            memory.since = self._last[0].t
+        else:
             if last.size > 1:
                 # the end of a fit is its least certain position: fit the last second once more
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)

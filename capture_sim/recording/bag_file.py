@@ -1,4 +1,4 @@
-"""An MCAP file as rosbag2 takes it: with its metadata, version 9, and qualities of service."""
+"""An MCAP file that rosbag2 reads: with its metadata, version 9, and qualities of service."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from capture_sim.messages.topics import Topic
 
 #: The file that rosbag2 looks for in a bag's folder.
 FILE_NAME = "metadata.yaml"
-#: The key in it under which everything is.
+#: The key of all its contents.
 IN_FOLDER = "rosbag2_bagfile_information"
 #: Name of the metadata record that rosbag2 reads.
 BAG_METADATA = "rosbag2"
@@ -42,26 +42,13 @@ class TopicEntry:
 
 
 class BagFile:
-    """Writes an MCAP file that rosbag2 takes as it is.
-
-    Attributes
-    ----------
-    writer
-        mcap's own: takes attachments and further metadata.
-    span
-        Earliest and latest log time so far, ns; None without a message.
-
-    Parameters
-    ----------
-    file
-        To write into.
-    name
-        The file's name, in its folder.
-    """
+    """Writes an MCAP file of this name that rosbag2 reads as it is."""
 
     def __init__(self, file: IO[bytes], name: str) -> None:
+        #: mcap's own, for attachments and further metadata.
         self.writer = Writer(file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
         self.writer.start("ros2")
+        #: Earliest and latest log time so far, ns; None without a message.
         self.span: tuple[int, int] | None = None
         self._name = name
         self._topics: dict[int, TopicEntry] = {}  # by the channel's id
@@ -78,7 +65,7 @@ class BagFile:
     def add_topic(
         self, topic: TopicEntry, encoding: str, schema: Definition | None, metadata: dict[str, str]
     ) -> int:
-        """Write a topic, and its type unless it is in the file; return the channel's id."""
+        """Write a topic, and its type unless the file has it; return the channel's id."""
         if schema is not None and schema not in self._schemas:
             self._schemas[schema] = self.writer.register_schema(*schema)
         schema_id = 0 if schema is None else self._schemas[schema]
@@ -104,13 +91,13 @@ class BagFile:
             self.span = min(first, log_time), max(last, log_time)
 
     def finish(self, custom: Mapping[str, str]) -> None:
-        """Write what rosbag2 reads (``custom``: further entries), index and summary."""
+        """Write rosbag2's metadata with ``custom`` entries, index and summary."""
         text = dump(self._metadata(custom))
         self.writer.add_metadata(BAG_METADATA, {"serialized_metadata": text})
         self.writer.finish()
 
     def _metadata(self, custom: Mapping[str, str]) -> dict[str, object]:
-        """Return what ``metadata.yaml`` contains of a bag under :data:`IN_FOLDER`."""
+        """Return the contents of ``metadata.yaml`` under :data:`IN_FOLDER`."""
         counts = self.counts
         first, last = self.span or (EPOCH_NS, EPOCH_NS)
         span = {
@@ -163,14 +150,14 @@ def qos_profile(topic: Topic) -> dict[str, object]:
 def profiles_in(text: str) -> list[Any]:
     """Return the recorded qualities of service of a topic; empty if they are not a list."""
     with suppress(yaml.YAMLError, ValueError, RecursionError):
-        found = yaml.safe_load(text)
-        if isinstance(found, list):
-            return found
+        profiles = yaml.safe_load(text)
+        if isinstance(profiles, list):
+            return profiles
     return []
 
 
 def dump(data: object) -> str:
-    """Return data as YAML, without anchors: rosbag2's reader does not want them."""
+    """Return data as YAML, without anchors, which rosbag2's reader does not know."""
     return yaml.dump(data, Dumper=_Plain, sort_keys=False)
 
 

@@ -1,7 +1,7 @@
-"""What two recordings are compared by: of each quantity the finest series that both hold.
+"""The series that two recordings are compared by: of each quantity the finest that both contain.
 
-A simulated run holds it all at ``bench/state``'s rate, a bench's bag only at that of its sensors:
-a peak of one found at 1 kHz and of the other at 100 Hz would differ by their sampling alone.
+A simulated run contains all quantities at the rate of ``bench/state``, a bench's bag only at that
+of its sensors: peaks found at 1 kHz and at 100 Hz would differ by the sampling alone.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from capture_sim.studies.touches import Touches
 
 #: Name of the tip's distance to BE, beside the fields of Measurements.
 DISTANCE = "distance"
-#: Name of the largest force that a sampled series holds, which a touch between two samples passes.
+#: Name of the largest force of a sampled series; a touch between two samples may exceed it.
 SAMPLED_FORCE = "largest sampled force, N"
 
 
 class Figure(NamedTuple):
-    """One number of a run, and the topic with its rate that it was found in."""
+    """One number of a run, and its topic and rate."""
 
     value: float
     source: str
@@ -37,16 +37,16 @@ class Comparable(NamedTuple):
 
     run: Run  # the recording
     contact: float  # first contact, s since the release
-    contact_source: str  # topic that it was found in
+    contact_source: str  # topic that shows it
     series: Mapping[str, Series]  # by quantity: the fields of Measurements, and DISTANCE
     sources: Mapping[str, str]  # topic and rate of each
-    touches: Touches | None  # one by one; None where they were not found
-    touch_source: str  # what they were found in; why there are none
-    loads: Mapping[str, float | None]  # of the integration where both runs hold it, else empty
+    touches: Touches | None  # one by one; None if there are none
+    touch_source: str  # topic and rate, or why there are none
+    loads: Mapping[str, float | None]  # of the integration if both runs contain it, else empty
 
     @property
     def contact_may_be_late(self) -> bool:
-        """Whether it was met in a force between whose samples a touch may have come before."""
+        """Whether an earlier touch may lie between the samples of the force that shows it."""
         forces = (topics.CONTACT_WRENCH.name, topics.LOAD_CELL.name)
         return self.touches is None and self.contact_source in forces
 
@@ -57,32 +57,27 @@ class Comparable(NamedTuple):
 
 
 def comparable(a: Run, b: Run) -> tuple[Comparable, Comparable]:
-    """Choose what two runs are compared by.
+    """Choose the series that two runs are compared by.
 
-    Of each quantity the series, one of each run, of which the slower one is fastest; among equals
-    those of one topic, then motion capture before odometry.
-
-    Raises
-    ------
-    RecordingError
-        One of them holds no contact that it could be aligned by.
+    Of each quantity those are chosen, one of each run, whose slower one is fastest; of equal ones
+    those of one topic, then motion capture before odometry.  RecordingError if a run contains no
+    contact to align it by.
     """
-    mine, theirs = _sources(a), _sources(b)
-    chosen: list[dict[str, str]] = [{}, {}]
-    for name in dict.fromkeys([*mine, *theirs]):
-        has = [of.get(name, {}) for of in (mine, theirs)]
-        pair = _finest(name, *has) if all(has) else tuple(next(iter(of), "") for of in has)
-        for choice, topic in zip(chosen, pair, strict=True):
-            if topic:
-                choice[name] = topic
-    first, second = (
-        _comparable(run, of, choice)
-        for run, of, choice in zip((a, b), (mine, theirs), chosen, strict=True)
-    )
+    sources_a, sources_b = _sources(a), _sources(b)
+    topics_a: dict[str, str] = {}
+    topics_b: dict[str, str] = {}
+    for name in dict.fromkeys([*sources_a, *sources_b]):
+        if name in sources_a and name in sources_b:
+            topics_a[name], topics_b[name] = _finest(name, sources_a[name], sources_b[name])
+        elif name in sources_a:
+            topics_a[name] = next(iter(sources_a[name]))
+        else:
+            topics_b[name] = next(iter(sources_b[name]))
+    side_a, side_b = _comparable(a, sources_a, topics_a), _comparable(b, sources_b, topics_b)
     if a.extremes is not None and b.extremes is not None:
-        first = first._replace(loads=loads_of(a.extremes, a.touches))
-        second = second._replace(loads=loads_of(b.extremes, b.touches))
-    return _without_unresolved_touches(first, second), _without_unresolved_touches(second, first)
+        side_a = side_a._replace(loads=loads_of(a.extremes, a.touches))
+        side_b = side_b._replace(loads=loads_of(b.extremes, b.touches))
+    return _without_unresolved_touches(side_a, side_b), _without_unresolved_touches(side_b, side_a)
 
 
 def rate_of(series: Series) -> float:
@@ -93,18 +88,10 @@ def rate_of(series: Series) -> float:
 def characteristics(side: Comparable, *, sampled: bool = False) -> dict[str, Figure]:
     """Return the run in a few numbers, by name with the unit; what was not measured is absent.
 
-    Forces and times are those of the touches located between samples, where the recording
-    holds them.
-
-    Parameters
-    ----------
-    side
-        From :func:`comparable`.
-    sampled
-        Whether the largest sample of the force is listed as well, as nothing else is known of the
-        other run.
+    Forces and times are those of the touches located between samples, if they are recorded.
+    ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
     """
-    found = {"first contact, s": Figure(side.contact, side.contact_source)}
+    figures = {"first contact, s": Figure(side.contact, side.contact_source)}
     touches = side.run.touches
     if touches.size:
         first = first_cluster(touches)
@@ -115,14 +102,14 @@ def characteristics(side: Comparable, *, sampled: bool = False) -> dict[str, Fig
             ("touches", touches.size),
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
-            found[name] = Figure(float(value), topics.BENCH_EVENT.name)
+            figures[name] = Figure(float(value), topics.BENCH_EVENT.name)
     elif contact := side.run.columns(topics.CONTACT_STATE):
-        found["peak normal force, N"] = Figure(
+        figures["peak normal force, N"] = Figure(
             float(contact["peak_force"].max()), topics.CONTACT_STATE.name
         )
     if sampled and "force" in side.series:
         largest = float(side.series["force"].values.max())
-        found[SAMPLED_FORCE] = Figure(largest, side.sources["force"])
+        figures[SAMPLED_FORCE] = Figure(largest, side.sources["force"])
     measured = {
         "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
         "max_axial_stroke_out": ("stroke", lambda x: x.max()),
@@ -134,65 +121,67 @@ def characteristics(side: Comparable, *, sampled: bool = False) -> dict[str, Fig
         name = f"{load.meaning}, {load.shown_in}"
         for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
             if value := side.loads.get(key):
-                found[name + when] = Figure(value * load.factor, "integration")
+                figures[name + when] = Figure(value * load.factor, "integration")
         if not side.loads and value_in is not None and quantity in side.series:
             value = float(value_in(side.series[quantity].values))
-            found[name] = Figure(value * load.factor, side.sources[quantity])
-    return found
+            figures[name] = Figure(value * load.factor, side.sources[quantity])
+    return figures
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:
     """Return every series of each quantity by its topic, the finest first."""
-    found: dict[str, dict[str, Series]] = {}
+    sources: dict[str, dict[str, Series]] = {}
     samples = run.samples
     if samples.size:
         exact = dict(measured_in(samples).items())
         exact[DISTANCE] = Series(samples["t"], samples["tip_distance"])
-        found = {name: {topics.BENCH_STATE.name: series} for name, series in exact.items()}
+        sources = {name: {topics.BENCH_STATE.name: series} for name, series in exact.items()}
     for name, by_topic in measured_sources(run).items():
-        found.setdefault(name, {}).update(by_topic)
-    # the detector's own path: the nearest place so far
+        sources.setdefault(name, {}).update(by_topic)
+    # of the path that the detector estimates: the closest approach so far
     t_release = run.clock.t_release
     nearest = [(status.t - t_release, status.nearest_distance) for status in run.statuses]
-    near = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
-    if near.size:
-        found.setdefault(DISTANCE, {})[topics.CAPTURE_STATUS.name] = Series(near[:, 0], near[:, 1])
-    return {
-        name: kept
-        for name, by_topic in found.items()
-        if (kept := {topic: series for topic, series in by_topic.items() if series.t.size})
+    finite = np.array([row for row in nearest if np.isfinite(row).all()]).reshape(-1, 2)
+    sources.setdefault(DISTANCE, {})[topics.CAPTURE_STATUS.name] = Series(*finite.T)
+    measured = {
+        name: {topic: series for topic, series in by_topic.items() if series.t.size}
+        for name, by_topic in sources.items()
     }
+    return {name: by_topic for name, by_topic in measured.items() if by_topic}
 
 
-def _finest(name: str, mine: Mapping[str, Series], theirs: Mapping[str, Series]) -> tuple[str, str]:
-    """Return the topics that a quantity is compared by."""
+def _finest(
+    name: str, series_a: Mapping[str, Series], series_b: Mapping[str, Series]
+) -> tuple[str, str]:
+    """Return the topics that a quantity is compared by, of its series by topic."""
 
     def rank(pair: tuple[str, str]) -> tuple[float, bool, int]:
         a, b = pair
-        slower = min(rate_of(mine[a]), rate_of(theirs[b]))
-        places = list(mine).index(a) + list(theirs).index(b)
+        slower = min(rate_of(series_a[a]), rate_of(series_b[b]))
+        places = list(series_a).index(a) + list(series_b).index(b)
         # two topics do not mean quite the same there: filtered, or estimated
         rate = float(f"{slower:.2g}") if name not in ("force", DISTANCE) else 0.0
         return rate, a == b, -places
 
-    return max(((a, b) for a in mine for b in theirs), key=rank)
+    return max(((a, b) for a in series_a for b in series_b), key=rank)
 
 
 def _comparable(
-    run: Run, sources: Mapping[str, Mapping[str, Series]], choice: Mapping[str, str]
+    run: Run, sources: Mapping[str, Mapping[str, Series]], topic_names: Mapping[str, str]
 ) -> Comparable:
-    met = first_contact(run)
-    if met is None:
+    contact = first_contact(run)
+    if contact is None:
         raise RecordingError(f"{run.path}: contains no contact to align it by")
-    series = {name: sources[name][topic] for name, topic in choice.items()}
+    t_contact, contact_topic = contact
+    series = {name: sources[name][topic] for name, topic in topic_names.items()}
     touches, source = touches_of(run)
     return Comparable(
         run=run,
         # a message counts what was since the one before
-        contact=met[0] if touches is None else min(met[0], float(touches.start[0])),
-        contact_source=met[1].name,
+        contact=t_contact if touches is None else min(t_contact, float(touches.start[0])),
+        contact_source=contact_topic.name,
         series=series,
-        sources={name: f"{choice[name]}, {rate_of(series[name]):.4g} Hz" for name in series},
+        sources={name: f"{topic_names[name]}, {rate_of(series[name]):.4g} Hz" for name in series},
         touches=touches,
         touch_source=source,
         loads={},

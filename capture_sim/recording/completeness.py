@@ -1,4 +1,4 @@
-"""Counting of streams, so that a lost message is named and never goes unseen."""
+"""Counting of streams, so that every lost message is reported."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from capture_sim.messages.topics import Topic, topic_named
 
 @dataclass
 class TopicCount:
-    """What is known of one stream."""
+    """Messages of one topic, by their numbers."""
 
     received: int = 0  # messages that came
     written: int = 0  # messages handed to the file; fewer than received while a recorder is paused
-    # messages that were sent, as their publisher said at the end; None as long as it has not
+    # messages that were sent, as their publisher reports at the end; None before
     expected: int | None = None
     next_seq: int = 0  # sequence number that should come next
     # first and last missing sequence numbers, at most :data:`MAX_GAPS` of them
@@ -30,24 +30,15 @@ MAX_GAPS = 100
 class Completeness:
     """Counts messages by topic, follows their sequence, and compares with what was sent.
 
-    Attributes
-    ----------
-    publishers : tuple of str
-        Nodes that have to tell at the end how many messages they sent.
-
-    Parameters
-    ----------
-    publishers
-        See above.
-    topics
-        Those that are looked for; None for all.
+    ``publishers`` are the nodes that have to report how many messages they sent; ``topics`` are
+    the topics whose reported numbers count, None for all.
     """
 
     def __init__(
         self, publishers: Sequence[str] = (), topics: Collection[Topic] | None = None
     ) -> None:
         self.publishers = tuple(publishers)
-        self._wanted = topics
+        self._counted_topics = topics
         self._topics: dict[Topic, TopicCount] = {}
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
@@ -73,13 +64,14 @@ class Completeness:
     def end(
         self, publisher: str, counts: Mapping[str, int], *, complete: bool = True, reason: str = ""
     ) -> None:
-        """Take in a publisher's StreamCounts; those that it repeats do not count again."""
+        """Add the numbers that a publisher reports; a second report of it does not count."""
         if publisher in self._ended:
             return
         self._ended[publisher] = None if complete else reason
         for name, count in counts.items():
             topic = topic_named(name)
-            if topic is not None and (self._wanted is None or topic in self._wanted):
+            is_counted = self._counted_topics is None or topic in self._counted_topics
+            if topic is not None and is_counted:
                 entry = self._topics.setdefault(topic, TopicCount())
                 entry.expected = (entry.expected or 0) + count
 
@@ -90,7 +82,7 @@ class Completeness:
 
     @property
     def satisfied(self) -> bool:
-        """Whether all publishers have ended and all that they sent has come."""
+        """Whether all publishers have reported and all their messages were received."""
         return set(self.publishers) <= set(self._ended) and all(
             entry.expected is None or entry.received >= entry.expected
             for entry in self._topics.values()
@@ -99,26 +91,26 @@ class Completeness:
     def problems(self) -> list[str]:
         """Return one line for everything that was lost, repeated, disordered or cut short."""
         lines = [
-            # a follower says it in these words itself
+            # a follower reports it in these words itself
             f"{publisher} ended the run early: {reason.removeprefix('ended early: ')}"
             for publisher, reason in self._ended.items()
             if reason is not None
         ]
         lines += [
-            f"{publisher}: never said how many messages it sent; it may have been killed"
+            f"{publisher}: never reported how many messages it sent; it may have been killed"
             for publisher in self.publishers
             if publisher not in self._ended
         ]
         for topic, entry in self._topics.items():
-            # by the numbers a stream may begin late without a loss: what was sent is known better
+            # a stream may begin late without a loss: the reported number is better known
             lost = entry.missing
             if entry.expected is not None:
                 lost = entry.expected - entry.received + entry.out_of_order
             if lost > 0:
-                lines.append(f"{topic.name}: {lost} messages missing{_where(topic, entry)}")
+                lines.append(f"{topic.name}: {lost} messages missing{_gaps_text(topic, entry)}")
             if entry.expected is not None and entry.received > entry.expected:
                 lines.append(
-                    f"{topic.name}: {entry.received} messages came, {entry.expected} were sent"
+                    f"{topic.name}: {entry.received} messages received, {entry.expected} sent"
                 )
             if entry.written < entry.received:
                 lines.append(
@@ -129,12 +121,11 @@ class Completeness:
         return lines
 
 
-def _where(topic: Topic, entry: TopicCount) -> str:
-    places = [str(a) if a == b else f"{a} to {b}" for a, b in entry.gaps]
+def _gaps_text(topic: Topic, entry: TopicCount) -> str:
+    gaps = list(entry.gaps)
     if topic.sequenced and entry.expected is not None and entry.next_seq < entry.expected:
-        first, last = entry.next_seq, entry.expected - 1
-        places.append(str(first) if first == last else f"{first} to {last}")
-    if not places:
+        gaps.append((entry.next_seq, entry.expected - 1))
+    if not gaps:
         return ""
-    shown = ", ".join(places[:5]) + (", ..." if len(places) > 5 else "")
-    return f" (seq {shown})"
+    ranges = [str(a) if a == b else f"{a} to {b}" for a, b in gaps[:5]]
+    return f" (seq {', '.join(ranges)}{', ...' if len(gaps) > 5 else ''})"

@@ -1,4 +1,4 @@
-"""The half of the live recorder that knows no ROS: bytes in, one checked recording out."""
+"""The part of the live recorder without ROS: serialised messages in, one checked recording out."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from capture_sim.recording.write import RunWriter
 
 #: What the metadata record says of a live recording's origin.
 LIVE = "live"
-#: Bytes that may wait for the disk; take() waits when there are more.
+#: Bytes that may wait for the disk; beyond them take() waits.
 QUEUE_BYTES = 64 * 1024 * 1024
 #: Bytes that a waiting message needs besides its own.
 MESSAGE_COST = 150
-#: Seconds after which a begun chunk is handed to the operating system.
+#: Seconds after which an incomplete chunk is written to the operating system.
 FLUSH_PERIOD = 0.5
-#: Seconds between looks at the queue.
+#: Period of the writing thread, s.
 WRITE_PERIOD = 0.05
 #: Seconds that take() waits while a stalled disk keeps the queue full.
 STALL_LIMIT = 10.0
@@ -46,54 +46,31 @@ CLOSE_LIMIT = 5.0
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What came of a recording."""
+    """The outcome of a recording."""
 
-    # the file; None when no run was announced, so that nothing was written
+    # the file; None if no run was announced, so that nothing was written
     path: Path | None
-    complete: bool  # every publisher has ended its streams and every message came
+    complete: bool  # every publisher has ended its streams, and every message was received
     # messages received, written, expected and missing, by topic name
     topics: Mapping[str, TopicCount]
-    problems: tuple[str, ...]  # one line for everything that is wrong; empty when complete
+    problems: tuple[str, ...]  # one line for each; empty if the recording is complete
 
 
 class LiveRecorder:
-    """Records one run from serialised messages as they come.
+    """Records one run from serialised messages into a folder.
 
-    A RunInfo names the run and opens its file; what came before it is kept and written after it.
-    Messages are written by a thread of the recorder's own, logged at the simulated time that they
-    carry, or where no simulator takes part at the time of their arrival.  The publishers'
-    StreamCounts are written last, since they carry no time.
+    A RunInfo names the run and opens its file; messages received before it are written after it.
+    Messages are written by a thread of the recorder's own, logged at the simulated time of their
+    stamp, or, without a simulator, at the time of their arrival.  The publishers' StreamCounts are
+    written last, since they carry no time.
+
+    ``topics`` are recorded, the bench's or others, and always RunInfo and StreamCounts; other
+    topics are ignored.  ``metadata`` are further entries for the file's metadata record,
+    ``remaps`` the names in the file of topics that do not have the bench's.  The waiting messages
+    need at most ``queue_bytes`` of memory, and as much again while they are written.
 
     :meth:`take` may be called from any one thread.  Use it as a context manager or call
-    :meth:`close`.
-
-    Parameters
-    ----------
-    directory
-        Where the recording goes.
-    metadata
-        Further entries for the file's metadata record.
-    queue_bytes
-        Bound of the memory for waiting messages; as much again may be being written.
-    topics
-        Those that are recorded, of the bench's or others; what is not among them is ignored.
-        RunInfo and StreamCounts always are.
-    remaps
-        Names in the file of topics that do not have the bench's.
-
-    Attributes
-    ----------
-    paused : bool
-        While set, messages are counted and not written; RunInfo and StreamCounts are.
-    run : RunDescription or None
-        The run that is recorded; None until it is announced.
-    path : Path or None
-        The file; None until the run is announced.
-
-    Raises
-    ------
-    RecordingError
-        From its methods: the file cannot be written.
+    :meth:`close`.  The methods raise RecordingError if the file cannot be written.
     """
 
     def __init__(
@@ -114,25 +91,28 @@ class LiveRecorder:
         self._completeness = Completeness(topics=self._topics)
         self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
-        self._early_counts: list[bytes] = []  # came before the run was announced
+        self._early_counts: list[bytes] = []  # received before the run was announced
         self._remarks: dict[str, None] = {}  # each once, in order
         self._first_state: float | None = None  # s, of a steady clock
         self._last_message = 0.0
         self._queue = _WriteQueue(queue_bytes)
         self._report: RecordingReport | None = None
+        #: While set, messages are counted but not written, except RunInfo and StreamCounts.
         self.paused = False
+        #: The run that is recorded; None until it is announced.
         self.run: RunDescription | None = None
+        #: The file; None until the run is announced.
         self.path: Path | None = None
 
     @property
     def done(self) -> bool:
-        """Whether all publishers have ended the run and all their messages have come."""
+        """Whether all publishers have ended the run and all their messages were received."""
         return self.run is not None and self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
-        """Record a serialised message; MessageError where the bytes are none.
+        """Record a serialised message; MessageError if the bytes are invalid.
 
-        ``arrival`` is when it arrived, ns of the wall clock; now unless given.
+        ``arrival`` is its time of arrival, ns of the wall clock; by default now.
         """
         if self._report is not None:
             raise RecordingError(f"{topic.name}: message after the recording was closed")
@@ -150,7 +130,7 @@ class LiveRecorder:
                 self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
-        """Write what waits, close the file and say what is missing; again: same report."""
+        """Write the waiting messages, close the file and return the report, every time the same."""
         if self._report is None:
             problems = [*self._remarks, *self._completeness.problems()]
             if self.run is None:
@@ -219,7 +199,7 @@ class LiveRecorder:
             raise MessageError(f"{len(ended.topics)} topics and {len(ended.counts)} counts")
         if self.run is None:
             self._early_counts.append(data)
-        elif ended.run_id == self.run.run_id:  # else latched by an earlier run
+        elif ended.run_id == self.run.run_id:  # else kept from an earlier run
             self._counts.setdefault(ended.publisher, data)
             counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
             self._completeness.end(

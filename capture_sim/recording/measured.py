@@ -1,8 +1,4 @@
-"""What a recording holds of measurements, read off the standard topics.
-
-These are the topics that a real bench has too: the vehicles' odometry, the buffer's state,
-the contact's wrench.
-"""
+"""The measurements in a recording: from the topics that a real bench publishes too."""
 
 from __future__ import annotations
 
@@ -30,9 +26,9 @@ from capture_sim.studies.touches import (
 )
 
 
-def poses_of(columns: Columns, at: str) -> np.ndarray:
-    """Return the poses that stand at a path, (n, 3): x, y (m), heading (rad)."""
-    numbers = (columns[f"{at}.{name}"].tolist() for name in POSE)
+def poses_of(columns: Columns, path: str) -> np.ndarray:
+    """Return the poses at a path in the message, (n, 3): x, y (m), heading (rad)."""
+    numbers = (columns[f"{path}.{name}"].tolist() for name in POSE)
     return np.array(list(map(pose_values, *numbers)))
 
 
@@ -55,61 +51,55 @@ def measured_sources(run: Run) -> dict[str, dict[str, Series]]:
     :class:`~capture_sim.studies.measurements.Measurements`; what was not measured is absent.
     Times are s since the release.
     """
-    found: dict[str, dict[str, Series]] = {}
+    sources: dict[str, dict[str, Series]] = {}
     for name, pose, odometry in (
         ("chaser", topics.CHASER_POSE, topics.CHASER_ODOMETRY),
         ("target", topics.TARGET_POSE, topics.TARGET_ODOMETRY),
     ):
-        for source, at in ((pose, "pose"), (odometry, "pose.pose")):
-            if columns := run.columns(source):
-                series = run.clock.series(columns, poses_of(columns, at))
-                found.setdefault(name, {})[source.name] = series
+        for topic, path in ((pose, "pose"), (odometry, "pose.pose")):
+            if columns := run.columns(topic):
+                series = run.clock.series(columns, poses_of(columns, path))
+                sources.setdefault(name, {})[topic.name] = series
     for topic, buffer in buffers_in(run).items():
         for name in ("stroke", "torsion"):
             series = run.clock.series(run.columns(topic), buffer[name])
-            found.setdefault(name, {})[topic.name] = series
+            sources.setdefault(name, {})[topic.name] = series
     for topic in (topics.CONTACT_WRENCH, topics.LOAD_CELL):
         if run.columns(topic):
             t, force = forces_in(run, topic)
-            found.setdefault("force", {})[topic.name] = Series(t, np.hypot(*force.T))
-    return found
+            sources.setdefault("force", {})[topic.name] = Series(t, np.hypot(*force.T))
+    return sources
 
 
 def first_contact(run: Run) -> tuple[float, Topic] | None:
-    """Return when the tip first met the cone, s, and in which topic; None if it never did.
+    """Return the time of the first contact, s, and the topic that shows it; None without one.
 
-    From the located event, else from the contact's topic, else from a force above its noise.
+    That is the located event, else ``bench/contact``, else a force above its noise.
     """
     for event in run.events:
         if event.kind is EventKind.TOUCH:
             return event.t - run.clock.t_release, topics.BENCH_EVENT
     columns = run.columns(topics.CONTACT_STATE)
     if columns:
-        met = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
+        touching = np.flatnonzero(columns["in_touch"].astype(bool) | (columns["touches"] > 0))
         t = run.times(topics.CONTACT_STATE)
-        return (float(t[met[0]]), topics.CONTACT_STATE) if met.size else None
+        return (float(t[touching[0]]), topics.CONTACT_STATE) if touching.size else None
     topic = topics.CONTACT_WRENCH if run.columns(topics.CONTACT_WRENCH) else topics.LOAD_CELL
-    met_at = first_above(*forces_in(run, topic))
-    return None if met_at is None else (met_at, topic)
+    first = first_above(*forces_in(run, topic))
+    return None if first is None else (first, topic)
 
 
 def touches_of(run: Run, scene: Scene | None = None) -> tuple[Touches | None, str]:
-    """Return the touches of a run, and what they were found in; None, and why there are none.
+    """Return the touches of a run and their source; None and the reason if there are none.
 
-    As events located them; else as ``bench/contact`` counted them, with the peaks between its
-    messages, or as a sampled force shows them, whichever comes more often.
-
-    Parameters
-    ----------
-    run
-        The recording.
-    scene
-        With the cone: peaks are then those of the normal force, not of its magnitude.
+    They are those of the located events, else those that ``bench/contact`` counted, with the peaks
+    between its messages, or those in a sampled force, whichever was published more often.  With a
+    scene, peaks are those of the force normal to its cone, not of the magnitude.
     """
     if run.touches.size:
         return located(run.touches).later(-run.clock.t_release), topics.BENCH_EVENT.name
     forces = (topics.CONTACT_STATE, topics.CONTACT_WRENCH, *(() if scene else (topics.LOAD_CELL,)))
-    tried = []
+    slow_sources = []
     for topic in sorted(forces, key=lambda topic: -len(run.raw(topic))):
         columns = run.columns(topic)
         if not columns:
@@ -119,8 +109,10 @@ def touches_of(run: Run, scene: Scene | None = None) -> tuple[Touches | None, st
             touches = in_messages(t, *(columns[n] for n in ("touches", "peak_force", "in_touch")))
         else:
             t, force = forces_in(run, topic)
-            seen = () if scene is None else (_attitude(measurements(run), t), scene.cone)
-            touches = in_force(t, force, *seen)
+            if scene is None:
+                touches = in_force(t, force)
+            else:
+                touches = in_force(t, force, _attitude(measurements(run), t), scene.cone)
         interval = Series(t, t).interval
         limit = "as long as each message counts one"
         if topic is not topics.CONTACT_STATE:
@@ -128,8 +120,10 @@ def touches_of(run: Run, scene: Scene | None = None) -> tuple[Touches | None, st
         source = f"{topic.name}, {1.0 / interval:.4g} Hz" if interval else topic.name
         if touches is not None:
             return touches, f"{source}, {limit}"
-        tried.append(source)
-    return None, f"{' and '.join(tried)}: too slow to show touches" if tried else "no force"
+        slow_sources.append(source)
+    if slow_sources:
+        return None, f"{' and '.join(slow_sources)}: too slow to show touches"
+    return None, "no force"
 
 
 def launch_of(run: Run, scene: Scene) -> LaunchPlan:
@@ -157,26 +151,51 @@ def forces_in(run: Run, topic: Topic) -> Series:
 def buffers_in(run: Run) -> dict[Topic, Columns]:
     """Return stroke (m), torsion (rad) and their rates, (n,) each, by the topics that hold them."""
     names = ("stroke", "torsion", "stroke_rate", "torsion_rate")
-    found: dict[Topic, Columns] = {}
+    buffers: dict[Topic, Columns] = {}
     if state := run.columns(topics.BUFFER_STATE):
         values = (state[field] for field in BUFFER)
-        found[topics.BUFFER_STATE] = dict(zip(names, values, strict=True))
+        buffers[topics.BUFFER_STATE] = dict(zip(names, values, strict=True))
     joints = run.columns(topics.JOINT_STATES)
-    known = list(joints["name"][0]) if joints else []
-    if {HINGE_JOINT, SLIDE_JOINT} <= set(known) and joints["position"].ndim == 2:
-        position, velocity = joints["position"], joints["velocity"]
-        if velocity.shape != position.shape:  # a bench may leave them empty
-            velocity = np.gradient(position, stamps_of(joints) / 1e9, axis=0)
-        both = [known.index(SLIDE_JOINT), known.index(HINGE_JOINT)]
-        values = (column for columns in (position, velocity) for column in columns[:, both].T)
-        found[topics.JOINT_STATES] = dict(zip(names, values, strict=True))
-    return found
+    position, velocity = _buffer_joints(joints) if joints else (np.zeros(0), np.zeros(0))
+    is_measured = np.isfinite(position)
+    if is_measured.any():
+        if not np.isfinite(velocity).any():  # a bench may leave them empty
+            rows = is_measured.all(axis=1)
+            velocity[rows] = _gradient(position[rows], stamps_of(joints)[rows] / 1e9)
+        columns = (*position.T, *velocity.T)
+        buffers[topics.JOINT_STATES] = dict(zip(names, columns, strict=True))
+    return buffers
 
 
-def _attitude(seen: Measurements, t: np.ndarray) -> np.ndarray:
-    """Return the tip's attitude in the cone, (n,), rad; what was not measured counts as zero."""
+def _buffer_joints(joints: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and velocities of slide and hinge, (n, 2) each; NaN without them.
+
+    Other nodes may publish other joints on the same topic.
+    """
+    n = len(joints["name"])
+    position, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
+    columns = (joints[field] for field in ("name", "position", "velocity"))
+    for i, (names, positions, velocities) in enumerate(zip(*columns, strict=True)):
+        if SLIDE_JOINT in names and HINGE_JOINT in names and len(positions) == len(names):
+            order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
+            position[i] = positions[order]
+            if len(velocities) == len(names):
+                velocity[i] = velocities[order]
+    return position, velocity
+
+
+def _gradient(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the rates of values (n, m) at times (n,), s; NaN if all are of one time."""
+    t, first, index = np.unique(t, return_index=True, return_inverse=True)
+    if t.size < 2:
+        return np.full(values.shape, np.nan)
+    return np.gradient(values[first], t, axis=0)[index]
+
+
+def _attitude(measured: Measurements, t: np.ndarray) -> np.ndarray:
+    """Return the tip's attitude in the cone at times (n,), rad; unmeasured angles count as 0."""
     angle = np.zeros(t.size)
-    for sign, series in ((1.0, seen.chaser), (-1.0, seen.target), (1.0, seen.torsion)):
+    for sign, series in ((1.0, measured.chaser), (-1.0, measured.target), (1.0, measured.torsion)):
         if series.t.size:
             values = series.values if series.values.ndim == 1 else series.values[:, 2]
             angle += sign * np.interp(t, series.t, np.unwrap(values))

@@ -1,7 +1,7 @@
-"""A run out of the topics that a real bench has as well: poses, buffer, forces where measured.
+"""A run from the topics that a real bench has too: poses, buffer, and forces if measured.
 
-Nothing of the simulator's own (BenchState, events, the scene) is needed but the bench's geometry.
-What cannot be measured (energies, mostly) is not a number.
+No topic of the simulator (BenchState, events) is needed, only the bench's geometry.  Quantities
+that cannot be measured, mostly energies, are NaN.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class AlignedMeasurements:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """A run known from measurements alone; fits :class:`capture_sim.viewing.source.ViewableRun`."""
+    """A run known from measurements alone: a :class:`capture_sim.viewing.source.ViewableRun`."""
 
     scene: Scene
     samples: np.ndarray
@@ -80,15 +80,7 @@ class MeasuredRun:
 
 
 def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
-    """Return measurements as samples, (n,) of dtype SAMPLE.
-
-    Parameters
-    ----------
-    scene
-        The geometry of buffer and cone.
-    measured
-        n instants.
-    """
+    """Return measurements as samples, (n,) of dtype SAMPLE, by the scene's buffer and cone."""
     n = len(measured.t)
     samples = np.zeros(n, dtype=SAMPLE)
     for name in SAMPLE.names or ():
@@ -128,18 +120,9 @@ def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
 def measured_run(
     name: str, scene: Scene, measured: AlignedMeasurements, statuses: Sequence[CaptureStatus]
 ) -> MeasuredRun:
-    """Return measurements as a run that can be drawn.
+    """Return measurements of at least one instant as a run that can be drawn.
 
-    Parameters
-    ----------
-    name
-        Of the run.
-    scene
-        The geometry of buffer and cone.
-    measured
-        At least one instant.
-    statuses
-        Of the detector.
+    The scene gives the geometry of buffer and cone.
     """
     samples = samples_of(scene, measured)
     touches = _touches(samples, measured)
@@ -148,8 +131,8 @@ def measured_run(
         before = touch["start"] - 0.5 * measured.rate_window
         first, free = np.searchsorted(samples["t"], [touch["start"], before])
         q, v = samples["q"][first], samples["v"][max(free - 1, 0)]
-        wall, seen = int(touch["wall"]), "seen in the measurements"
-        events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, seen))
+        wall, detail = int(touch["wall"]), "found in the measurements"
+        events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, detail))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
 
 
@@ -171,9 +154,9 @@ def _fill_forces(samples: np.ndarray, measured: AlignedMeasurements, gaps: np.nd
 def _phases(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     phase = np.where(samples["walls"] != 0, int(Phase.CONTACT), int(Phase.FREE))
     if measured.string is not None:
-        known = measured.string[:, 0]
-        phase[known == StringPhase.HELD] = int(Phase.HELD)
-        phase[known == StringPhase.TAUT] = int(Phase.TAUT)
+        string_phase = measured.string[:, 0]
+        phase[string_phase == StringPhase.HELD] = int(Phase.HELD)
+        phase[string_phase == StringPhase.TAUT] = int(Phase.TAUT)
     return phase
 
 
@@ -212,24 +195,16 @@ def _placed(scene: Scene, name: str, samples: np.ndarray) -> Scene:
     try:
         return dataclasses.replace(scene, initial=initial)
     except SceneError:
-        return scene  # a start that the simulator would refuse
+        return scene  # a start that the simulator would reject
 
 
 def run_from_bag(run: Run, scene: Scene) -> MeasuredRun:
     """Read a run from its measurements, at the stamps of the chaser's poses.
 
-    Parameters
-    ----------
-    run
-        Holds the poses of chaser and target, and the buffer's state or the joints'.
-    scene
-        The geometry of buffer and cone, and the detector's criteria: where the recording holds no
-        statuses, the detector decides now.
-
-    Raises
-    ------
-    RecordingError
-        A topic is missing, or the release lies outside the recording.
+    The scene gives the geometry of buffer and cone, and the detector's criteria: if the recording
+    contains no statuses, the detector evaluates it now.  RecordingError if the poses of a vehicle,
+    or both the buffer's state and the joints', are missing, or if the release is outside of the
+    recording.
     """
     measured = _aligned(run)
     t_release = run.clock.t_release
@@ -248,17 +223,17 @@ def _aligned(run: Run) -> AlignedMeasurements:
     sources = measured_sources(run)
 
     def body(name: str, odometry: Topic) -> tuple[Series, Series]:
-        found = [poses for poses in sources.get(name, {}).values() if poses.t.size]
-        if not found:
+        pose_series = [poses for poses in sources.get(name, {}).values() if poses.t.size]
+        if not pose_series:
             raise RecordingError(
                 f"{run.path}: contains no finite pose of the {name} (/motion_capture/{name} or "
                 f"{odometry.absolute_name}); --remap reads it from another topic"
             )
-        poses = _unwrapped(found[0])
+        poses = _unwrapped(pose_series[0])
         if columns := run.columns(odometry):
             heading = poses_of(columns, "pose.pose")[:, 2]
             return poses, series(odometry, rates_of(columns, heading))
-        return poses, _slopes(poses)
+        return poses, _fitted_rates(poses)
 
     has_twist = all(map(run.raw, (topics.CHASER_ODOMETRY, topics.TARGET_ODOMETRY)))
     chaser, chaser_rate = body("chaser", topics.CHASER_ODOMETRY)
@@ -273,56 +248,56 @@ def _aligned(run: Run) -> AlignedMeasurements:
     topic, buffer = next(iter(buffers.items()))
     t = chaser.t
 
-    def at(found: Series) -> np.ndarray:
+    def interpolated(source: Series) -> np.ndarray:
         """Return values at the chaser's stamps, linear between their own; NaN without any."""
-        if not found.t.size:
-            return np.full((t.size, found.values.shape[1]), np.nan)
-        return np.stack([np.interp(t, found.t, column) for column in found.values.T], axis=-1)
+        if not source.t.size:
+            return np.full((t.size, source.values.shape[1]), np.nan)
+        return np.stack([np.interp(t, source.t, column) for column in source.values.T], axis=-1)
 
-    def held(found: Series) -> np.ndarray:
-        """Return states at the chaser's stamps, each holding until the next."""
-        before = np.searchsorted(found.t, t, side="right") - 1
-        return np.asarray(found.values[np.maximum(before, 0), 0].astype(int))
+    def latest(source: Series) -> np.ndarray:
+        """Return states at the chaser's stamps, each kept until the next."""
+        before = np.searchsorted(source.t, t, side="right") - 1
+        return np.asarray(source.values[np.maximum(before, 0), 0].astype(int))
 
     optional: dict[str, np.ndarray] = {}
     if run.columns(topics.CONTACT_WRENCH):
-        optional["tip_force"] = at(forces_in(run, topics.CONTACT_WRENCH))
+        optional["tip_force"] = interpolated(forces_in(run, topics.CONTACT_WRENCH))
     if contact := run.columns(topics.CONTACT_STATE):
         for name in ("normal_force", "peak_force"):
-            optional[name] = at(series(topics.CONTACT_STATE, contact[name]))
+            optional[name] = interpolated(series(topics.CONTACT_STATE, contact[name]))
         for name, field in (("walls", "walls"), ("begun", "touches")):
-            optional[name] = held(series(topics.CONTACT_STATE, contact[field]))
+            optional[name] = latest(series(topics.CONTACT_STATE, contact[field]))
     if string := run.columns(topics.STRING_STATE):
         names = ("tension", "mass_height", "mass_speed")
-        values = at(series(topics.STRING_STATE, *(string[name] for name in names)))
-        phase = held(series(topics.STRING_STATE, string["phase"]))
+        values = interpolated(series(topics.STRING_STATE, *(string[name] for name in names)))
+        phase = latest(series(topics.STRING_STATE, string["phase"]))
         optional["string"] = np.column_stack([phase, values])
     return AlignedMeasurements(
         t=t,
         chaser=chaser.values,
-        chaser_rate=at(chaser_rate),
-        target=at(target),
-        target_rate=at(target_rate),
-        buffer=at(series(topic, buffer["stroke"], buffer["torsion"])),
-        buffer_rate=at(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
+        chaser_rate=interpolated(chaser_rate),
+        target=interpolated(target),
+        target_rate=interpolated(target_rate),
+        buffer=interpolated(series(topic, buffer["stroke"], buffer["torsion"])),
+        buffer_rate=interpolated(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
         rate_window=0.0 if has_twist else RATE_WINDOW,
         **optional,
     )
 
 
-def _slopes(poses: Series) -> Series:
-    """Return the rates of poses without twist: slopes of lines through :data:`RATE_WINDOW`.
+def _fitted_rates(poses: Series) -> Series:
+    """Return the rates of poses without twist: slopes of lines fitted over RATE_WINDOW.
 
     After Savitzky and Golay (1964).
     """
     count = len(poses.t)
     t = np.linspace(poses.t[0], poses.t[-1], count)
     step = (t[-1] - t[0]) / max(count - 1, 1)
-    odd = 2 * int(0.5 * RATE_WINDOW / step) + 1 if step > 0.0 else count + 1
-    if not 3 <= odd <= count:
+    window = 2 * int(0.5 * RATE_WINDOW / step) + 1 if step > 0.0 else count + 1
+    if not 3 <= window <= count:
         return Series(poses.t[:0], poses.values[:0])
-    even = np.stack([np.interp(t, poses.t, column) for column in poses.values.T], axis=-1)
-    return Series(t, savgol_filter(even, odd, 1, deriv=1, delta=step, axis=0))
+    uniform = np.stack([np.interp(t, poses.t, column) for column in poses.values.T], axis=-1)
+    return Series(t, savgol_filter(uniform, window, 1, deriv=1, delta=step, axis=0))
 
 
 def _unwrapped(poses: Series) -> Series:

@@ -52,28 +52,10 @@ def write_run(
 ) -> Path:
     """Write a simulated run as one MCAP file: what simulator, launcher and detector send.
 
-    Parameters
-    ----------
-    result
-        Sampled on the grid of ``scene.run.state_rate``.
-    path
-        File to write; it has its name when it is whole.  An earlier simulated run there is
-        replaced; beside any other recording, which could not be made again, the file gets a
-        number behind its name.
-    run_id
-        None makes a new one.
-    replace
-        Whether even a simulated run may be replaced.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or the samples are not those of the grid.
+    The file gets its name when it is complete.  An earlier simulated run of that name is replaced
+    if ``replace``; next to any other recording, which could not be made again, the file gets a
+    number after its name.  Return its path.  RecordingError if it cannot be written, or if the
+    result is not sampled on the grid of ``scene.run.state_rate``.
     """
     _check_grid(result)
     path = Path(path)
@@ -112,10 +94,7 @@ def is_repeatable(path: Path) -> bool:
 def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
     """Yield all messages of a simulated run, in the order in which nodes send them.
 
-    Raises
-    ------
-    RecordingError
-        The samples are not those of the grid.
+    RecordingError if the result is not sampled on the grid of ``scene.run.state_rate``.
     """
     _check_grid(result)
     scene, samples = result.scene, result.samples
@@ -161,12 +140,13 @@ def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
 def _launched(
     launcher: Launcher, scene: Scene, samples: np.ndarray
 ) -> Iterator[tuple[float, LauncherStatus]]:
-    """Yield what the launcher makes of samples."""
+    """Yield the launcher's status after each sample, with the sample's time, s."""
     speeds = speeds_along_rail(samples, scene).tolist()
     slack = (string_phases(samples, scene) == StringPhase.SLACK).tolist()
     touched = (samples["touches"] > 0).tolist()
-    for t, *seen in zip(samples["t"].tolist(), speeds, slack, touched, strict=True):
-        yield t, launcher.observe(seen[0], seen[1], touched=seen[2])
+    columns = zip(samples["t"].tolist(), speeds, slack, touched, strict=True)
+    for t, speed, is_slack, has_touched in columns:
+        yield t, launcher.observe(speed, is_slack, touched=has_touched)
 
 
 def _check_grid(result: Result) -> None:

@@ -1,4 +1,4 @@
-"""A recording as it is to be played: its topics, and its messages in the order of their times."""
+"""A recording to be played: its topics, and its messages in the order of their times."""
 
 from __future__ import annotations
 
@@ -18,45 +18,29 @@ from capture_sim.recording.read import remap
 
 
 class Playback:
-    """What a player plays.
+    """A file, or a bag's folder of files, to be played.
 
-    Parameters
-    ----------
-    path
-        A file, or a bag's folder.
-    remaps
-        Of :func:`capture_sim.recording.read.read_run`.
-
-    Attributes
-    ----------
-    types
-        Message types by topic, ``package/msg/Name``.
-    counts
-        Messages by topic.
-    start, end
-        First and last log time, ns.
-    damage
-        A line for every file that was not read to its end.
-    left_out
-        Why messages cannot be played, by topic.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or contains no message.
+    ``remaps`` are those of :func:`capture_sim.recording.read.read_run`.  RecordingError if it
+    cannot be read or contains no message.
     """
 
     def __init__(self, path: Path | str, remaps: Mapping[str, str] | None = None) -> None:
         self.path = Path(path)
         self._contents = contents = read_contents(self.path)
         remap(contents, remaps or {})
+        #: Message types by topic, ``package/msg/Name``.
         self.types = contents.types
-        self.damage, self.left_out = contents.damage, contents.left_out
+        #: A line for every file that was not read to its end.
+        self.damage = contents.damage
+        #: Why messages cannot be played, by topic.
+        self.left_out = contents.left_out
+        #: Number of messages by topic.
         self.counts = {name: len(messages) for name, messages in contents.messages.items()}
         times = [times for times in contents.log_times.values() if times]
         if not times:
             reason = "; ".join(self.damage) or "it contains no message"
             raise RecordingError(f"{self.path}: nothing to play: {reason}")
+        #: First and last log time, ns.
         self.start = min(each[0] for each in times)
         self.end = max(each[-1] for each in times)
 
@@ -65,16 +49,10 @@ class Playback:
     ) -> Iterator[tuple[int, str, bytes]]:
         """Yield log time (ns), topic and bytes of the messages, in the order of their times.
 
-        Messages of one time come in the order of their topics in the file.  Of a latched topic
-        the messages that a late subscriber would get at the offset come first, at its time:
-        without the announcement of the run no node could follow it.
-
-        Parameters
-        ----------
-        offset
-            s after the start.
-        topics
-            Names of those that are played; None for all.
+        Messages of one time come in the order of their topics in the file.  Of a transient local
+        topic, the messages that a late subscriber would get at the offset (s after the start) come
+        first, at its time: without the announcement of the run no node could follow it.
+        ``topics`` are the names of those that are played; None for all.
         """
         begin = self.start + round(offset * 1e9)
         played: list[tuple[int, int, str, bytes]] = []
@@ -89,7 +67,7 @@ class Playback:
             yield max(time, begin), name, data
 
     def skipped(self, offset: float, topics: Collection[str]) -> dict[str, int]:
-        """Return how many messages of each topic :meth:`messages` leaves out, where it does."""
+        """Return how many messages :meth:`messages` leaves out, by topic; no zeros."""
         begin = self.start + round(offset * 1e9)
         skipped = {
             name: self._first(name, begin) if name in topics else count
@@ -107,13 +85,10 @@ class Playback:
 class Rewritten:
     """Adapts the announcement and the counts of a recorded run to what is played of it.
 
-    Parameters
-    ----------
-    consumers
-        Nodes that take part: they are announced in place of the recorded ones, and the counts of
-        what they publish themselves are left out.  Empty: the announcement stays as recorded.
-    skipped
-        Messages by topic that are not played: the counts are lowered by them.
+    ``consumers`` are the nodes that take part: they are announced in place of the recorded ones,
+    and the counts of what they publish themselves are left out.  Without any, the announcement
+    stays as recorded.  ``skipped`` are the numbers of messages that are not played, by topic: the
+    counts are lowered by them.
     """
 
     def __init__(
@@ -136,13 +111,13 @@ class Rewritten:
                 return None
             # a topic that is not played at all is not counted
             counts = zip(message.topics, message.counts.tolist(), strict=True)
-            left = {
+            played = {
                 name: count - skipped
                 for name, count in counts
                 if (skipped := self._skipped.get(name.lstrip("/"), 0)) < count or count == 0
             }
-            message.topics = list(left)
-            message.counts = np.array(list(left.values()), dtype=np.uint64)
+            message.topics = list(played)
+            message.counts = np.array(list(played.values()), dtype=np.uint64)
         return bytes(typestore().serialize_cdr(message, topic.type_name))
 
 

@@ -1,4 +1,4 @@
-"""Copying what precedes the damage of a recording into a new file that is whole."""
+"""Copies the part of a recording before its damage into a new complete file."""
 
 from __future__ import annotations
 
@@ -33,22 +33,10 @@ def recover(
 ) -> Recovery:
     """Copy a recording, or each file of a bag's folder, up to its first damage into one new file.
 
-    Parameters
-    ----------
-    path
-        A file that was cut or damaged; it is not changed.
-    out
-        File to write, which must not exist; None takes ``<name>_recovered.mcap`` next to it,
-        or a free name like it.
-    ratio
-        How many times a file's size it may unpack to.
-
-    Raises
-    ------
-    NothingToRecoverError
-        No message comes before the damage.
-    RecordingError
-        The file cannot be read or is not an MCAP file, or the new one cannot be written.
+    The new file must not exist; without ``out`` it is ``<name>_recovered.mcap`` next to the
+    recording, or a free name like it.  A file may unpack to ``ratio`` times its size.
+    NothingToRecoverError if no message precedes the damage, RecordingError if the file cannot be
+    read or is not an MCAP file, or if the new one cannot be written.
     """
     path = Path(path)
     files = bag_files(path)
@@ -67,10 +55,10 @@ def recover(
             if bag.span is None:
                 raise NothingToRecoverError(f"{path}: nothing to recover: {'; '.join(copy.losses)}")
             if copy.losses:
-                before = copy.metadata.get(RECOVERY_METADATA, {}).get("lost", "").splitlines()
-                note = {"lost": "\n".join([*before, *copy.losses])}
-                copy.metadata[RECOVERY_METADATA] = note
-            copy.metadata.pop(BAG_METADATA, None)  # written anew
+                earlier = copy.metadata.get(RECOVERY_METADATA, {}).get("lost", "").splitlines()
+                losses = "\n".join([*earlier, *copy.losses])
+                copy.metadata[RECOVERY_METADATA] = {"lost": losses}
+            copy.metadata.pop(BAG_METADATA, None)  # written again
             bag.writer.flush()
             for name, entries in copy.metadata.items():
                 bag.writer.add_metadata(name, entries)

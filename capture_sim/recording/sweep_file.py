@@ -29,21 +29,10 @@ def check_format(path: Path) -> None:
 
 
 def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -> Path:
-    """Write the table of a sweep; return the path.
+    """Write the table of :func:`capture_sim.sweep` in the format of the path's suffix; return it.
 
-    Parameters
-    ----------
-    table
-        From :func:`capture_sim.sweep`, its units in ``attrs``.
-    path
-        Whose suffix is the format.
-    about
-        How it was made: kept in a Parquet file's metadata, as JSON.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or pyarrow is not installed.
+    ``about`` tells how the table was made; a Parquet file has it in its metadata, as JSON.
+    RecordingError if the file cannot be written or pyarrow is not installed.
     """
     check_format(path)
     units = table.attrs["units"]
@@ -65,17 +54,15 @@ def _write_parquet(
         field.with_metadata({"unit": units[field.name]}) if units.get(field.name) else field
         for field in columns.schema
     ]
-    kept = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
-    parquet.write_table(columns.cast(pa.schema(fields, metadata=kept)), path, compression="zstd")
+    metadata = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
+    schema = pa.schema(fields, metadata=metadata)
+    parquet.write_table(columns.cast(schema), path, compression="zstd")
 
 
 def read_cases(path: Path) -> pandas.DataFrame:
     """Read a table with a row a run; a number in a column ``name [unit]`` becomes a text with it.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read.
+    RecordingError if the file cannot be read.
     """
     pandas = _pandas()
     try:
@@ -86,18 +73,21 @@ def read_cases(path: Path) -> pandas.DataFrame:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, ImportError) as error:
-        raise RecordingError(f"{path}: is no table: {error}") from None
+        raise RecordingError(f"{path}: is not a table: {error}") from None
     columns = {}
     table = table.drop(columns="run", errors="ignore")  # a sweep's own number
     for head, values in table.items():
-        found = _HEAD.fullmatch(str(head))
-        name = found[1] if found else str(head).strip()
-        columns[name] = [f"{v} {found[2]}" for v in values] if found else [*map(_number, values)]
+        named_unit = _HEAD.fullmatch(str(head))
+        if named_unit is None:
+            columns[str(head).strip()] = [_number(cell) for cell in values]
+        else:
+            name, unit = named_unit.groups()
+            columns[name] = [f"{cell} {unit}" for cell in values]
     return pandas.DataFrame(columns)
 
 
 def _number(cell: Any) -> Any:
-    """Return the number that a cell holds; the cell itself if it holds another text."""
+    """Return the number in a cell; the cell itself if it is another text."""
     try:
         return float(cell)
     except ValueError:

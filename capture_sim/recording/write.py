@@ -31,32 +31,13 @@ RECOVERY_METADATA = "capture_sim_recovery"
 class RunWriter:
     """Writes one run: ``with RunWriter(path, run) as writer: writer.write(topic, data, time)``.
 
-    Scene and description precede the first message and so survive a kill.
+    Scene and description precede the first message and so survive a kill.  The file must not
+    exist, unless it is a device; ``name`` is the one that it will have, by default the path's.
+    ``topics`` are those that may be written; the file lists them even without a message.
+    ``metadata`` are further entries for the metadata record.  ``remaps`` are the names in the file
+    of topics that do not have the bench's; the metadata record lists them.
 
-    Parameters
-    ----------
-    path
-        File to write, which must not exist (a device may).
-    run
-        What is recorded.
-    metadata
-        Further entries for the metadata record.
-    topics
-        Those that may be written; they stand in the file even without a message.
-    name
-        That the file will have; of the path unless given.
-    remaps
-        Names in the file of topics that do not have the bench's; the metadata record lists them.
-
-    Attributes
-    ----------
-    bag : BagFile
-        What is in the file so far.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, here or later, or is closed.
+    RecordingError, here and from the methods, if the file cannot be written or is closed.
     """
 
     def __init__(
@@ -93,14 +74,9 @@ class RunWriter:
             self._file.flush()
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
-        """Write a serialised message.
+        """Write a serialised message of one of the file's topics.
 
-        Parameters
-        ----------
-        topic, data
-            What is sent; the topic is one of the file's.
-        time
-            Log and publish time, ns; None for the latest so far.
+        ``time`` is the log and publish time, ns; None for the latest so far.
         """
         if self._file is None:
             raise RecordingError(f"{self._shown_path}: already closed")
@@ -147,7 +123,7 @@ class RunWriter:
 
     @contextmanager
     def _checked(self) -> Iterator[None]:
-        """Where the disk refuses, close the file as it is and say why."""
+        """Close the file as it is and raise RecordingError if the system cannot write it."""
         try:
             yield
         except OSError as error:

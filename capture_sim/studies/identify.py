@@ -218,6 +218,8 @@ class _Problem:
                 "nothing to fit to: the run holds no poses, stroke or torsion of the time asked for"
             )
         self._times = np.unique(np.concatenate([series.t for _, series, _ in self._series]))
+        if self._times.size < 2:
+            raise SceneError("measurements of one instant: must be of two or more")
         last = self._times[-1]
         rows = []
         for name, paths in zip(names, self._paths, strict=True):
@@ -250,6 +252,8 @@ class _Problem:
         self.evaluations += 1
         scene = self.scene_at(x)
         times = np.unique(self._since_release(self._times, x))
+        if not np.isfinite(times[-1]):  # a search among residuals too large for its numbers
+            raise SceneError(f"{RELEASE} = {self._released(x)} s: must be finite")
         if times[-1] > scene.run.t_end:
             scene = changed(scene, "run.t_end", float(times[-1]))
         bench = Bench(scene)

@@ -443,6 +443,16 @@ def test_nothing_is_evaluated_before_the_tip_approaches(noise):
     assert (last.label, last.reason) == ("undecided", "tip never came 5 mm nearer to BE")
 
 
+@pytest.mark.parametrize("count", [1, 5])
+def test_too_few_measurements_to_know_their_noise_end_undecided(count):
+    detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
+    for measurement in itertools.islice(approach(), 3 * count):
+        detector.measure(*measurement)
+    last = detector.finish()[-1]
+    assert (last.label, last.final) == ("undecided", True)
+    assert last.time_in_state == 0.0
+
+
 def test_a_trial_may_begin_with_the_tip_in_the_cone():
     """It is pulled back after the trial before, let go, and comes again."""
     scene = load_scene("tilt_0")

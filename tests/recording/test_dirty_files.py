@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import zipfile
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.topics import CHASER_ODOMETRY
+from capture_sim.messages.topics import CHASER_ODOMETRY, JOINT_STATES
+from capture_sim.recording.detect import detect_again
+from capture_sim.recording.measured import measurements
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
@@ -163,6 +166,74 @@ def test_poses_that_are_no_numbers_are_left_out(path, tmp_path, capsys):
     for command, status, errors, _ in answers(file, tmp_path, capsys, ("view", "report")):
         assert status == 2, command
         assert f"{file}: contains no finite pose of the chaser" in errors[0], command
+
+
+def of_the_first(n):
+    """Return a change that keeps n messages of each topic."""
+    counts = Counter()
+
+    def change(topic, data):
+        counts[topic] += 1
+        if counts[topic] <= n:
+            yield topic, "cdr", data
+
+    return change
+
+
+def test_poses_of_one_instant_decide_and_fit_nothing(path, tmp_path, capsys):
+    bare = of_a_bench(path, tmp_path / "bare.mcap")
+    file = copied(bare, tmp_path / "one.mcap", change=of_the_first(1))
+    commands = ("detect", "identify", "export")
+    (_, *detect), (_, *identify), (_, *export) = answers(file, tmp_path, capsys, commands)
+    assert detect[:2] == [0, []]
+    assert "verdict: undecided" in detect[2]
+    status, errors, _ = identify
+    assert (status, errors) == (
+        2,
+        ["capture-sim: measurements of one instant: must be of two or more"],
+    )
+    assert export[:2] == [0, []]
+
+
+def test_poses_far_from_the_origin_of_their_frame_end_no_fit_in_an_error(path, tmp_path, capsys):
+    """As of a map's grid: the model explains nothing, which is what is printed."""
+    store = typestore()
+
+    def far(topic, data):
+        if topic == "/chaser/odom":
+            message = store.deserialize_cdr(data, CHASER_ODOMETRY.type_name)
+            message.pose.pose.position.x += 1e4
+            data = bytes(store.serialize_cdr(message, CHASER_ODOMETRY.type_name))
+        yield topic, "cdr", data
+
+    bare = of_a_bench(path, tmp_path / "bare.mcap")
+    file = copied(bare, tmp_path / "far.mcap", change=far)
+    ((_, status, errors, printed),) = answers(file, tmp_path, capsys, ("identify",))
+    assert (status, errors) == (1, [])
+    assert "the model does not explain the measurements" in printed
+
+
+def test_joints_of_other_nodes_on_the_topic_are_left_out(path, tmp_path):
+    """joint_states is one topic for all joints of a system."""
+    store, other = typestore(), Counter()
+
+    def beside(topic, data):
+        yield topic, "cdr", data
+        if topic == "/joint_states":
+            message = store.deserialize_cdr(data, JOINT_STATES.type_name)
+            message.header.stamp.nanosec += 1_000_000
+            message.name, message.position = ["gripper"], np.ones(1)
+            message.velocity = message.effort = np.zeros(0)
+            other[topic] += 1
+            yield topic, "cdr", bytes(store.serialize_cdr(message, JOINT_STATES.type_name))
+
+    bare = of_a_bench(path, tmp_path / "bare.mcap")
+    run, both = read_run(bare), read_run(copied(bare, tmp_path / "both.mcap", change=beside))
+    assert len(both.raw(JOINT_STATES)) == len(run.raw(JOINT_STATES)) + other.total()
+    for mine, theirs in zip(measurements(both).items(), measurements(run).items(), strict=True):
+        np.testing.assert_array_equal(mine[1].values, theirs[1].values)
+    scene = capture_sim.load_scene("tilt_0")
+    assert detect_again(both, scene) == detect_again(run, scene)
 
 
 def test_recording_that_is_being_written_is_read_up_to_what_is_there(tmp_path, capsys):
