@@ -102,8 +102,6 @@ def run(
         print(_usage(make), flush=True)
         return OK
     watch_signals(STOP)
-    # blocked until here, where it can no longer interrupt an import
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
     threading.Thread(target=_limit_shutdown, name="shutdown", daemon=True).start()
     try:
         hidden = dds.configure(os.environ)

@@ -16,6 +16,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import ListParameters
 from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
 
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.compile_progress import watch_compilation
@@ -67,6 +68,8 @@ SWITCH_INTERVAL = 2e-4
 #: Another simulator on the same topics, perhaps one that was killed, gets this long to leave, s
 #: (wall): longer than DDS needs to notice (config/fast_dds*.xml, leaseDuration).
 SECOND_SIMULATOR_TIMEOUT = 8.0
+#: Hidden topic, without messages, by whose name simulators learn which of them is older.
+SESSION = "bench/_simulator_"
 #: Nodes discover each other within this long after one was created, s (wall), as a rule.
 DISCOVERY = 0.3
 _RUN_ID = re.compile("[0-9a-f]{32}")
@@ -153,6 +156,7 @@ class SimulatorNode(BenchNode):
         self._telemetry: BenchTelemetry | None = None  # of the run that is on
         self._description: RunDescription  # of the last run that was announced
         self.open(topics_of(SIMULATOR))
+        self.create_publisher(Empty, f"{SESSION}{self._session}", 1)
         self._model = RobotModel(self)
         self._diagnostics = SimulatorDiagnostics(self, self.control)
         self._served = SimulationServices(self, self.control, INFO)
@@ -279,12 +283,17 @@ class SimulatorNode(BenchNode):
         return silent or list(clients)
 
     def _check_only_simulator(self) -> None:
-        """End if another simulator publishes here; give it time to leave."""
-        self._barrier.wait(
-            "start",
-            lambda: self._second_simulator() if self.publishers_of(BENCH_STATE) > 1 else "",
-            SECOND_SIMULATOR_TIMEOUT,
-        )
+        """End if an older simulator, or a player, publishes here; give it time to leave."""
+        self._barrier.wait("start", self._rival, SECOND_SIMULATOR_TIMEOUT)
+
+    def _rival(self) -> str:
+        """Return that another node publishes here which stays: not a younger simulator."""
+        prefix = self.resolve_topic_name(SESSION)
+        names = [name for name, _ in self.get_topic_names_and_types()]
+        sessions = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+        is_oldest = min(sessions, default=self._session) >= self._session
+        others = self.publishers_of(BENCH_STATE) - max(len(sessions), 1)
+        return "" if is_oldest and others <= 0 else self._second_simulator()
 
     def _go_through_all(self) -> tuple[bool, bool]:
         """Run the scenes in turn; return whether all have been run, and whether one failed."""

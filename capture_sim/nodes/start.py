@@ -1,7 +1,8 @@
-"""The nodes' programs: Ctrl-C is held back until the node, once loaded, can answer it."""
+"""The nodes' programs: until a node is loaded, Ctrl-C ends its process at once."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from functools import partial
@@ -18,9 +19,14 @@ RECORDING_IN = "recording in "
 
 
 def start(name: str) -> int:
-    """Load a node and run it as this process; return the exit status."""
-    # an import that it met would end in a traceback; nodes.process.run lets it through
-    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    """Load a node and run it as this process; return the exit status.
+
+    Loading takes seconds on a busy computer.  Nothing has been begun meanwhile that had to be
+    ended in order, and an exception would be lost or end in a traceback within an import.
+    """
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, lambda signum, frame: os._exit(OK))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
     try:
         node = import_module(f"capture_sim.nodes.{name}")
     except ImportError as error:
@@ -37,3 +43,6 @@ viewer = partial(start, "viewer")
 player = partial(start, "player")
 loop_simulator = partial(start, "loop_simulator")
 contact_rig = partial(start, "contact_rig")
+
+if __name__ == "__main__":  # python -m capture_sim.nodes.start NAME --ros-args ...
+    raise SystemExit(start(sys.argv.pop(1)))

@@ -195,7 +195,7 @@ class _Processes:
         self.recordings: list[Path] = []  # files of the recorder, in their order
 
     def __enter__(self) -> _Processes:
-        # a node inherits the blocked signals, and opens them once it can end in order
+        # a node inherits the blocked signals, and unblocks them once it can follow them
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
         try:
             for name in self._names:
@@ -242,7 +242,7 @@ class _Processes:
 
     def _start(self, name: str) -> None:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"capture_sim.nodes.{name}", *self._arguments],
+            [sys.executable, "-m", "capture_sim.nodes.start", name, *self._arguments],
             env=dict(self._environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
