@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
+
+from rclpy.parameter import Parameter
 
 from capture_sim.detection.align import MAX_LEAD, Source
 from capture_sim.detection.clocks import MAX_OFFSET
@@ -30,6 +32,8 @@ from capture_sim.scene.parts import Detector, Scene
 #: The node warns of a source whose last stamp is this much older than the others', s.
 STALE = 2.0
 CRITERION = {field.name: field for field in fields(Detector)}
+#: The parameter that names the criteria whose parameters show the scene's values.
+SCENE_CRITERIA = "scene_criteria"
 
 
 class CaptureDetectorNode(Participant):
@@ -72,6 +76,7 @@ class CaptureDetectorNode(Participant):
         self._zero = EPOCH_NS if self.simulated else None
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self.publish(self._telemetry.begin(scene.detector))
+        self._show_criteria(scene.detector, criteria)
         if criteria:
             given = ", ".join(
                 f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
@@ -95,24 +100,55 @@ class CaptureDetectorNode(Participant):
     def _declare_criteria(self) -> None:
         """Declare the scene's criteria as parameters, with their units and ranges.
 
-        A parameter that is not set is taken from the scene; one that is set applies from the next
-        run on, as a run is evaluated by one set of criteria from its start to its end.
+        One that is set applies from the next run on, as a run is evaluated by one set of criteria
+        from its start to its end.  The others have the values of the scene, once a run has begun.
         """
         for name, field in CRITERION.items():
             unit, allowed = field.metadata["unit"], field.metadata["allowed"]
             self.declare(
                 name,
                 float,
-                f"{unit}, {field.metadata['doc']}; .nan: the scene's (see capture/criteria)",
+                f"{unit}, {field.metadata['doc']}; .nan: the scene's, shown once a run has begun",
                 allowed=f"a number with a decimal point, {allowed} {unit}",
                 read_only=False,
                 check=partial(_check_criterion, name),
             )
+        of_scene = self.declare(
+            SCENE_CRITERIA,
+            list,
+            "criteria that are taken from the scene, whatever their parameters show; those that "
+            "are not set, unless given",
+            choices=tuple(CRITERION),
+            read_only=False,
+            check=_check_names,
+        )
+        self._scene_criteria = set(of_scene)
+        self.add_post_set_parameters_callback(self._criteria_set)
+
+    def _criteria_set(self, parameters: list[Parameter]) -> None:
+        """Take note which criteria are set from now on."""
+        values = {parameter.name: parameter.value for parameter in parameters}
+        self._scene_criteria.difference_update(values)
+        self._scene_criteria.update(values.get(SCENE_CRITERIA, ()))
 
     def _criteria(self) -> dict[str, float]:
         """Return the criteria that are set; the others are the scene's."""
         values = {name: float(self.get_parameter(name).value) for name in CRITERION}
-        return {name: value for name, value in values.items() if not math.isnan(value)}
+        return {
+            name: value
+            for name, value in values.items()
+            if name not in self._scene_criteria and not math.isnan(value)
+        }
+
+    def _show_criteria(self, in_force: Detector, given: Collection[str]) -> None:
+        """Let the parameters show the criteria in force."""
+        of_scene = [name for name in CRITERION if name not in given] or [""]
+        self.set_parameters_atomically(
+            [
+                *(Parameter(name, value=getattr(in_force, name)) for name in CRITERION),
+                Parameter(SCENE_CRITERIA, value=of_scene),
+            ]
+        )
 
     def _take(self, topic: Topic, data: bytes) -> None:
         source = self._sources.get(topic)
@@ -166,6 +202,13 @@ def _check_criterion(name: str, value: float) -> None:
         Detector(**{name: value})
     except SceneError as error:
         raise ParameterError(f"parameter {str(error).removeprefix('Detector.')}") from None
+
+
+def _check_names(names: Sequence[str]) -> None:
+    if unknown := {*names} - CRITERION.keys():
+        raise ParameterError(
+            f"parameter {SCENE_CRITERIA} = {sorted(unknown)}: must be of {', '.join(CRITERION)}"
+        )
 
 
 main = partial(run, CaptureDetectorNode)

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import rclpy
 from bench_processes import PATIENCE, Client, join_dds, wait_until
+from capture_sim.srv import BeginTrial
 from noisy_replay import Disturbance, disturbed, judge
-from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters
+from rclpy.parameter import parameter_value_to_python
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
+from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
@@ -103,6 +106,59 @@ def test_criteria_are_described_and_recorded(start, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "DIFFERENT" in said
     assert "contains no criteria" in said
+
+
+def test_parameters_show_the_criteria_in_force(start):
+    """As `ros2 param get` and `dump` read them; a node with the dumped file behaves equally."""
+    names = [*(field.name for field in fields(Detector)), "scene_criteria"]
+    default = Detector()
+
+    def shown(client):
+        answer = client.ask(GetParameters, "/capture_detector/get_parameters", names=names)
+        values = map(parameter_value_to_python, answer.values)
+        return dict(zip(names, values, strict=True))
+
+    def shown_in_a_trial(client, **overrides):
+        changes = [f"detector.{name}={value}" for name, value in overrides.items()]
+        begin = {"scene": "tilt_0", "overrides": changes}
+        assert client.ask(BeginTrial, "/capture_detector/begin_trial", **begin).success
+        wait_until(lambda: not math.isnan(shown(client)["capture_radius"]))
+        time.sleep(0.2)  # the announcement comes after the response
+        values = shown(client)
+        assert client.ask(Trigger, "/capture_detector/end_trial").success
+        wait_until(lambda: "undecided, " in node.text)
+        node.lines.clear()
+        return values
+
+    def expected(**given):
+        of_scene = [name for name in names[:-1] if name not in ("min_dwell", *set_here)]
+        return {**vars(default), "min_dwell": 0.3, **given, "scene_criteria": of_scene}
+
+    set_here = ()
+    with Client() as client:
+        node = start("capture_detector", min_dwell=0.3, exit_when_done="false")
+        before = shown(client)
+        assert math.isnan(before["capture_radius"])
+        assert (before["min_dwell"], before["scene_criteria"]) == (0.3, [""])
+        assert shown_in_a_trial(client, min_dwell=0.1, capture_radius=0.004) == expected(
+            capture_radius=0.004
+        )
+        assert shown_in_a_trial(client) == expected()  # of the next scene
+        assert client.set("capture_detector", max_delay=0.1)[0]
+        set_here = ("max_delay",)
+        dumped = shown_in_a_trial(client, max_delay=0.2)
+        assert dumped == expected(max_delay=0.1)
+        assert not client.set("capture_detector", scene_criteria=["radius"])[0]
+        node.process.send_signal(signal.SIGINT)
+        assert node.status() == 0
+        node = start("capture_detector", exit_when_done="false", **dumped)
+        node.wait_for("ready")
+        assert shown_in_a_trial(client, capture_radius=0.004, max_delay=0.2) == expected(
+            capture_radius=0.004, max_delay=0.1
+        )
+        set_here = ()
+        assert client.set("capture_detector", max_delay=math.nan)[0]
+        assert shown_in_a_trial(client, max_delay=0.2) == expected(max_delay=0.2)
 
 
 # benches without simulator
