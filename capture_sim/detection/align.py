@@ -162,6 +162,11 @@ class Aligner:
         self._reject_leads(source)
         return self._complete(is_end=False)
 
+    def values_between(self, source: Source, begin: float, end: float) -> list[Values]:
+        """Return what a source has measured between two times, without these, s."""
+        track = self._tracks[source]
+        return track.values[bisect_right(track.times, begin) : bisect_left(track.times, end)]
+
     @property
     def newest(self) -> float:
         """The latest stamp of all sources, s."""

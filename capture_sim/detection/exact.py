@@ -69,6 +69,7 @@ class Cause(IntEnum):
     NOT_APPROACHED = 15
     NOT_MEASURED = 16
     CLOCKS_DIFFER = 17
+    CONTACT_UNSEEN = 18
 
 
 #: In the reason of a capture whose tip is outside the capture zone again.
@@ -450,6 +451,10 @@ _REASONS = {
     Cause.NOT_APPROACHED: "tip never came {radius:g} mm nearer to BE",
     Cause.NOT_MEASURED: "nothing was measured",
     Cause.CLOCKS_DIFFER: "clocks of the sources differ by {value:.0f} ms",  # value: s
+    Cause.CONTACT_UNSEEN: (
+        "moved away, {value:.2f} mm from BE at the nearest, after a gap in the measurements "
+        "in which it may have met the cone"
+    ),
 }
 
 

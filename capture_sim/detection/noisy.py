@@ -30,9 +30,11 @@ from capture_sim.detection.exact import (
     Place,
     decide,
     decide_at_end,
+    enter,
     new_memory,
     note_push,
     reason,
+    wall_gap,
 )
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
@@ -61,6 +63,7 @@ _CLOCK_PERIOD = 0.1
 
 # a few hundred measurements a second: not worth compiled functions of their own
 _tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
+_enter, _wall_gap = plain(enter), plain(wall_gap)
 
 
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:
@@ -342,6 +345,8 @@ class NoisyDetector:
         self._earliest = math.inf  # s, smallest stamp
         self._place: Place | None = None  # the last that was evaluated
         self._rested_until = -math.inf  # s, the last instant before the approach
+        self._resumed = -math.inf  # s, the first instant after the last gap
+        self._is_contact_unseen = False  # the tip may have met the cone in a gap
         self._last: tuple[Observation, MeasuredTip] | None = None
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_SMOOTHED)
@@ -440,7 +445,7 @@ class NoisyDetector:
         elif last is None:  # too few measurements to know the noise, and so an approach
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_APPROACHED
             memory.since = self._last[0].t
-        else:
+        elif self._state <= CaptureState.CONTACT:
             if last.size > 1:
                 # the end of a fit is its least certain position: fit the last second once more
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)
@@ -449,6 +454,7 @@ class NoisyDetector:
             # a source that stopped before the end: the rest of the run is unknown
             is_blind = self.aligner.newest - last.t > self._path.gap
             decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)
+            self._doubt_miss()
         return [*rest, self._status(*self._last, is_over=not cut)]
 
     def _blame_clocks(self) -> None:
@@ -484,19 +490,45 @@ class NoisyDetector:
         if not self._memory.has_approached:
             self._rested_until = place.t
         if self._place is not None and place.t - self._place.t > self._path.gap:
-            # what the tip did in the gap is unknown
-            self._memory.zone_since = self._memory.still_since = math.nan
+            self._note_gap(self._place, place)
         criteria, stood = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
             # the longer the time, the better the mean speed is known
             for times in (1.0, _LONGEST_STAND):
                 begin = place.t - times * criteria.still_time
-                if begin < self._rested_until:
-                    break  # it includes the rest before the release
+                if begin < max(self._rested_until, self._resumed):
+                    break  # it includes the rest before the release, or a gap
                 speed, unsure = self._path.rate_over(begin, place.t)
                 stood = stood or speed + GUARD * unsure < criteria.still_speed
         _decide(criteria, self._memory, place, stood, self._corner_time)
+        self._doubt_miss()
         self._place = place
+
+    def _note_gap(self, before: Place, after: Place) -> None:
+        """Note that it is unknown what the tip did between two places."""
+        memory, criteria = self._memory, self._criteria
+        memory.zone_since = memory.still_since = math.nan
+        self._resumed = after.t
+        to_wall = _wall_gap(criteria, before.axial, before.lateral)[0]
+        if to_wall > memory.fastest * (after.t - before.t):
+            return  # too far away to have met the cone
+        if self._state is not CaptureState.APPROACH or not memory.has_approached:
+            return
+        unseen = self.aligner.values_between(Source.BUFFER, before.t, after.t)
+        strokes = [(stroke, torsion) for stroke, torsion, *_ in unseen]
+        if any(self._is_pushed(strokes[: k + 1]) for k in range(len(strokes))):
+            _enter(memory, CaptureState.CONTACT, Cause.AT_CONE, after.t, 0.0)
+        else:
+            self._is_contact_unseen = True
+
+    def _doubt_miss(self) -> None:
+        """Turn a miss into undecided if the tip may have met the cone in a gap."""
+        memory = self._memory
+        is_doubtful = memory.cause in (Cause.MOVED_AWAY, Cause.END_NOT_APPROACHING)
+        if self._is_contact_unseen and self._state is CaptureState.MISSED and is_doubtful:
+            _enter(
+                memory, CaptureState.UNDECIDED, Cause.CONTACT_UNSEEN, memory.since, memory.nearest
+            )
 
     def _pushed(self) -> bool:
         """Update the buffer's noise while it is at rest; return True if it has been pushed."""
@@ -505,17 +537,20 @@ class NoisyDetector:
             weights = third_difference([t for t, _, _ in four])
             for i, noise in enumerate(self._buffer_noise):
                 noise.add(sum(w * item[1 + i] for w, item in zip(weights, four, strict=True)))
+        return self._is_pushed([(stroke, torsion) for _, stroke, torsion in self._buffer])
+
+    def _is_pushed(self, values: list[tuple[float, float]]) -> bool:
+        """Return True if the last of these strokes (m) and torsions (rad) show a push."""
         if not self._buffer_noise[0].known:
             return False
         limit, arm = self._criteria.contact_gap, self._criteria.rest_length
-        _, stroke, torsion = self._buffer[-1]
+        stroke, torsion = values[-1]
         scatter = max(self._buffer_scatter())
         if BUFFER_GUARD * scatter >= limit:
             # a single measurement is too noisy: take the mean of several
-            if len(self._buffer) < _SMOOTHED:
+            if len(values) < _SMOOTHED:
                 return False
-            stroke = mean(item[1] for item in self._buffer)
-            torsion = mean(item[2] for item in self._buffer)
+            stroke, torsion = (mean(column) for column in zip(*values[-_SMOOTHED:], strict=True))
             scatter /= math.sqrt(_SMOOTHED)
         return max(abs(stroke), abs(torsion) * arm) > limit + BUFFER_GUARD * scatter
 

@@ -114,8 +114,9 @@ class BenchWatch:
             self._begin()
 
     def add_target(self, pose: Pose) -> None:
-        """Note the target's latest pose."""
-        self._target = pose
+        """Note the target's latest pose; one that is not finite is left out."""
+        if all(map(math.isfinite, pose)):
+            self._target = pose
 
     def add_chaser(self, stamp: float, pose: Pose, arrival: float) -> LauncherStatus | None:
         """Take the chaser's pose; return the launcher's status if it was evaluated.

@@ -15,21 +15,34 @@ from rclpy.clock_type import ClockType
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from capture_sim.errors import MessageError
+from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
-from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, TOPICS, Rate, Stamp, Topic
+from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    LAUNCHER,
+    RUN_INFO,
+    STREAM_COUNTS,
+    TOPICS,
+    Rate,
+    Stamp,
+    Topic,
+    topics_of,
+)
 from capture_sim.nodes.node import from_bytes
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.participant import READ, RECORDER, Participant
 from capture_sim.nodes.process import run
-from capture_sim.nodes.start import RECORDING_IN
-from capture_sim.recording.live import LiveRecorder
+from capture_sim.nodes.run_state import Stage
+from capture_sim.nodes.start import FAILED, RECORDING_IN
+from capture_sim.recording.live import LiveRecorder, RecordingReport
 from capture_sim.scene.parts import Scene
 
 #: Messages that came so shortly before the announcement of a run belong to it, ns (wall): those of
 #: other publishers may overtake it.
 OVERTAKING = 500_000_000
+#: What is still recorded after the end of a bench's trial: the last messages of its participants.
+AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
 class RecorderNode(Participant):
@@ -61,6 +74,7 @@ class RecorderNode(Participant):
         self._sought = {name for name in names if name not in known}
         self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder: LiveRecorder | None = None  # of the run that is on
+        self._failure = ""  # of the disk: why the recording ended before the run
         self._early: deque[tuple[int, Topic, bytes]] = deque()  # the first: arrival, ns (wall)
         self.open((STREAM_COUNTS,))
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
@@ -78,42 +92,74 @@ class RecorderNode(Participant):
         del scene
         for name in sorted(self._sought):
             self.get_logger().warning(f"{info.name}: {name} is not recorded: nobody publishes it")
-        self._recorder = LiveRecorder(self._out, topics=self._topics, remaps=self._remaps)
-        self._recorder.paused = self._paused
-        self._recorder.take(RUN_INFO, serialize_message(info))
+        recorder = LiveRecorder(self._out, topics=self._topics, remaps=self._remaps)
+        recorder.paused = self._paused
+        self._recorder, self._failure = recorder, ""
+        self._write(RUN_INFO, serialize_message(info))
         self._forget_early()
         for arrival, topic, data in self._early:
             try:
-                self._recorder.take(topic, data, arrival)
+                self._write(topic, data, arrival)
             except MessageError as error:
                 self.refuse(topic, error)
         self._early.clear()
-        self.get_logger().info(f"{info.name}: {RECORDING_IN}{self._recorder.path}")
+        if not self._failure:
+            self.get_logger().info(f"{info.name}: {RECORDING_IN}{recorder.path}")
 
     def complete(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""
+        if self._failure:
+            return super().complete()
         return self._recorder is not None and self._recorder.done
 
     def end(self, reason: str) -> list[str]:
         """Close the file and say what is missing."""
-        assert self._recorder is not None
-        report = self._recorder.close()
-        self._recorder = None
-        self._early.clear()
-        received = sum(entry.received for entry in report.topics.values())
-        written = sum(entry.written for entry in report.topics.values())
-        count = (
-            f"{received} messages" if written == received else f"{written} of {received} messages"
+        problems, counts = super().end(reason), {}
+        try:
+            report = self._close()
+        except RecordingError as error:
+            self._fail_recording(error)
+            self._status = FAILED
+            ended = f"{reason}; {self._failure}" if reason else self._failure
+        else:
+            received = sum(entry.received for entry in report.topics.values())
+            written = sum(entry.written for entry in report.topics.values())
+            count = f"{received}" if written == received else f"{written} of {received}"
+            state = "complete" if report.complete else "INCOMPLETE"
+            self.get_logger().info(f"{report.path}: {count} messages, {state}")
+            problems += report.problems
+            counts = {topic: entry.written for topic, entry in report.topics.items()}
+            ended = "; ".join(problems)
+        message = self.messages.stream_counts(
+            RECORDER, self.run.run_id, counts, complete=not ended, reason=ended
         )
-        state = "complete" if report.complete else "INCOMPLETE"
-        self.get_logger().info(f"{report.path}: {count}, {state}")
-        problems = [*super().end(reason), *report.problems]
-        counts = {topic: entry.written for topic, entry in report.topics.items()}
-        ended = self.messages.stream_counts(
-            RECORDER, self.run.run_id, counts, complete=not problems, reason="; ".join(problems)
-        )
-        self.send(STREAM_COUNTS, self.messages.serialise(ended))
+        self.send(STREAM_COUNTS, self.messages.serialise(message))
         return problems
+
+    def _close(self) -> RecordingReport:
+        """Close the file; RecordingError if the disk has failed, now or before."""
+        assert self._recorder is not None
+        recorder, self._recorder = self._recorder, None
+        self._early.clear()
+        return recorder.close()
+
+    def _write(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
+        """Record a message; a disk that fails ends the recording of this run, not the node."""
+        if self._failure:
+            return
+        assert self._recorder is not None
+        try:
+            self._recorder.take(topic, data, arrival)
+        except MessageError:
+            raise
+        except RecordingError as error:
+            self._fail_recording(error)
+
+    def _fail_recording(self, error: RecordingError) -> None:
+        """Log once in a run why its recording has ended."""
+        if not self._failure:
+            self._failure = one_line(str(error))
+            self.get_logger().error(f"{self.run.name}: {self._failure}")
 
     def _seek(self) -> None:
         """Subscribe to those of the other topics that are published by now."""
@@ -144,7 +190,10 @@ class RecorderNode(Participant):
             self._early.append((time.time_ns(), topic, data))
             self._forget_early()
             return
-        self._recorder.take(topic, data)
+        is_after_end = self.state.stage is Stage.ENDED and not self.simulated
+        if is_after_end and topic not in AFTER_END:
+            return  # the detector has not used it either
+        self._write(topic, data)
         self.end_if_complete()
 
     def _forget_early(self) -> None:

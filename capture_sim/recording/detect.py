@@ -11,7 +11,7 @@ from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.convert import stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
-from capture_sim.messages.topics import Topic
+from capture_sim.messages.topics import RUN_INFO, Topic
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
 
@@ -39,10 +39,13 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     readers = {topic: MeasurementReader(topic) for topic in sources}
     is_simulated = run.is_simulated
     detector = NoisyDetector(scene, is_released=is_simulated)
+    # what arrived before the announcement of a bench's trial, the live detector has not used
+    begin = 0 if is_simulated else int(run.log_times(RUN_INFO)[:1].sum())
     stored = [
         (int(time), i, topic, data)
         for topic in sources
         for i, (time, data) in enumerate(zip(run.log_times(topic), run.raw(topic), strict=True))
+        if time >= begin
     ]
     # in the order of recording; within a topic that is the order of arrival
     stored.sort(key=lambda item: item[:2])

@@ -478,3 +478,34 @@ def test_a_source_that_stops_leaves_the_run_undecided():
     assert last.label == "undecided"
     assert last.reason.startswith("run ended before any contact, tip 60.")
     assert detector.aligner.silent(1.0) == [Source.BUFFER]
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-4])
+@pytest.mark.parametrize(
+    "stroke, aside, label",
+    [(-0.003, 0.0, "rebound"), (0.0, 0.0, "undecided"), (0.0, 0.3, "missed")],
+)
+def test_a_contact_in_a_gap_of_the_poses(noise, stroke, aside, label):
+    """The cameras lose the vehicles from 0.2 s before the tip turns round to 0.3 s after."""
+    scene = load_scene("tilt_0")
+    reach = scene.buffer.hinge_offset + scene.rest_length + scene.cone.L_T
+    detector = NoisyDetector(scene)
+    rng = np.random.default_rng(4)
+    for k in range(300):
+        t = k / 100
+        since = t - 1.15  # at 8 mm from BE
+        axial = 0.008 + (-0.08 * since if since < 0.0 else 0.04 * since)
+        pushed = stroke if 0.0 <= since < 0.1 else 0.0
+        for source, values in (
+            (Source.CHASER, (-axial - reach, aside, 0.0)),
+            (Source.TARGET, (0.0, 0.0, 0.0)),
+            (Source.BUFFER, (pushed, 0.0)),
+        ):
+            if source is Source.BUFFER or not -0.2 < since < 0.3:
+                spread = 0.0 if source is Source.BUFFER else noise
+                detector.measure(
+                    source, t, tuple(np.array(values) + spread * rng.standard_normal(len(values)))
+                )
+    last = detector.finish()[-1]
+    assert (last.label, last.final) == (label, True)
+    assert ("may have met the cone" in last.reason) == (label == "undecided")
