@@ -12,17 +12,16 @@ from capture_sim.hardware.law import WallLaw
 from capture_sim.hardware.loop import METHODS
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from tests.plate import (
+    MASS,
+    SCENE,
     WIDE,
     close,
+    close_often,
     plate_law,
-    plate_mass,
-    plate_scene,
     predicted_restitution,
     response_of,
 )
 
-SCENE = plate_scene()
-MASS = plate_mass(SCENE)
 SERVOS = {"100 Hz": 100.0, "10 Hz": 10.0}
 WALLS = (("soft", 0.2), ("hard", 0.02))  # duration of an elastic touch, s
 DELAYS = (0.0005, 0.002, 0.005, 0.02)  # s, of the servo
@@ -31,14 +30,16 @@ LIMITS = WIDE._replace(energy=1.0, force=2000.0, latency=0.1)
 
 def touch(method, duration, true, servo, offset=2e-5, seed=0):
     """Return the loop of the touch that counts (the second with model), and why it stopped."""
-    law = plate_law(MASS, duration, true, offset)
-    guess = WallLaw(0.5 * law.stiffness)
+    law, t_end = plate_law(MASS, duration, true, offset), 0.35 + 3.0 * duration
     cell = Cell(force_range=5000.0)
-    for shot in range(2 if method == "model" else 1):
-        rig = Rig(SCENE, law, servo, cell, Transport(), seed=2 * seed + shot)
-        loop, why = close(SCENE, rig, method, guess, LIMITS, 0.35 + 3.0 * duration)
-        guess = loop.estimate.law
-    return loop, why
+
+    def rig(number):
+        return Rig(SCENE, law, servo, cell, Transport(), seed=2 * seed + number)
+
+    guess = WallLaw(0.5 * law.stiffness)
+    if method == "model":
+        return close_often(2, guess, rig, t_end, LIMITS)[-1]
+    return close(SCENE, rig(0), method, guess, LIMITS, t_end)
 
 
 def methods(_, __):
@@ -75,7 +76,7 @@ def cells(loop, why, servo, duration, true):
     """Return the four cells of a run: lag over duration, restitution, energy, load."""
     lag = f"{servo.lag / duration:.2f}"
     load = f"{loop.rig_peak_force:.0f}"
-    energy = f"{1e3 * loop.energy_excess:.3g}"
+    energy = f"{1e3 * loop.energy.excess:.3g}"
     if why or not loop.touches:
         reason = why.partition(": ")[2].partition(" = ")[0] if why else "no touch"
         return [lag, f"stops: {reason}" if why else reason, energy, load]

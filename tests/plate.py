@@ -4,8 +4,8 @@ import cmath
 import math
 
 from capture_sim import load_scene
-from capture_sim.hardware.answers import Limits
 from capture_sim.hardware.law import NO_LAW, WallLaw
+from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Rig, Transport
 from capture_sim.hardware.stage import LoopStage
@@ -14,7 +14,7 @@ from capture_sim.model.contact import exact_factor
 STEP = 1e-3  # s
 SPEED = 0.1  # m/s
 #: Limits that none of these contacts reaches.
-WIDE = Limits(energy=1e3, force=1e6, torque=1e6, speed=100.0, acceleration=1e6, latency=1.0)
+WIDE = Limits(1e3, 1e6, 1e6, speed=100.0, acceleration=1e6, latency=1.0, angular_speed=1e3)
 
 
 def plate_scene(*overrides):
@@ -36,11 +36,28 @@ def plate_law(mass, duration, restitution=1.0, offset=0.0):
     return WallLaw(stiffness, damping=damping, offset=offset)
 
 
+SCENE = plate_scene()
+MASS = plate_mass(SCENE)
+
+
 def close(scene, rig, method="none", law=NO_LAW, limits=WIDE, t_end=1.0, mass=None, step=STEP):
     """Close a loop in one process; return it and why it stopped."""
     mass = mass or plate_mass(scene)
     loop = Loop(LoopStage(scene, step, max(1, round(step / 2.5e-5))), method, law, limits, mass)
     return loop, run_in_process(loop, rig, t_end)
+
+
+def close_often(n, guess, rig_of, t_end, limits=WIDE):
+    """Close n loops with model, each from the law that the one before has found.
+
+    ``rig_of`` makes the rig of a number from 0 on.  Return the loops and why they stopped.
+    """
+    loops = []
+    for number in range(n):
+        loop, why = close(SCENE, rig_of(number), "model", guess, limits, t_end, MASS)
+        loops.append((loop, why))
+        guess = loop.estimate.law
+    return loops
 
 
 def ideal_rig(scene, law, delay=0.0, **figures):

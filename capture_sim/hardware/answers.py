@@ -1,4 +1,4 @@
-"""What comes from a rig: which answers are used, the load cell's bias and noise, the limits."""
+"""What comes from a rig: which answers are used, the load cell's bias and noise."""
 
 from __future__ import annotations
 
@@ -9,30 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
+from capture_sim.hardware.limits import Limits, check_limit
 from capture_sim.hardware.stage import SafeStopError
-
-
-class Limits(NamedTuple):
-    """What stops the loop.
-
-    Attributes
-    ----------
-    energy
-        J, that vehicles, buffer and law may have above their energy at the touch.
-    force, torque
-        N and N m, of the rig's wrench without its bias.
-    speed, acceleration
-        m/s and m/s^2, of the commanded position.
-    latency
-        s, from a position to the use of its wrench.
-    """
-
-    energy: float = 0.02
-    force: float = 300.0
-    torque: float = 30.0
-    speed: float = 0.5
-    acceleration: float = 100.0
-    latency: float = 0.05
 
 
 class Answer(NamedTuple):
@@ -120,8 +98,8 @@ class Answers:
         else:
             tared = Wrench(*(a - b for a, b in zip(wrench, self.bias, strict=True)))
             self.latest = Answer(stamp, tared, tip)
-            self._check("force", tared.force, "N", self._limits.force)
-            self._check("torque", tared.torque, "N m", self._limits.torque)
+            check_limit("force on the rig", tared.force, "N", self._limits.force)
+            check_limit("torque on the rig", tared.torque, "N m", self._limits.torque)
             return self.latest
         self.reject(reason)
         return None
@@ -139,7 +117,3 @@ class Answers:
             why = f"; {n} wrenches rejected, the last one {self._last_rejection}" if n else ""
             limit = f"{self._limits.latency:g} (timeout)"
             raise SafeStopError(f"latency of the wrench = {age:.3g} s: must be <= {limit}{why}")
-
-    def _check(self, name: str, value: float, unit: str, limit: float) -> None:
-        if value > limit:
-            raise SafeStopError(f"{name} on the rig = {value:.4g} {unit}: must be <= {limit:g}")

@@ -15,13 +15,12 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.answers import Answer, Answers, Limits
+from capture_sim.hardware.answers import Answer, Answers
 from capture_sim.hardware.fit import LawEstimate, fit_touch
 from capture_sim.hardware.law import (
     NO_LAW,
@@ -32,7 +31,9 @@ from capture_sim.hardware.law import (
     Wrench,
     max_stiffness,
 )
+from capture_sim.hardware.limits import EnergyLimit, Limits, check_motion
 from capture_sim.hardware.stage import LoopStage, SafeStopError
+from capture_sim.hardware.touch import Touch
 
 METHODS = ("none", "prediction", "model")
 
@@ -54,58 +55,6 @@ SOFTENING = 4.0
 N_AT_REST = 100
 #: A prediction takes over the servo's lag this often, s; settled is a servo of 5 Hz and more.
 LAG_PERIOD = 0.1
-#: Halvings that find the share of a wrench that the energy limit leaves.
-_HALVINGS = 8
-
-
-@dataclass
-class Touch:
-    """One touch, from its first force to its last; what chatters is one touch.
-
-    Attributes
-    ----------
-    begin
-        s.
-    approach_speed
-        m/s, along the force.
-    energy
-        J, of that motion before: half the effective mass times its square.
-    duration
-        s, under force.
-    work
-        J, of the wrench or the law on the vehicles.
-    peak_force
-        N, on the vehicles.
-    rig_peak_force
-        N, that the load cell has read.
-    impulse
-        N s, on the vehicles.
-    law_restitution
-        With ``model``, of the law that acted; else NaN.
-    rig
-        The law fitted to what the rig measured; None if it was not touched.
-    is_held
-        True if the restitution was within 5 % of the rig's, None if that is not known.
-    """
-
-    begin: float
-    approach_speed: float
-    energy: float
-    duration: float = 0.0
-    work: float = 0.0
-    peak_force: float = 0.0
-    rig_peak_force: float = 0.0
-    impulse: float = 0.0
-    law_restitution: float = math.nan
-    rig: LawEstimate | None = None
-    is_held: bool | None = None
-
-    @property
-    def restitution(self) -> float:
-        """Speed after over speed before: of the law that acted, else from the energy."""
-        if math.isnan(self.law_restitution):
-            return math.sqrt(max(1.0 + self.work / self.energy, 0.0))
-        return self.law_restitution
 
 
 class Loop:
@@ -171,10 +120,7 @@ class Loop:
         self._fitted: Touch | None = None
         self._next_law: WallLaw | None = None
         self._disagreements = 0
-        # J: the least that vehicles, buffer and law had at a touch, by how much they have been
-        # above it, and what was withheld to keep them below the limit
-        self._energy_reference = stage.energy
-        self.energy_excess = self.energy_withheld = 0.0
+        self.energy = EnergyLimit(stage, limits.energy)
         self.rig_peak_force = 0.0  # N
         self.touches: list[Touch] = []
         self.notes: list[str] = []
@@ -258,53 +204,31 @@ class Loop:
         if self._next_law is not None and self._is_clear(self._next_law):
             self._set_law(self._next_law)
             self._next_law = None
-        self._go(self.answers.latest.wrench if self._rig_in_touch else NO_WRENCH)
+        self._go()
         stage.check()
         self._observe()
         self._continue_fit()
         pose = stage.tip
         if self.method == "prediction":
             pose = self._extrapolated(pose, self.lag)
-        self._check_motion(pose)
-        self.pose = pose
-        self._sent[round(pose.t / stage.step)] = pose
+        index = round(pose.t / stage.step)
+        before = self._sent.get(index - 2) if index > 2 else None
+        check_motion(self._limits, stage.step, pose, self.pose, before)
+        self.pose = self._sent[index] = pose
         return pose
 
-    def _go(self, wrench: Wrench) -> None:
-        """Go a step; a wrench that would give too much energy is scaled down."""
-        stage, saved = self.stage, self.stage.saved()
-        planar = (0.0, 0.0, 0.0) if self.method == "model" else (wrench.fx, wrench.fy, wrench.tz)
-        energy = stage.energy
+    def _go(self) -> None:
+        """Go a step under the rig's wrench, or the law's within the energy limit."""
         if self._touch is None:
-            self._energy_reference = min(self._energy_reference, energy)
-        limit = self._energy_reference + self._limits.energy
-        stage.go(*planar)
-        if not stage.peak_energy <= limit:
-            demanded, excess = stage.energy - energy, stage.peak_energy - self._energy_reference
-            if self.method == "model" or not math.isfinite(demanded):
-                stage.restore(saved)
-                raise SafeStopError(
-                    f"energy added to the vehicles = {excess:.3g} J: must be <= "
-                    f"{self._limits.energy:g} (energy_limit)"
-                )
-            low, high = 0.0, 1.0
-            for _ in range(_HALVINGS):
-                share = 0.5 * (low + high)
-                stage.restore(saved)
-                stage.go(*(share * component for component in planar))
-                low, high = (share, high) if stage.peak_energy <= limit else (low, share)
-            stage.restore(saved)
-            stage.go(*(low * component for component in planar))
-            if self.energy_withheld == 0.0:
-                self._note(f"energy_limit = {self._limits.energy:g} J reached: wrench scaled down")
-            self.energy_withheld += max(demanded - (stage.energy - energy), 0.0)
-            if self.energy_withheld > self._limits.energy:
-                raise SafeStopError(
-                    f"energy withheld from the vehicles = {self.energy_withheld:.3g} J, after "
-                    f"{self._limits.energy:g} J added: must be <= {self._limits.energy:g} "
-                    "(energy_limit)"
-                )
-        self.energy_excess = max(self.energy_excess, stage.peak_energy - self._energy_reference)
+            self.energy.note_free_motion()
+        had_withheld = self.energy.withheld > 0.0
+        wrench = self.answers.latest.wrench if self._rig_in_touch else NO_WRENCH
+        try:
+            self.energy.go(None if self.method == "model" else wrench)
+        finally:
+            if self.energy.withheld > 0.0 and not had_withheld:
+                limit = self._limits.energy
+                self._note(f"energy_limit = {limit:g} J reached: wrench scaled down")
 
     def _record(self, answer: Answer) -> None:
         """Note what the rig has measured, and whether it is in touch."""
@@ -448,6 +372,16 @@ class Loop:
         if self.method == "model":
             self._set_next_law(found.law)
 
+    def end(self) -> None:
+        """Note of a touch whose restitution could not be compared with the rig's that it is so."""
+        if self._touch is not None:
+            self._note("the run ended within a touch: its restitution is not known")
+        if self._fitted is not None:
+            self._note(
+                "the run ended before the touch was fitted: whether the restitution was held is "
+                "not known"
+            )
+
     def _is_clear(self, law: WallLaw) -> bool:
         """Return whether the tip is outside of the walls of this law and of the present one."""
         depth = self._walls.deepest(self.stage.tip).depth
@@ -498,24 +432,6 @@ class Loop:
             rates = (np.array(tip[1:4]) - np.array(before[1:4])) / (n * step)
         return TipState(tip.t, *(np.array(tip[1:4]) + lag * rates).tolist(), *rates.tolist())
 
-    def _check_motion(self, pose: TipState) -> None:
-        """Raise SafeStopError if the commanded position moves too fast or too abruptly."""
-        step, last = self.stage.step, self.pose
-        index = round(pose.t / step)
-        moved = np.array([pose.x - last.x, pose.y - last.y])
-        speed = float(np.hypot(*moved)) / step
-        self._check("commanded speed", speed, "m/s", self._limits.speed)
-        before = self._sent.get(index - 2)
-        if before is not None and index > 2:
-            bent = moved - np.array([last.x - before.x, last.y - before.y])
-            acceleration = float(np.hypot(*bent)) / step**2
-            limit = self._limits.acceleration
-            self._check("commanded acceleration", acceleration, "m/s^2", limit)
-
-    def _check(self, name: str, value: float, unit: str, limit: float) -> None:
-        if value > limit:
-            raise SafeStopError(f"{name} = {value:.4g} {unit}: must be <= {limit:g}")
-
 
 class Channel(Protocol):
     """A rig and the way to it."""
@@ -524,8 +440,8 @@ class Channel(Protocol):
         """Take a position; return the answers that come until the next one is sent."""
 
 
-def run_in_process(loop: Loop, rig: Channel, t_end: float, touches: int | None = None) -> str:
-    """Run a loop in one process, up to a time (s) or a number of evaluated touches.
+def run_in_process(loop: Loop, rig: Channel, t_end: float) -> str:
+    """Run a loop in one process, up to a time (s).
 
     Returns
     -------
@@ -541,8 +457,8 @@ def run_in_process(loop: Loop, rig: Channel, t_end: float, touches: int | None =
             loop.advance()
             for answer in rig.answer(loop.pose):
                 loop.receive(*answer)
-            if touches is not None and len(loop.touches) >= touches:
-                break
     except SafeStopError as stop:
         return f"stopped at t = {loop.stage.t:.6g} s: {stop}"
+    finally:
+        loop.end()
     return ""

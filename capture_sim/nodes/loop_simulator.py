@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import CaptureSimError, MessageError
-from capture_sim.hardware.answers import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
+from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
     LOOP_SIMULATOR,
@@ -79,6 +79,12 @@ class LoopSimulatorNode(BenchNode):
                 high=1e6,
             ),
             self.declare("timeout", 0.05, "latency of the wrench in use, s", low=0.001, high=10.0),
+            number(
+                "angular_speed_limit",
+                Limits().angular_speed,
+                "angular speed of the commanded position, rad/s",
+                high=1e3,
+            ),
         )
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
@@ -155,6 +161,8 @@ class LoopSimulatorNode(BenchNode):
         except SafeStopError as stop:
             stopped = f"stopped at t = {self._stage.t:.6g} s: {stop}"
             self.get_logger().error(stopped)
+        self._loop.end()
+        self._log_notes()
         self._report_result(stopped)
         return FAILED if stopped else OK
 
@@ -201,10 +209,14 @@ class LoopSimulatorNode(BenchNode):
             self._ages.append(self._stage.t - self._stage.step - self._loop.answers.latest.stamp)
             self._sent[round(pose.t, 9)] = time.monotonic()
             self.send(TIP, tip_message(self.messages, pose.t, pose))
-            for note in self._loop.notes[self._reported_notes :]:
-                self.get_logger().warning(note)
-            self._reported_notes = len(self._loop.notes)
+            self._log_notes()
             due += period
+
+    def _log_notes(self) -> None:
+        """Log the loop's notes that are new."""
+        for note in self._loop.notes[self._reported_notes :]:
+            self.get_logger().warning(note)
+        self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
         """Log what was measured, and write it where that is asked for."""
@@ -226,8 +238,8 @@ class LoopSimulatorNode(BenchNode):
                 "noise": loop.answers.noise,
                 "threshold": loop.threshold,
             },
-            "energy_excess": loop.energy_excess,
-            "energy_withheld": loop.energy_withheld,
+            "energy_excess": loop.energy.excess,
+            "energy_withheld": loop.energy.withheld,
             "rig_peak_force": loop.rig_peak_force,
             "vehicle_peak_force": max((touch.peak_force for touch in loop.touches), default=0.0),
             "law": loop.estimate.law._asdict(),
@@ -242,7 +254,7 @@ class LoopSimulatorNode(BenchNode):
             f"{report['steps']} steps, latency {ages[len(ages) // 2] * 1e3:.1f} ms (median), "
             f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {loop.lag * 1e3:.1f} ms; peak "
             f"force on the rig {loop.rig_peak_force:.4g} N, energy added to the vehicles "
-            f"{loop.energy_excess:.3g} J"
+            f"{loop.energy.excess:.3g} J"
         )
         if rejections:
             self.get_logger().warning(f"wrenches rejected: {rejections}")

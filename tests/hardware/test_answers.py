@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.hardware.answers import Answers, Limits
+from capture_sim.hardware.answers import Answers
 from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
+from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.hardware.stage import SafeStopError
 from capture_sim.messages.convert import CONE_FRAME, Messages

@@ -9,8 +9,8 @@ from four_bodies import kinetic
 from plate import plate_law, plate_mass
 
 from capture_sim import load_scene
-from capture_sim.hardware.answers import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
+from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import METHODS, Loop, run_in_process
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
@@ -147,7 +147,7 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
         allowed = LIMITS.energy * (1.0 + 1e-6) + 1e-9
         assert max(channel.energies) - channel.energies[0] <= allowed, case
         assert bodies_energy(loop.stage) - channel.energies[0] <= allowed, case
-        assert loop.energy_excess <= allowed, case
+        assert loop.energy.excess <= allowed, case
         if loop.stage.t < 0.25 - 1e-9:
             assert why.startswith("stopped at t = "), case
             assert "must be <=" in why or "disagree" in why or "pushed in" in why, case
@@ -176,7 +176,7 @@ def test_a_rig_that_gives_energy_is_stopped_by_the_energy_limit(method, kind):
     start = 0.165 if kind in ("frozen", "doubled") else 0.08
     why = run_in_process(loop, FaultyRig(rig, kind, start, 1.0), 0.9)
     assert "energy_limit" in why
-    assert loop.energy_excess <= LIMITS.energy * (1.0 + 1e-6)
+    assert loop.energy.excess <= LIMITS.energy * (1.0 + 1e-6)
     assert any("scaled down" in note for note in loop.notes)
 
 

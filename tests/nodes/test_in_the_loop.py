@@ -12,8 +12,8 @@ from plate import STEP, ideal_rig, plate_mass
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 from capture_sim import load_scene
-from capture_sim.hardware.answers import Limits
 from capture_sim.hardware.law import WallLaw, Wrench
+from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import N_AT_REST, Loop
 from capture_sim.hardware.messages import TIP, TIP_WRENCH, wrench_message
 from capture_sim.hardware.stage import LoopStage
