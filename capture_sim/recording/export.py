@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Collection, Mapping
+import json
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import file_name, whole_file
-from capture_sim.messages.topics import CONTACT_TRACE
+from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE
+from capture_sim.messages.units import unit_of
 from capture_sim.recording.read import Run
+from capture_sim.recording.sweep_file import arrow, head_of, with_units
 from capture_sim.samples import TOUCH, TRACE, columns_of
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
@@ -39,10 +42,11 @@ def save_tables(
         The recording.
     folder
         Where the files go: one for every topic, or for ``npz`` ``<name>.npz`` with all, in
-        arrays named ``topic/field``, texts as Unicode strings, the scene in ``scene``; nothing
-        in it needs pickle.
+        arrays named ``topic/field``, texts as Unicode strings, the scene in ``scene``, units by
+        column as JSON in ``units``; nothing in it needs pickle.
     to
-        One of KINDS.  Numbers in CSV are written so that reading gives the same bits.
+        One of KINDS.  Numbers in CSV are written so that reading gives the same bits.  Units are
+        in the header of a CSV (``t [s]``) and in the metadata of a Parquet's columns.
     topics
         Those that are written; all that make tables unless given, and the touches.
     columns
@@ -80,7 +84,8 @@ def save_tables(
     paths = _paths(tables, folder, to)
     for topic, path in paths.items():
         found = _with(columns, columns_of(tables[topic]))
-        (_save_csv if to == "csv" else _save_parquet)(found, path)
+        units = _units(run, topic, found)
+        (_save_csv if to == "csv" else _save_parquet)(found, units, path)
     return list(paths.values())
 
 
@@ -114,6 +119,15 @@ def table(run: Run, topic: str) -> dict[str, np.ndarray]:
     return {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
 
 
+def _units(run: Run, topic: str, names: Iterable[str]) -> dict[str, str]:
+    """Return the units of the columns of a table, of those that have one."""
+    # a touch is sent in the event that ends it
+    type_name = BENCH_EVENT.type_name if topic == TOUCHES else run.types[topic]
+    times = {TIME: "s", LOG_TIME: "ns", **({"start": "s", "end": "s"} if topic == TOUCHES else {})}
+    units = {name: times.get(name) or unit_of(type_name, name) for name in names}
+    return {name: unit for name, unit in units.items() if unit}
+
+
 def _covers(wanted: str) -> Callable[[str], bool]:
     """Return whether a column is meant by a name: itself, or what it is a part of."""
     return lambda name: name == wanted or name.startswith(f"{wanted}.")
@@ -143,27 +157,23 @@ def _paths(topics: Collection[str], folder: Path, suffix: str) -> dict[str, Path
     return paths
 
 
-def _save_csv(columns: Mapping[str, np.ndarray], path: Path) -> None:
+def _save_csv(columns: Mapping[str, np.ndarray], units: Mapping[str, str], path: Path) -> None:
     # of numbers tolist gives floats, whose repr is the shortest that gives the same bits
     cells = (_texts(c) if c.dtype == object else c.tolist() for c in columns.values())
     with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
+        writer.writerow(head_of(name, units.get(name, "")) for name in columns)
         writer.writerows(zip(*cells, strict=True))
 
 
-def _save_parquet(columns: Mapping[str, np.ndarray], path: Path) -> None:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise RecordingError(f"parquet needs pyarrow: {error}") from None
+def _save_parquet(columns: Mapping[str, np.ndarray], units: Mapping[str, str], path: Path) -> None:
+    pa, parquet = arrow()
     arrays = {
         name: pa.array(list(column) if column.dtype == object else column)
         for name, column in columns.items()
     }
     with whole_file(path) as part:
-        parquet.write_table(pa.table(arrays), part, compression="zstd")
+        parquet.write_table(with_units(pa.table(arrays), units), part, compression="zstd")
 
 
 def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Path) -> None:
@@ -172,6 +182,12 @@ def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Pa
         for topic, columns in tables.items()
         for name, c in columns.items()
     }
+    units = {
+        f"{topic.strip('/')}/{name}": unit
+        for topic, columns in tables.items()
+        for name, unit in _units(run, topic, columns_of(columns)).items()
+    }
+    arrays["units"] = np.array(json.dumps(units))
     if run.has_scene:
         arrays["scene"] = np.array(run.scene_text)
     with whole_file(path) as part, part.open("wb") as file:

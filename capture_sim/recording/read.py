@@ -354,6 +354,11 @@ class Run:
         """Number of messages by topic, as named in the file."""
         return {name: len(messages) for name, messages in self._contents.messages.items()}
 
+    @property
+    def types(self) -> dict[str, str]:
+        """Type of every topic (``package/msg/Name``), as named in the file."""
+        return self._contents.types
+
     def log_times(self, topic: str | Topic) -> np.ndarray:
         """Return the log times of a topic's messages, (n,) int64, ns, ascending."""
         return np.array(self._contents.log_times.get(self._resolved(topic), ()), dtype=np.int64)

@@ -22,7 +22,7 @@ _HEAD = re.compile(r"(.*\S)\s*\[(.*)\]")
 def check_format(path: Path) -> None:
     """Raise RecordingError if a table cannot be written in the format of the path's suffix."""
     if path.suffix == ".parquet":
-        _arrow()
+        arrow()
     elif path.suffix != ".csv":
         raise RecordingError(f"--out = {path}: must end in .csv or .parquet")
     _pandas()
@@ -38,7 +38,7 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     units = table.attrs["units"]
     with whole_file(path) as part:
         if path.suffix == ".csv":
-            heads = {name: f"{name} [{unit}]" for name, unit in units.items() if unit}
+            heads = {name: head_of(name, unit) for name, unit in units.items()}
             table.rename(columns=heads).to_csv(part)
         else:
             _write_parquet(table, units, part, about)
@@ -48,15 +48,25 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
 def _write_parquet(
     table: pandas.DataFrame, units: Mapping[str, str], path: Path, about: Mapping[str, Any]
 ) -> None:
-    pa, parquet = _arrow()
-    columns = pa.Table.from_pandas(table.reset_index())
+    pa, parquet = arrow()
+    columns = with_units(pa.Table.from_pandas(table.reset_index()), units)
+    kept = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
+    parquet.write_table(columns.replace_schema_metadata(kept), path, compression="zstd")
+
+
+def head_of(name: str, unit: str) -> str:
+    """Return the head of a column in a CSV: its name, and its unit in brackets if it has one."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def with_units(columns: Any, units: Mapping[str, str]) -> Any:
+    """Return a table of pyarrow with units by column in the metadata of its fields."""
     fields = [
         field.with_metadata({"unit": units[field.name]}) if units.get(field.name) else field
         for field in columns.schema
     ]
-    metadata = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
-    schema = pa.schema(fields, metadata=metadata)
-    parquet.write_table(columns.cast(schema), path, compression="zstd")
+    pa, _ = arrow()
+    return columns.cast(pa.schema(fields, metadata=columns.schema.metadata))
 
 
 def read_cases(path: Path) -> pandas.DataFrame:
@@ -102,7 +112,8 @@ def _pandas() -> Any:
     return pandas
 
 
-def _arrow() -> tuple[Any, Any]:
+def arrow() -> tuple[Any, Any]:
+    """Return pyarrow and its module for Parquet; RecordingError if it is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet

@@ -40,7 +40,7 @@ def test_touches_are_a_table(tmp_path):
     assert main(["export", str(path), "--columns", "impulse", "wall", "--out", str(tmp_path)]) == 0
     with (tmp_path / "touches.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["impulse"]) for row in rows] == result.touches["impulse"].tolist()
+    assert [float(row["impulse [N s]"]) for row in rows] == result.touches["impulse"].tolist()
     assert [int(row["wall"]) for row in rows] == result.touches["wall"].tolist()
     assert main(["export", str(path), "--to", "npz", "--out", str(tmp_path)]) == 0
     with np.load(tmp_path / "tilt_0.npz") as arrays:

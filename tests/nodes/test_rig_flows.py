@@ -245,7 +245,7 @@ def check_commands(path, capsys):
     (since,) = re.findall(r"verdict: rebound since (\d\.\d+) s", printed["detect"])
     assert 2.0 < float(since) < 5.0  # let go, the chaser is at the cone after 3.0 s and 0.2 m
     with (path.parent / "motion_capture_chaser.csv").open() as table:
-        t = [float(row["t"]) for row in csv.DictReader(table)]
+        t = [float(row["t [s]"]) for row in csv.DictReader(table)]
     assert -5.0 < t[0] < 1.0
     assert float(since) < t[-1] < 10.0
 

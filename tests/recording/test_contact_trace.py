@@ -135,9 +135,9 @@ def test_table_of_the_trace_has_a_row_for_each_point(result, path, tmp_path):
         rows = list(csv.DictReader(file))
     assert len(rows) == len(result.trace)
     for key, column in (
-        ("t", result.trace["t"]),
-        ("q.theta_T", result.trace["q"][:, 7]),
-        ("normal_force.-y", result.trace["normal_force"][:, 1]),
+        ("t [s]", result.trace["t"]),
+        ("q.theta_T [rad]", result.trace["q"][:, 7]),
+        ("normal_force.-y [N]", result.trace["normal_force"][:, 1]),
     ):
         assert [float(row[key]) for row in rows] == column.tolist()
     assert main(["export", str(path), "--to", "npz", "--out", str(tmp_path)]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -218,10 +219,11 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
     with (tmp_path / "bench_state.csv").open() as file:
         rows = list(csv.DictReader(file))
     columns = columns_of(table(run, "/bench/state"))
-    assert list(rows[0]) == list(columns)
-    for name in ("t", "q.x_S", "v.theta_T", "penetration.-y", "energy_residual"):
-        assert [float(row[name]) for row in rows] == columns[name].tolist()
-    assert [int(row["log_time_ns"]) for row in rows] == run.log_times("bench/state").tolist()
+    assert [head.partition(" [")[0] for head in rows[0]] == list(columns)
+    for head in ("t [s]", "q.x_S [m]", "v.theta_T [rad/s]", "penetration.-y [m]", "kinetic [J]"):
+        name, _, _ = head.partition(" ")
+        assert [float(row[head]) for row in rows] == columns[name].tolist()
+    assert [int(row["log_time_ns [ns]"]) for row in rows] == run.log_times("bench/state").tolist()
     with (tmp_path / "bench_event.csv").open() as file:
         kinds = [row["kind"] for row in csv.DictReader(file)]
     assert kinds == [event.kind.label for event in run.events]
@@ -237,6 +239,9 @@ def test_npz_holds_everything_without_pickle(path, tmp_path):
                 if column.dtype != object:
                     assert kept.tobytes() == np.ascontiguousarray(column).tobytes()
         assert str(data["scene"]) == run.scene_text
+        units = json.loads(str(data["units"]))
+        assert units["touches/impulse"] == "N s"
+        assert units["contact/wrench/wrench.torque.z"] == "N m"
         assert data["bench/event/kind"].tolist() == [e.kind.label for e in run.events]
 
 
@@ -246,7 +251,8 @@ def test_topics_and_columns_are_chosen(path, tmp_path, capsys):
     assert main([*command, "--columns", "q.x_S", "impulse", "seq"]) == 0
     (file,) = tmp_path.iterdir()  # the odometry has none of them
     with file.open() as lines:
-        assert next(csv.reader(lines)) == ["t", "seq", "q.x_S", "impulse.+y", "impulse.-y"]
+        head = ["t [s]", "seq", "q.x_S [m]", "impulse.+y [N s]", "impulse.-y [N s]"]
+        assert next(csv.reader(lines)) == head
     for wrong in (["--columns", "no"], ["--topics", "no/such"]):
         assert main(["export", str(path), "--out", str(tmp_path), *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
@@ -264,6 +270,9 @@ def test_parquet_gives_the_same_bits(path, tmp_path):
         for name, column in columns_of(table(run, topic)).items():
             if column.dtype != object:
                 assert found[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
+    schema = parquet.read_schema(tmp_path / "touches.parquet")
+    assert schema.field("peak_force").metadata == {b"unit": b"N"}
+    assert schema.field("start").metadata == {b"unit": b"s"}
 
 
 def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):

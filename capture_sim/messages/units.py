@@ -1,0 +1,54 @@
+"""Units of the numbers in messages: of ours as their definitions have them, of ROS as REP-103."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+from capture_sim.messages.definitions import schema_text, typestore
+
+#: A number of our definitions, and the unit that its comment begins with.
+_DECLARED = re.compile(r"^float64(?:\[\d*\])? +(\w+) *# *([^,;\n]*[^,;\s])", re.MULTILINE)
+#: Units of x, y and z by the name of their vector in a standard message.
+_VECTORS = {
+    "position": "m",
+    "translation": "m",
+    "linear": "m/s",
+    "linear_acceleration": "m/s^2",
+    "angular": "rad/s",
+    "angular_velocity": "rad/s",
+    "force": "N",
+    "torque": "N m",
+}
+_STAMPS = {"sec": "s", "nanosec": "ns"}
+
+
+def unit_of(type_name: str, column: str) -> str:
+    """Return the unit of a number in a message; empty where it has none, or it is not known.
+
+    Parameters
+    ----------
+    type_name
+        As ``package/msg/Name``.
+    column
+        Path of the number, as ``q.x_S`` or ``pose.position.x``.
+    """
+    field, _, member = column.partition(".")
+    *_, vector, last = ("", *column.split("."))
+    if last in _STAMPS:
+        return _STAMPS[last]
+    if type_name.startswith("capture_sim/"):
+        if field in ("q", "v"):  # coordinates of the bench, and their rates
+            unit = "rad" if member.startswith("theta") else "m"
+            return unit if field == "q" else f"{unit}/s"
+        return _declared(type_name).get(field, "")
+    is_acceleration = "Accel" in type_name
+    return _VECTORS.get(vector, "") if last in ("x", "y", "z") and not is_acceleration else ""
+
+
+@cache
+def _declared(type_name: str) -> dict[str, str]:
+    if type_name not in typestore().fielddefs:
+        return {}  # of another version
+    own, _, _ = schema_text(type_name).partition("=" * 80)
+    return dict(_DECLARED.findall(own))
