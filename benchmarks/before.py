@@ -1,8 +1,8 @@
 """What users' commands and the parts of a run cost, beside an earlier state, in turn with it.
 
-    .venv/bin/python -m benchmarks.before --before CHECKOUT    # fifteen minutes, parts: three
+    .venv/bin/python -m benchmarks.before --before CHECKOUT    # twenty minutes, parts: three
 
-CHECKOUT has a .venv of its own.  Writes two parts of docs/benchmark.md: the least of some rounds,
+CHECKOUT has a .venv of its own.  Writes three parts of docs/benchmark.md: the least of some rounds,
 and processor time wherever that is what counts.
 """
 
@@ -103,6 +103,23 @@ def same_work(times: int, checkout: Path) -> dict[str, float]:
     return {f"{name}, processor ms": value for name, value in parts.items()}
 
 
+def set_up(checkout: Path) -> dict[str, float]:
+    """Time `make run` in a fresh clone of what is committed, and once more."""
+    took = []
+    with tempfile.TemporaryDirectory() as folder:
+        clone = f"{folder}/clone"
+        subprocess.run(["git", "clone", "-q", str(checkout), clone], check=True)
+        given = environment(checkout) | {"CAPTURE_SIM_CACHE": f"{folder}/cache"}
+        for _ in range(2):
+            began = time.monotonic()
+            subprocess.run(["make", "run"], cwd=clone, check=True, capture_output=True, env=given)
+            took.append(time.monotonic() - began)
+    return {
+        "fresh clone to three results, on the clock, s": took[0],
+        "`make run` again, on the clock, s": took[1],
+    }
+
+
 def compared(
     asked: Namespace, work: Iterable[tuple[int, Callable[[Path], dict[str, float]]]]
 ) -> list[str]:
@@ -135,11 +152,15 @@ def parts(asked: Namespace, _: Path) -> list[str]:
     return compared(asked, [(4 * asked.rounds, partial(same_work, asked.times))])
 
 
+def fresh(asked: Namespace, _: Path) -> list[str]:
+    return compared(asked, [(max(asked.rounds // 2, 1), set_up)])
+
+
 if __name__ == "__main__":
     write_parts(
         "benchmark",
         __doc__,
-        {"before": commands, "before_parts": parts},
+        {"before": commands, "before_parts": parts, "fresh": fresh},
         before=(None, "checkout of an earlier state"),
         rounds=(4, "of each figure, half as many of the long ones, four times as many of parts"),
         times=(4, "that a part is repeated in a round"),
