@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import itertools
 import math
 import subprocess
 import sys
@@ -10,9 +11,10 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks import work_precision
+from benchmarks import costs, work_precision
 from benchmarks.machine import OthersAtWork
 from benchmarks.page import measured
+from benchmarks.pages import DOCS
 from benchmarks.reference import load_reference
 from benchmarks.references.generate import REFERENCES
 from benchmarks.speed import measure, save
@@ -46,7 +48,7 @@ def results():
 
 
 def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
-    assert "wanted" in save(results, tmp_path)
+    assert "SciPy, compiled RHS" in save(results, tmp_path)
     page = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert page.index("measured: machine") < page.index("kernels") < page.index("SciPy")
     with (tmp_path / "benchmark" / "trials.csv").open(encoding="utf-8") as file:
@@ -66,9 +68,39 @@ def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
 @pytest.mark.parametrize("others, trusted", [(0.02, True), (0.5, False), (math.nan, False)])
 def test_a_page_measured_on_a_busy_machine_says_so_at_its_top(results, others, trusted):
     found = measured(dataclasses.replace(results, others=others))
-    met = found["targets"]
     assert found["machine"].startswith("**Measured on a busy machine") is not trusted
-    assert ("yes |" in met or "**no** |" in met) is trusted
+
+
+def test_a_part_costs_only_what_can_be_told_from_zero(results):
+    """A clock that drifts and jitters: a difference of 5 us is found, one of zero is not shown."""
+    noise, drift = np.random.default_rng(1), itertools.count()
+
+    def job(extra):
+        return lambda: 1e-3 + extra + 1e-7 * next(drift) + 2e-5 * noise.random()
+
+    slower = costs.in_pairs(job(5e-6), job(0.0), 101)
+    assert slower.is_told_from_zero
+    assert slower.low < 5e-6 < slower.high
+    equal = [costs.in_pairs(job(0.0), job(0.0), 101).is_told_from_zero for _ in range(40)]
+    assert sum(equal) <= 6  # 5 % of them
+    nothing = costs.Difference(1e-9, -1e-8, 1e-8)
+    row = dataclasses.replace(results.parts[0], run=nothing, free=slower)
+    text = measured(dataclasses.replace(results, parts=[row]))["parts"].splitlines()[2]
+    cells = [cell.strip() for cell in text.strip("|").split("|")]
+    assert cells[1].startswith("+")
+    assert cells[3] == "-"
+
+
+def test_engines_that_are_not_installed_keep_their_numbers_on_the_page(results, tmp_path, capsys):
+    lacking = [dataclasses.replace(results.engines[0], version="", trials=[], comparisons=[])]
+    save(dataclasses.replace(results, engines=lacking), tmp_path)
+    assert capsys.readouterr().err.startswith(f"not installed: {lacking[0].name}. The page keeps")
+    page, before = (
+        (folder / "benchmark.md").read_text(encoding="utf-8") for folder in (tmp_path, DOCS)
+    )
+    for name in ("engines", "agreement"):
+        begin = f"<!-- measured: {name} -->"
+        assert page.split(begin)[1][:500] == before.split(begin)[1][:500]
 
 
 def test_the_machine_tells_others_work_from_its_own():

@@ -11,6 +11,7 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.ticker import NullLocator
 
 from capture_sim.messages.urdf import Box, chaser_box, target_box
 from capture_sim.samples import EventKind
@@ -210,6 +211,9 @@ def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
         look: dict[str, Any] = {"color": colour, "mfc": colour if side > 0 else "white", "ms": 6}
         axes.plot(when, peak, marker, label=label, **look)
     axes.set_yscale("log")
+    # numbers in place of powers, and no minor ticks: a third of the time to draw the picture
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylim(_SMALLEST_FORCE, 20.0 * max(source.strongest(run)[1], 1.0))
     axes.set_ylabel("normal force\n[N], log scale")
     axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
