@@ -139,6 +139,7 @@ class Bench:
         step, rail, y = self._record["step"], self._record["rail"], self._record["stepper"]["y"]
         mode, par = self._system["mode"], self._system["par"]
         self._record["progress"]["t_stop"] = self.scene.run.t_end
+        mode["seated"] = par["preload"] > 0.0
         step["h_next"] = _FIRST_STEP
         step["error"] = _FIRST_ERROR
         step["equations_changed"] = 1
@@ -418,6 +419,12 @@ def _detail(kind: EventKind, wall: int, value: float) -> str:
         return "chaser" if wall == 1 else "target"
     if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
         return f"{'compressed' if wall < 0 else 'extended'} at {value:.6g} m/s"
+    if kind is EventKind.SEATED:
+        return f"probe back on its seat at {value:.6g} m/s"
+    if kind is EventKind.UNSEATED:
+        return f"probe leaves its seat at {value:.6g} N"
+    if kind is EventKind.SLIP and math.isinf(value):
+        return f"{'+y' if wall > 0 else '-y'} wall, after the impact on the seat"
     if kind in (EventKind.STICK, EventKind.SLIP):
         return f"{'+y' if wall > 0 else '-y'} wall, friction {value:.6g} N to hold"
     if kind is EventKind.LATCHED:

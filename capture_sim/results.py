@@ -216,6 +216,8 @@ def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
     if stops is None:
         return force
     for side, end in ((-1.0, -stops.compression), (1.0, stops.extension)):
+        if end is None:
+            continue
         beyond = side * (stroke - end)
         push = stops.stiffness * beyond + side * stops.damping * samples["v"][:, 4]
         force -= np.where(beyond > 0.0, side * np.maximum(push, 0.0), 0.0)

@@ -53,6 +53,8 @@ class EventKind(Named):
     STOP_LEFT = 10
     STICK = 11
     SLIP = 12
+    SEATED = 13
+    UNSEATED = 14
 
 
 #: Order of ``q`` and ``v``.
@@ -170,9 +172,9 @@ TOUCH = np.dtype(
 )
 
 #: Extremes of a run.  Magnitudes: strokes inwards and outwards (m), torsion (rad), force of the
-#: axial buffer with its damper and stops (N), torque of the torsional one (N m), normal force of
-#: each wall (N), force of the latch (N), penetration (m).  And the smallest distance of the tip's
-#: centre to that of BE (m).
+#: axial buffer with its damper, stops and seat (N), torque of the torsional one (N m), normal force
+#: of each wall (N), force of the latch (N), penetration (m).  And the smallest distance of the
+#: tip's centre to that of BE (m).
 EXTREME_NAMES = (
     "axial_stroke_in",
     "axial_stroke_out",

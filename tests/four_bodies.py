@@ -83,7 +83,7 @@ def buffer_forces(scene: Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     stroke, rate, torsion, twist = q[4] - rest, v[4], q[3] - q[2], v[3] - v[2]
     c_A = b.c_A if rate <= 0.0 or b.c_A_rebound is None else b.c_A_rebound
     torque = -b.k_T * torsion - b.k_T3 * torsion**3 - b.c_T * twist - b.c_T2 * abs(twist) * twist
-    axial = -b.k_A * stroke - b.k_A3 * stroke**3 - c_A * rate - b.c_A2 * abs(rate) * rate
+    axial = b.preload - b.k_A * stroke - b.k_A3 * stroke**3 - c_A * rate - b.c_A2 * abs(rate) * rate
     return np.array([0.0, 0.0, -torque, torque, axial, 0.0, 0.0, 0.0])
 
 

@@ -40,6 +40,8 @@ def check_between_segments(w):
     check_touches(w)
     assert np.all(totals.extreme_time <= step.t0)
     assert not (rail.taut and not rail.on)
+    assert not (mode.seated and par.preload == 0.0)
+    assert not (mode.seated and (stepper.y[4] != par.h_0 or stepper.y[12] != 0.0))
     assert not (mode.rest_S and np.any(stepper.y[8:11]))
     assert not (mode.rest_T and np.any(stepper.y[13:16]))
     if rail.on:
@@ -77,6 +79,8 @@ def check_planned(w):
         EventKind.LATCHED: lambda: not mode.latched,
         EventKind.STOP_HIT: lambda: mode.stop == 0,
         EventKind.STOP_LEFT: lambda: mode.stop == which,
+        EventKind.SEATED: lambda: not mode.seated and w.system.par.preload > 0.0,
+        EventKind.UNSEATED: lambda: mode.seated,
         EventKind.LANDED: lambda: w.rail.taut,
         EventKind.RAIL_END: lambda: w.rail.on and not w.rail.taut,
         EventKind.END: lambda: step.t1 == w.progress.t_stop,

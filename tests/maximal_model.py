@@ -39,6 +39,8 @@ LONGEST_STEP = 2e-4
 PLACES = np.linspace(0.0, 1.0, 9)
 #: Laws of friction as numbers, for the compiled functions.
 FRICTION = {"none": 0, "tanh": 1, "clamp": 2, "brown_mcphee": 3, "coulomb": 4}
+#: m: a probe that has just left its seat is nearer to it than the length of its spring is known.
+SEAT_ROUNDING = 1e-15
 #: s: central differences along the motion.
 SMALL_TIME = 1e-6
 
@@ -89,6 +91,7 @@ class Constants(NamedTuple):
     k_A3: float
     c_A2: float
     c_A_rebound: float
+    preload: float
     k_T3: float
     c_T2: float
     R_t: float
@@ -147,6 +150,7 @@ def constants(scene: Scene) -> Constants:
         k_A3=b.k_A3,
         c_A2=b.c_A2,
         c_A_rebound=b.c_A if b.c_A_rebound is None else b.c_A_rebound,
+        preload=b.preload,
         k_T3=b.k_T3,
         c_T2=b.c_T2,
         R_t=p.tip_radius,
@@ -298,6 +302,57 @@ def no_slip(z: np.ndarray, c: Constants, wall: int, J: np.ndarray) -> float:
 
 
 @compiled
+def spring_vector(z: np.ndarray, c: Constants) -> tuple[float, float, float, float, float]:
+    """Length and direction of D of eq. (8), and its rate in x and y."""
+    cS, sS = math.cos(z[2]), math.sin(z[2])
+    cC, sC = math.cos(z[5]), math.sin(z[5])
+    cP, sP = math.cos(z[8]), math.sin(z[8])
+    L, r = 2.0 * c.half_cylinder, c.rear_behind
+    Dx = z[6] - r * cP - (z[0] + c.a * cS - L * cC)
+    Dy = z[7] - r * sP - (z[1] + c.a * sS - L * sC)
+    rate_x = z[18] + r * sP * z[20] - (z[12] - c.a * sS * z[14] + L * sC * z[17])
+    rate_y = z[19] - r * cP * z[20] - (z[13] + c.a * cS * z[14] - L * cC * z[17])
+    length = math.hypot(Dx, Dy)
+    return length, Dx / length, Dy / length, rate_x, rate_y
+
+
+@compiled
+def seat(z: np.ndarray, c: Constants, J: np.ndarray) -> tuple[float, float]:
+    """A preloaded probe on its seat: value, and J' v, of the constraint of D's length."""
+    length, ex, ey, rate_x, rate_y = spring_vector(z, c)
+    cS, sS = math.cos(z[2]), math.sin(z[2])
+    cC, sC = math.cos(z[5]), math.sin(z[5])
+    cP, sP = math.cos(z[8]), math.sin(z[8])
+    L, r = 2.0 * c.half_cylinder, c.rear_behind
+    J[0], J[1], J[2] = -ex, -ey, c.a * (sS * ex - cS * ey)
+    J[5] = L * (cC * ey - sC * ex)
+    J[6], J[7], J[8] = ex, ey, r * (sP * ex - cP * ey)
+    turning = (ex * rate_y - ey * rate_x) ** 2 / length
+    turning += r * z[20] ** 2 * (ex * cP + ey * sP) + c.a * z[14] ** 2 * (ex * cS + ey * sS)
+    return length - c.l_0, turning - L * z[17] ** 2 * (ex * cC + ey * sC)
+
+
+@compiled
+def strike(z: np.ndarray, c: Constants) -> np.ndarray:
+    """The rates (12,) after a plastic impact of the probe on its seat."""
+    n, W = 5, c.inverse_mass
+    b, J, M = np.zeros(n), np.zeros((n, 12)), np.zeros((n, n))
+    constraints(z, c, np.zeros(n), np.zeros(n), J)
+    seat(z, c, J[4])
+    for k in range(n):
+        for j in range(12):
+            b[k] += J[k, j] * z[12 + j]
+            for i in range(n):
+                M[k, i] += J[k, j] * W[j] * J[i, j]
+    solve(M, b, n)
+    rates = z[12:24].copy()
+    for j in range(12):
+        for k in range(n):
+            rates[j] -= W[j] * J[k, j] * b[k]
+    return rates
+
+
+@compiled
 def applied(
     z: np.ndarray, c: Constants, touching: np.ndarray, chi: np.ndarray, sliding: np.ndarray
 ) -> np.ndarray:
@@ -306,17 +361,12 @@ def applied(
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
     cP, sP = math.cos(z[8]), math.sin(z[8])
-    # axial spring and damper: D of eq. (8), from the cylinder's rear to the probe's
+    # axial spring and damper act along D
     L, r = 2.0 * c.half_cylinder, c.rear_behind
-    Dx = z[6] - r * cP - (z[0] + c.a * cS - L * cC)
-    Dy = z[7] - r * sP - (z[1] + c.a * sS - L * sC)
-    rate_x = z[18] + r * sP * z[20] - (z[12] - c.a * sS * z[14] + L * sC * z[17])
-    rate_y = z[19] - r * cP * z[20] - (z[13] + c.a * cS * z[14] - L * cC * z[17])
-    length = math.hypot(Dx, Dy)
-    ex, ey = Dx / length, Dy / length
+    length, ex, ey, rate_x, rate_y = spring_vector(z, c)
     longer, lengthening = length - c.l_0, ex * rate_x + ey * rate_y
     damping = (c.c_A_rebound if lengthening > 0.0 else c.c_A) + c.c_A2 * abs(lengthening)
-    pull = (c.k_A + c.k_A3 * longer**2) * longer + damping * lengthening
+    pull = (c.k_A + c.k_A3 * longer**2) * longer + damping * lengthening - c.preload
     turned, turning = z[5] - z[2], z[17] - z[14]
     torque = (c.k_T + c.k_T3 * turned**2) * turned + (c.c_T + c.c_T2 * abs(turning)) * turning
     Q[0], Q[1] = pull * ex, pull * ey
@@ -346,11 +396,12 @@ def accelerations(
     chi: np.ndarray,
     sliding: np.ndarray,
     resting: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Accelerations (12,) of the four bodies, and what holds them.
 
-    That is the wrench on either vehicle without its supports, (2, 3), and the force that holds a
-    sticking tip on either wall, (2,), N.  A resting vehicle is one of infinite mass.
+    That is the wrench on either vehicle without its supports, (2, 3), the force that holds a
+    sticking tip on either wall, (2,), and that of the seat on the probe, inwards, N.  A resting
+    vehicle is one of infinite mass; the third of ``resting`` is the probe on its seat.
     """
     Q, W = applied(z, c, touching, chi, sliding), c.inverse_mass.copy()
     held = np.zeros((2, 3))
@@ -371,7 +422,7 @@ def accelerations(
             Q[k] -= g * ux
             Q[k + 1] -= g * uy
             Q[k + 2] -= g * (rx * uy - ry * ux)
-    phi, b, J, M = np.zeros(6), np.zeros(6), np.zeros((6, 12)), np.zeros((6, 6))
+    phi, b, J, M = np.zeros(7), np.zeros(7), np.zeros((7, 12)), np.zeros((7, 7))
     constraints(z, c, phi, b, J)
     n, sticking = 4, [0, 0]
     for wall in range(2):
@@ -379,6 +430,10 @@ def accelerations(
             b[n] = no_slip(z, c, wall, J[n])
             sticking[wall] = n
             n += 1
+    seated = n
+    if resting[2]:
+        phi[n], b[n] = seat(z, c, J[n])
+        n += 1
     for k in range(n):
         rate = 0.0
         for j in range(12):
@@ -403,7 +458,7 @@ def accelerations(
     for wall in range(2):
         if sticking[wall]:
             friction[wall] = -b[sticking[wall]]
-    return acc, held, friction
+    return acc, held, friction, b[seated]
 
 
 def motion(
@@ -468,6 +523,7 @@ class MaximalRun:
 
     touches: list[Touch] = field(default_factory=list)
     moving: list[float] = field(default_factory=list)  # when the target left its rest
+    seat: list[float] = field(default_factory=list)  # when the probe left its seat, came back, ...
     q: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)
     impulse: list[np.ndarray] = field(default_factory=list)
@@ -534,8 +590,11 @@ class MaximalBench:
         self.touching = np.zeros(2, dtype=bool)
         self.chi = np.zeros(2)
         self.sliding = np.ones(2)  # Coulomb's law: sign of the slip, 0 where the tip sticks
-        self.resting = np.array([False, scene.supports is not None and not np.any(v[5:])])
+        # chaser, target, and the preloaded probe on its seat
+        at_rest = scene.supports is not None and not np.any(v[5:])
+        self.resting = np.array([False, at_rest, self.c.preload > 0.0])
         self.open: list[Touch | None] = [None, None]
+        self.seat_length = self.c.l_0  # of the spring when the probe left its seat, m
         self.wanted: list[float] = []
         self.ends = np.zeros((26, 2))  # states at both ends of the present step
         self.run = MaximalRun()
@@ -543,8 +602,8 @@ class MaximalBench:
     def _rate(self, t: float, z: np.ndarray) -> np.ndarray:
         return motion(z, self.c, self.touching, self.chi, self.sliding, self.resting)
 
-    def _reactions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches that hold the vehicles (2, 3) and friction that holds the tip (2,)."""
+    def _reactions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Wrenches that hold the vehicles (2, 3), friction on the tip (2,), force of the seat."""
         state = (self.touching, self.chi, self.sliding, self.resting)
         return accelerations(z, self.c, *state)[1:]
 
@@ -558,6 +617,46 @@ class MaximalBench:
             return slip(z, self.c, wall) * float(self.sliding[wall])
         normal, _ = contact_force(z, self.c, wall, self.chi[wall], 0.0)
         return self.c.mu_s * normal - abs(float(self._reactions(z)[1][wall]))
+
+    def _seat_margin(self, z: np.ndarray) -> float:
+        """Force of the seat, N, or the distance to it, m."""
+        if self.resting[2]:
+            return self._reactions(z)[2]
+        return self.seat_length - spring_vector(z, self.c)[0]
+
+    def _seat_change(self, dense: DenseWhenAsked, t_a: float, t_b: float) -> float | None:
+        """First time in a step when the probe leaves its seat or meets it."""
+        times = t_a + PLACES * (t_b - t_a)
+        margins = [self._seat_margin(dense(t)) for t in times]
+        for k in range(1, times.size):
+            if margins[k] < -(0.0 if self.resting[2] else SEAT_ROUNDING):
+                low, high = times[k - 1], times[k]
+                if margins[k - 1] <= 0.0:
+                    inside = low + (high - low) * np.logspace(-9, 0, 40)
+                    ahead = [t for t in inside if self._seat_margin(dense(t)) > 0.0]
+                    if not ahead:
+                        return float(low)
+                    low = ahead[-1]
+                how = {"xtol": 1e-17, "rtol": 1e-15}
+                return float(brentq(lambda t: self._seat_margin(dense(t)), low, high, **how))
+        return None
+
+    def _change_seat(self) -> None:
+        """Leave the seat, or strike it; a tip may slide the other way then."""
+        self.run.seat.append(self.t)
+        self.resting[2] = not self.resting[2]
+        if not self.resting[2]:
+            # not l_0: what the constraint has drifted would be a distance
+            self.seat_length = spring_vector(self.z, self.c)[0]
+            return
+        self.z[12:24] = strike(self.z, self.c)
+        for wall in range(2):
+            moving = slip(self.z, self.c, wall)
+            if self.touching[wall] and self.c.friction == FRICTION["coulomb"] and moving != 0.0:
+                self.sliding[wall] = math.copysign(1.0, moving)
+        if self._reactions(self.z)[2] <= 0.0:
+            self.run.seat.append(self.t)
+            self.resting[2] = False
 
     def _friction_change(
         self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int
@@ -689,6 +788,10 @@ class MaximalBench:
                 at = self._friction_change(dense, t_a, t_b, wall)
                 if at is not None and (at < first or happening is None):
                     first, happening = at, 3 + wall
+        if self.c.preload > 0.0:
+            at = self._seat_change(dense, t_a, t_b)
+            if at is not None and (at < first or happening is None):
+                first, happening = at, 5
         if self.resting[1] and self.touching.any() and self._load(dense(first)) > 1.0:
             first = brentq(lambda t: self._load(dense(t)) - 1.0, t_a, first, xtol=1e-16)
             happening = 2
@@ -709,6 +812,8 @@ class MaximalBench:
         if happening == 2:
             self.resting[1] = False
             self.run.moving.append(self.t)
+        elif happening == 5:
+            self._change_seat()
         elif happening >= 3:
             self._change_friction(happening - 3)
         elif self.touching[happening]:

@@ -8,6 +8,7 @@ from random_scenes import wide_scenes
 
 from capture_sim import load_scene, simulate
 from capture_sim.samples import EventKind
+from capture_sim.scene.paths import changed
 
 #: Scene, overrides, and times to compare at (s): each kind of contact in turn.
 CASES = {
@@ -28,6 +29,17 @@ CASES = {
         ],
         (0.1, 0.35),
     ),
+    "preloaded": ("paper_designed", ["buffer.preload=20"], (0.02, 0.05)),
+    "preloaded and sticking": (
+        "paper_designed",
+        ["buffer.preload=20", "friction.law=coulomb", "friction.mu=1.5"],
+        (0.02, 0.05),
+    ),
+    "preloaded, of the real kind": (
+        "paper_designed",
+        ["buffer.preload=3", "buffer.k_A3=2.0e+6", "buffer.c_A2=150", "buffer.c_A_rebound=40"],
+        (0.1, 0.3),
+    ),
     # soft, fast and askew: the tip runs into the throat and hammers both inner edges
     "inner edges": (
         "paper_designed",
@@ -39,6 +51,8 @@ CASES = {
         (0.05, 0.08),
     ),
 }
+
+SEAT = (EventKind.SEATED, EventKind.UNSEATED)
 
 #: Random benches by their number: laws of contact and friction.
 LAWS = {
@@ -62,6 +76,8 @@ def agree(found, other, times, exact):
     starts = [e for e in found.events if e.kind is EventKind.TOUCH and e.t < times[-1]]
     assert [e.wall for e in starts] == [touch.side for touch in other.touches]
     assert [e.t for e in starts] == pytest.approx([t.start for t in other.touches], abs=10 * exact)
+    seat = [e.t for e in found.events if e.kind in SEAT and e.t < times[-1]]
+    assert seat == pytest.approx(other.seat, abs=1e3 * exact)
     over = found.touches[found.touches["end"] < times[-1]]
     ended = {(t.side, round(t.start, 8)): t for t in other.touches if np.isfinite(t.end)}
     assert len(over) == len(ended)
@@ -97,6 +113,17 @@ def test_maximal_coordinates_agree_on_random_benches(number):
     agree(found, other.advance(list(times)), times, exact=1e-11)
     kinds = {event.kind for event in found.events}
     assert ({EventKind.STICK, EventKind.SLIP} <= kinds) == (number == 4)
+
+
+@pytest.mark.parametrize("number, preload", [(3, 2.0), (4, 20.0), (9, 30.0)])
+def test_maximal_coordinates_agree_on_random_preloaded_benches(number, preload):
+    scene = changed(wide_scenes(number + 1)[number], "buffer.preload", preload)
+    touch = first_touch(scene)
+    times = (touch + 1e-3, touch + 0.03)
+    found = run(scene, np.array(times), 1e-12)
+    other = MaximalBench(scene, 0.0, *scene.initial_coordinates(), rtol=1e-13, atol=1e-14)
+    agree(found, other.advance(list(times)), times, exact=1e-11)
+    assert other.run.seat
 
 
 def test_maximal_coordinates_agree_on_the_floor():

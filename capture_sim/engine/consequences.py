@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 
-from capture_sim.engine.events import is_slow, ratio_of_limit
+from capture_sim.engine.events import SLIP_FLOOR, is_slow, ratio_of_limit
 from capture_sim.engine.state import NO_EVENT
 from capture_sim.kernels import kernel
+from capture_sim.model.contact import COULOMB, normal_force
 from capture_sim.model.equations import (
     HYSTERESIS,
     IMPULSE,
     N_STATE,
     NO_TOUCH,
     ROLLING,
+    STOP,
     accelerate_sticking,
     balance,
     gap_and_rate,
     slip_of,
+    strike_seat,
     tip_in_cone,
 )
 from capture_sim.model.observe import elastic_contact_energy, kinetic_energy
@@ -178,6 +181,51 @@ def latch_tip(w):
 
 
 @kernel
+def follow_jump(w, i):
+    """Let a touch of wall ``i`` follow rates that have changed at once.
+
+    A finite friction cannot keep a tip from slipping then.
+    """
+    step, par, y = w.step, w.system.par, w.stepper.y
+    touch = w.system.mode.touch[i]
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
+    touch.largest_rate = max(touch.largest_rate, -rate)
+    force, _ = normal_force(-gap, -rate, par.K, touch.chi)
+    if force > touch.peak_force:
+        touch.peak_force = force
+        touch.peak_time = step.t0
+    slip = slip_of(y, par, i)
+    if par.friction_law != COULOMB or abs(slip) <= SLIP_FLOOR * par.speed_scale:
+        return
+    if touch.sticking or slip * touch.direction < 0.0:
+        touch.sticking = 0
+        touch.direction = 1.0 if slip > 0.0 else -1.0
+        e = log_event(w, EventKind.SLIP)
+        e.wall = 1 - 2 * i
+        e.value = math.inf
+
+
+@kernel
+def seat_probe(w):
+    """Bring the probe to rest on its seat, which takes a held chaser off its supports."""
+    mode, par, y = w.system.mode, w.system.par, w.stepper.y
+    log_event(w, EventKind.SEATED).value = y[12]
+    y[4] = par.h_0
+    mode.seated = 1
+    if y[12] == 0.0:
+        return
+    y[STOP] += strike_seat(y, par)
+    w.step.start_measured = 0
+    for i in range(2):
+        if mode.touch[i].on:
+            follow_jump(w, i)
+    if mode.rest_S:
+        mode.rest_S = 0
+        log_event(w, EventKind.MOVING).wall = 1
+
+
+@kernel
 def draw_consequences(w):
     """Do what the event at the end of a step asks for; the state is the one there."""
     mode, y, slow = w.system.mode, w.stepper.y, w.progress.slow
@@ -215,3 +263,9 @@ def draw_consequences(w):
         e.wall = which
         e.value = y[12]
         mode.stop = which if kind == EventKind.STOP_HIT else 0
+    elif kind == EventKind.SEATED:
+        seat_probe(w)
+    elif kind == EventKind.UNSEATED:
+        mode.seated = 0
+        w.progress.unseated_at_t0 = 1
+        log_event(w, EventKind.UNSEATED).value = w.system.par.preload

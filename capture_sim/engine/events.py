@@ -5,12 +5,16 @@ step is kept so short near them that value and rate at its ends, and a cubic thr
 every dip.  Conditions without a rate (stick and slip, a vehicle set moving or slowing down) are
 looked for at the quarters and at the end of a step; one that comes and goes within a quarter is
 passed over, and with it a change of force that the error control has found too small to matter.
+A preloaded probe leaves its seat where the load on it, which has a rate by a small move along the
+motion, reaches the preload: the cubic through load and rate decides whether a step is looked into.
 """
 
 from __future__ import annotations
 
+import math
+
 from capture_sim.engine.state import NO_EVENT, NO_WALL
-from capture_sim.engine.steps import distances, state_inside
+from capture_sim.engine.steps import SMALL_MOVE, distances, move, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import COULOMB
 from capture_sim.model.equations import accelerate_sticking, balance, slip_acceleration, slip_of
@@ -30,7 +34,7 @@ _ROUNDING = 4e-16
 #: Newton's last step: below this share of the place the next one is below rounding.
 _NEWTON_DONE = 1e-9
 #: Of the scene's speed: slip below it is rounding's, without direction.
-_SLIP_FLOOR = 1e-10
+SLIP_FLOOR = 1e-10
 #: Of v_eps: below it a vehicle may be put at rest; see docs/model.md, supports.
 _REST_SPEED = 5.0
 #: Of the way from an event to the end of a step taken again: how far before that end it is sought.
@@ -53,6 +57,8 @@ def event_value(y, par, kind, which):
     if kind == EventKind.STOP_LEFT:
         g, d = stop_distance(y, par, which)
         return -g, -d
+    if kind == EventKind.SEATED:
+        return par.h_0 - y[4], -y[12]
     g0, d0, g1, d1, g2, d2, _ = distances(y, par)
     if kind == EventKind.LATCHED:
         return g2, d2
@@ -146,11 +152,11 @@ def first_crossing(w, kind, which):
                 high_b, high_g, high_d = x_m, g_m, d_m
         if high_g < 0.0:
             # the bracket must start above zero: what has just been left starts at it and rises
-            if low_g == 0.0 or low_d > 0.0:
+            if low_g == 0.0:
                 trial = low_a + 0.5 * (high_b - low_a)
                 for _ in range(60):
                     g_t, _ = value_inside(w, trial, kind, which)
-                    if g_t > low_g:
+                    if g_t > 0.0:
                         break
                     high_b = trial
                     trial = low_a + 0.5 * (trial - low_a)
@@ -198,14 +204,62 @@ def slip_margin(y, system, i):
     """
     par, mode, out = system.par, system.mode, system.out
     if not mode.touch[i].sticking:
-        return slip_of(y, par, i) * mode.touch[i].direction + _SLIP_FLOOR * par.speed_scale
+        return slip_of(y, par, i) * mode.touch[i].direction + SLIP_FLOOR * par.speed_scale
     accelerate_sticking(y, system.spare[0], system)
     return par.mu_s * out.normal[i] - abs(out.friction_force[i])
 
 
 @kernel
+def seat_load(y, system):
+    """Return the axial force of a seated probe, N; above the preload it leaves its seat."""
+    balance(y, system.spare[0], system)
+    return system.out.axial_force
+
+
+@kernel
+def measure_seat(w):
+    """Write a seated probe's load and its rate at both ends of the step."""
+    step, stepper, system = w.step, w.stepper, w.system
+    load, rate, mode = step.seat_load, step.seat_load_rate, system.mode
+    load[0] = seat_load(stepper.y, system)
+    load[1] = seat_load(stepper.y_new, system)
+    if mode.touch[0].on or mode.touch[1].on or mode.latched:
+        small, near = SMALL_MOVE * step.h, stepper.y_stage
+        move(stepper.y, stepper.K[0], small, 0, near)
+        rate[0] = (seat_load(near, system) - load[0]) / small
+        move(stepper.y_new, stepper.K[stepper.stages], -small, 0, near)
+        rate[1] = (load[1] - seat_load(near, system)) / small
+    else:
+        rate[0] = rate[1] = (load[1] - load[0]) / step.h
+
+
+@kernel
+def where_seat_is_left(w):
+    """Return a place (0..1) in the step by which a probe has left its seat; 2: none."""
+    step, preload = w.step, w.system.par.preload
+    start, end = preload - step.seat_load[0], preload - step.seat_load[1]
+    if start <= 0.0 and w.progress.unseated_at_t0:
+        # seated again at once: what lifts it is rounding's
+        return _NOWHERE
+    rate_a, rate_b = -step.h * step.seat_load_rate[0], -step.h * step.seat_load_rate[1]
+    if end > 0.0 and not may_cross(max(start, 0.0), rate_a, end, rate_b, _CUBIC_OFF):
+        return _NOWHERE
+    place, _ = cubic_minimum(start, rate_a, end, rate_b)
+    earliest = 1.0 if end <= 0.0 else _NOWHERE
+    for k in range(4):
+        x = 0.25 * (k + 1) if k < 3 else place
+        if 0.0 < x < earliest:
+            state_inside(w, x)
+            if seat_load(w.y_x, w.system) >= preload:
+                earliest = x
+    return earliest
+
+
+@kernel
 def holds(y, system, kind, which):
-    """Return whether one of the conditions without a rate holds: MOVING, AT_REST or STICK."""
+    """Return whether a condition without a rate holds: MOVING, AT_REST, STICK or UNSEATED."""
+    if kind == EventKind.UNSEATED:
+        return seat_load(y, system) >= system.par.preload
     if kind == EventKind.MOVING:
         balance(y, system.spare[0], system)
         return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
@@ -301,13 +355,27 @@ def search_step(w):
                         note_event(w, x, EventKind.STICK, i)
     if par.has_stops:
         for side in (-1, 1):
-            if mode.stop == -side:
+            if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
                 continue
             kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
             g_a, d_a = event_value(w.stepper.y, par, kind, side)
             g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
             if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_OFF):
                 note_event(w, first_crossing(w, kind, side), kind, side)
+    if mode.seated:
+        measure_seat(w)
+        x = where_seat_is_left(w)
+        if x <= 1.0:
+            x = first_holding(w, EventKind.UNSEATED, NO_WALL, x)
+            note_event(w, x, EventKind.UNSEATED, NO_WALL)
+    elif par.preload > 0.0:
+        kind = EventKind.SEATED
+        g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
+        # a probe that has just left its seat goes as t^3: the dip of a cubic is the cubic's then
+        has_just_left = g_a <= 0.0 and d_a == 0.0
+        if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_OFF)):
+            note_event(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
@@ -328,7 +396,7 @@ def search_again(w, kind, which, x):
     event, par = w.event, w.system.par
     x_a = 1.0 - _NEARBY * (1.0 - x)
     has_distance = kind != EventKind.STICK and kind != EventKind.MOVING
-    if has_distance and kind != EventKind.AT_REST:
+    if has_distance and kind != EventKind.AT_REST and kind != EventKind.UNSEATED:
         g_b, _ = event_value(w.stepper.y_new, par, kind, which)
         if g_b < 0.0:
             g_a, _ = value_inside(w, x_a, kind, which)

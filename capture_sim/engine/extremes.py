@@ -13,11 +13,11 @@ from enum import IntEnum
 
 import numpy as np
 
-from capture_sim.engine.steps import distances, state_inside
+from capture_sim.engine.events import seat_load
+from capture_sim.engine.steps import SMALL_MOVE, distances, move, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import normal_force
 from capture_sim.model.equations import (
-    N_STATE,
     axial_force,
     gap_acceleration,
     gap_and_rate,
@@ -37,8 +37,6 @@ _BRACKET, _PARABOLAS, _NEAREST = 0.25, 0.05, 1e-6
 _CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
 #: Of the rates at a touch's ends and middle: how much larger one inside may be.
 _RATE_RISE = 1.0
-#: Of the step: a move along the motion that shows a rate.
-_SMALL_MOVE = 1e-4
 
 
 class Watched(IntEnum):
@@ -50,7 +48,7 @@ class Watched(IntEnum):
     PENETRATION = 3  # of the wall on that side
     PENETRATION_RATE = 4
     NORMAL_FORCE = 5
-    BUFFER_FORCE = 6  # of spring, damper and stop; -1 pulling, +1 pushing the probe out
+    BUFFER_FORCE = 6  # of spring, damper, stop and seat; -1 pulling, +1 pushing the probe out
     BUFFER_TORQUE = 7  # either sense
     LATCH_FORCE = 8
 
@@ -67,8 +65,10 @@ NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
 
 @kernel
 def buffer_force_at(y, system):
-    """Return the force of the axial spring, its damper and a stop on the probe, N."""
+    """Return the force of the axial spring, its damper, a stop and the seat on the probe, N."""
     par, stop = system.par, system.mode.stop
+    if system.mode.seated:
+        return seat_load(y, system)
     stroke, rate = y[4] - par.h_0, y[12]
     force, _ = axial_force(stroke, rate, par)
     if stop:
@@ -263,8 +263,8 @@ def watch_touch(w, i):
         if step.x_end == 1.0:
             a_b = -gap_acceleration(w.y_end, stepper.K[stepper.stages], w.system.par, i)
         else:
-            before = value_at(w, (1.0 - _SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
-            a_b = (r_b - before) / (_SMALL_MOVE * width)
+            before = value_at(w, (1.0 - SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
+            a_b = (r_b - before) / (SMALL_MOVE * width)
         _, touch.largest_rate = rise_inside(
             w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
         )
@@ -285,46 +285,45 @@ def watch_touch(w, i):
 
 
 @kernel
-def move_buffer(y, f, t, latched, moved):
-    """Write the state a small time ``t`` later: all of it if latched, else the buffer's part."""
-    if latched:
-        for k in range(N_STATE):
-            moved[k] = y[k] + t * f[k]
-    else:
-        for k in range(2, 5):
-            moved[k] = y[k] + t * f[k]
-            moved[8 + k] = y[8 + k] + t * f[8 + k]
-
-
-@kernel
 def watch_loads(w):
     """Keep forces and torques of buffer and latch over the segment that ends."""
     step, stepper, system = w.step, w.stepper, w.system
-    y_a, y_b, par, small = stepper.y, w.y_end, system.par, _SMALL_MOVE * step.h
-    # rates by small moves along the motion: they only decide where to look
-    near = stepper.y_stage
-    move_buffer(y_a, stepper.K[0], small, system.mode.latched, near)
-    force_a, torque_a = buffer_force_at(y_a, system), buffer_torque_at(y_a, par)
-    force_rate_a = (buffer_force_at(near, system) - force_a) / small
-    torque_rate_a = (buffer_torque_at(near, par) - torque_a) / small
+    mode, par, small = system.mode, system.par, SMALL_MOVE * step.h
+    y_a, y_b, near = stepper.y, w.y_end, stepper.y_stage
+    first = 0 if mode.latched else 2  # the buffer depends on neither place nor speed of the chaser
     latch_a = latch_rate_a = 0.0
-    if system.mode.latched:
+    # rates by small moves along the motion: they only decide where to look
+    move(y_a, stepper.K[0], small, first, near)
+    torque_a = buffer_torque_at(y_a, par)
+    torque_rate_a = (buffer_torque_at(near, par) - torque_a) / small
+    if mode.latched:
         latch_a = latch_force_at(y_a, system)
         latch_rate_a = (latch_force_at(near, system) - latch_a) / small
-    if step.x_end == 1.0:
-        move_buffer(y_b, stepper.K[stepper.stages], -small, system.mode.latched, near)
+    if mode.seated:
+        force_a, force_rate_a = step.seat_load[0], step.seat_load_rate[0]
     else:
-        state_inside(w, step.x_end - _SMALL_MOVE)
+        force_a = buffer_force_at(y_a, system)
+        force_rate_a = (buffer_force_at(near, system) - force_a) / small
+    if step.x_end == 1.0:
+        move(y_b, stepper.K[stepper.stages], -small, first, near)
+    else:
+        state_inside(w, step.x_end - SMALL_MOVE)
         near = w.y_x
-    force_b, torque_b = buffer_force_at(y_b, system), buffer_torque_at(y_b, par)
-    force_rate_b = (force_b - buffer_force_at(near, system)) / small
+    torque_b = buffer_torque_at(y_b, par)
     torque_rate_b = (torque_b - buffer_torque_at(near, par)) / small
-    if system.mode.latched:
+    if mode.seated and step.x_end == 1.0:
+        force_b, force_rate_b = step.seat_load[1], step.seat_load_rate[1]
+    else:
+        force_b = buffer_force_at(y_b, system)
+        force_rate_b = (force_b - buffer_force_at(near, system)) / small
+    if mode.latched:
         latch_b = latch_force_at(y_b, system)
         latch_rate_b = (latch_b - latch_force_at(near, system)) / small
         watch(
             w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, latch_rate_a, latch_b, latch_rate_b
         )
+    # an impact, or a stop with a damper, changes the force at once
+    keep(w.totals, mode.latched, BUFFER_FORCE, abs(force_a), step.t0)
     for side in (-1.0, 1.0):
         a, d_a, b, d_b = side * force_a, side * force_rate_a, side * force_b, side * force_rate_b
         watch(w, Watched.BUFFER_FORCE, side, BUFFER_FORCE, a, d_a, b, d_b)

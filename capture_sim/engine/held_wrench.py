@@ -1,9 +1,10 @@
 """Motion with a wrench on the tip from outside the model, or with a law of the walls.
 
 For hardware in the loop: steps of fixed length.  The wrench from outside is held over a step; the
-law of the walls is evaluated at every stage of every Runge-Kutta step.  Stroke stops and the latch
-are met where their distance passes zero: the Runge-Kutta step ends there, inside the step of the
-loop, before its result is sent.
+law of the walls is evaluated at every stage of every Runge-Kutta step.  Stroke stops, the seat of a
+preloaded probe and the latch are met where their distance passes zero, and the seat is left where
+the load on it reaches the preload: the Runge-Kutta step ends there, inside the step of the loop,
+before its result is sent.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from capture_sim.model.equations import (
     gap_and_rate,
     rate_of_change,
     slip_speed,
+    strike_seat,
     tip_in_cone,
 )
 from capture_sim.model.observe import kinetic_energy
@@ -130,14 +132,23 @@ def _has_come(before, y, system, event, which):
 
 
 @kernel
-def _next_event(before, y, system):
-    """Return what has come between two states: an event and its stop; -1 if nothing has."""
+def _next_event(before, y, spare, system, law, fx, fy, torque):
+    """Return what has come between two states: an event and its stop; -1 if nothing has.
+
+    ``spare`` (N_LOOP,) is overwritten.
+    """
     par, mode = system.par, system.mode
+    if mode.seated:
+        _rate(y, spare, system, law, fx, fy, torque)
+        if system.out.axial_force > par.preload:
+            return EventKind.UNSEATED, 0
+    elif par.preload > 0.0 and _has_come(before, y, system, EventKind.SEATED, 0):
+        return EventKind.SEATED, 0
     if par.has_latch and not mode.latched and _has_come(before, y, system, EventKind.LATCHED, 0):
         return EventKind.LATCHED, 0
     if par.has_stops:
         for side in (-1, 1):
-            if mode.stop == -side:
+            if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
                 continue
             event = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
             if _has_come(before, y, system, event, side):
@@ -147,16 +158,18 @@ def _next_event(before, y, system):
 
 #: Halvings that locate an event: to rounding of the place in a Runge-Kutta step.
 _HALVINGS = 50
+#: Events located within one Runge-Kutta step: bounds its cost.
+_MOST_EVENTS = 8
 
 
 @kernel
 def _meet(y, stages, system, law, h, fx, fy, torque):
-    """Go one Runge-Kutta step, cut where a stop or the latch is met; return its length, s."""
-    before = stages[5]
+    """Go one Runge-Kutta step, cut at an event of buffer or latch; return its length, s."""
+    before, spare = stages[5], stages[4]
     for i in range(y.shape[0]):
         before[i] = y[i]
     _runge_kutta(y, stages, system, law, h, fx, fy, torque)
-    event, which = _next_event(before, y, system)
+    event, which = _next_event(before, y, spare, system, law, fx, fy, torque)
     if event < 0:
         return h
     low, high = 0.0, h
@@ -165,7 +178,7 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
         for i in range(y.shape[0]):
             y[i] = before[i]
         _runge_kutta(y, stages, system, law, middle, fx, fy, torque)
-        earlier, its = _next_event(before, y, system)
+        earlier, its = _next_event(before, y, spare, system, law, fx, fy, torque)
         if earlier >= 0:
             high, event, which = middle, earlier, its
         else:
@@ -179,6 +192,12 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
         mode.latched = 1
         mode.latch_x = px
         mode.latch_y = py
+    elif event == EventKind.UNSEATED:
+        mode.seated = 0
+    elif event == EventKind.SEATED:
+        mode.seated = 1
+        y[4] = system.par.h_0
+        y[STOP] += strike_seat(y, system.par)
     else:
         mode.stop = which if event == EventKind.STOP_HIT else 0
     return high
@@ -216,11 +235,21 @@ def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
     law = laws[0]
     for k in range(trace.shape[0]):
         left = h
+        events = 0
         while left > 0.0:
             _rate(y, stages[0], system, law, fx, fy, torque)
+            is_lifted = system.mode.seated and system.out.axial_force > system.par.preload
+            if is_lifted and events < _MOST_EVENTS:
+                system.mode.seated = 0
+                _rate(y, stages[0], system, law, fx, fy, torque)
             if left == h:
                 _note(y, trace[k], system)
-            left -= _meet(y, stages, system, law, left, fx, fy, torque)
+            if events < _MOST_EVENTS:
+                left -= _meet(y, stages, system, law, left, fx, fy, torque)
+                events += 1
+            else:
+                _runge_kutta(y, stages, system, law, left, fx, fy, torque)
+                left = 0.0
         trace[k, ENERGY] = _energy(y, system, law)
 
 

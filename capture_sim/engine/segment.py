@@ -7,7 +7,7 @@ import math
 from capture_sim.engine.consequences import draw_consequences
 from capture_sim.engine.events import ratio_of_limit, search_again, search_step
 from capture_sim.engine.extremes import watch_extremes, watch_loads
-from capture_sim.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
+from capture_sim.engine.state import NO_EVENT, NO_WALL, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
@@ -38,10 +38,20 @@ _NEAR_END, _PAST_EVENT = 0.95, 1.02
 
 @kernel
 def begin_equations(w):
-    """Evaluate equations that have changed; True if a vehicle is torn loose at once by them."""
+    """Evaluate equations that have changed; True if they tear something loose at once.
+
+    That is the probe from its seat, or a vehicle from its supports.
+    """
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
     step.equations_changed = 0
+    is_lifted = mode.seated and w.system.out.axial_force > w.system.par.preload
+    if is_lifted and not w.progress.unseated_at_t0:
+        step.h = 0.0
+        step.t1 = step.t0
+        event.kind = EventKind.UNSEATED
+        event.which = NO_WALL
+        return True
     if w.system.par.has_supports:
         # a change of forces may ask more of the supports at once than they can hold
         for which in range(2):
@@ -168,15 +178,16 @@ def close_step(w, trace):
     """
     step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
     if step.h > 0.0:
-        watch_extremes(w)
-        watch_loads(w)
+        if step.t1 > step.t0:
+            watch_extremes(w)
+            watch_loads(w)
         for i in range(N_TOTAL):
             stepper.y[i] = w.y_end[i]
         if step.x_end < 1.0:
             step.equations_changed = 1
         advance_distances(step)
     if step.t1 > step.t0 + SMALLEST_STEP:
-        progress.events_at_t0 = 0
+        progress.events_at_t0 = progress.unseated_at_t0 = 0
     else:
         progress.events_at_t0 += 1
     step.t0 = step.t1

@@ -72,6 +72,8 @@ STEP = np.dtype(
         ("start", DISTANCES),
         ("start_measured", "i8"),  # ``start`` belongs to t0
         ("hold", "f8", (6,)),  # what the supports must hold at the end of the step
+        ("seat_load", "f8", (2,)),  # axial force of a seated probe at both ends of the step, N
+        ("seat_load_rate", "f8", (2,)),  # N/s
         ("end", DISTANCES),
     ],
     align=True,
@@ -122,6 +124,7 @@ PROGRESS = np.dtype(
         ("status", "i8"),  # of Status
         ("t_stop", "f8"),
         ("events_at_t0", "i8"),  # in a row, without progress
+        ("unseated_at_t0", "i8"),  # the probe has left its seat at the present time
         ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
         ("n_log", "i8"),
         ("n_trace", "i8"),

@@ -27,6 +27,8 @@ _DEPTH_SHARE = 0.03
 _BEYOND_END = 1.01
 #: Of the tip's radius, or the latch's: closer than this to a wall, a step is no longer than it.
 _NEAR = 0.25
+#: Of the step: a move along the motion that shows a rate.
+SMALL_MOVE = 1e-4
 #: A multiple of the fixed step is reached to this share of it, whatever rounding does to the time.
 _ON_GRID = 1e-9
 #: From this share of a fixed step on it is a whole one, not what an event has left of one.
@@ -40,6 +42,13 @@ def state_inside(w, x):
     """Write the state (16,) at the fraction ``x`` of the present step into ``w.y_x``."""
     make_dense(w)
     dense(w.stepper, x, w.y_x, N_STATE)
+
+
+@kernel
+def move(y, f, t, first, moved):
+    """Write coordinates and rates from ``first`` on after a small time ``t``, by their rates."""
+    for i in range(first, N_STATE):
+        moved[i] = y[i] + t * f[i]
 
 
 @kernel
@@ -118,9 +127,11 @@ def step_length(w):
     h = min(step.h_next, _BEYOND_END * (w.progress.t_stop - step.t0))
     if step.start.tip_speed > 0.0:
         h = min(h, path_to_events(w) / step.start.tip_speed)
-    if par.has_stops:
+    if (par.has_stops or par.preload > 0.0) and not w.system.mode.seated:
         # the spring is stiffest at a stop
-        stroke = max(-par.stop_compressed, par.stop_extended)
+        stroke = max(-par.stop_compressed, abs(w.stepper.y[4] - par.h_0))
+        if par.stop_extended < math.inf:
+            stroke = max(stroke, par.stop_extended)
         stiffness = par.k_A + 3.0 * par.k_A3 * stroke * stroke
         if stiffness > 0.0:
             h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / stiffness))

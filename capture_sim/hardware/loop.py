@@ -101,7 +101,7 @@ class Loop:
         self._threshold = threshold
         self._walls = Walls(stage.scene)
         WallLaw(1.0, damping=1.0).restitution(1.0)  # loads what it needs, not within a step
-        self._tip_mass = min(stage.effective_mass(1.0, 0.0), stage.effective_mass(0.0, 1.0))
+        self._tip_mass = min(stage.effective_mass(-1.0, 0.0), stage.effective_mass(0.0, 1.0))
         self.answers = Answers(limits)
         self.pose = stage.tip  # to be sent
         self._sent = {0: self.pose}

@@ -88,7 +88,10 @@ def check_scene(scene: Scene) -> LaunchPlan:
     SceneError
         The scene breaks a rule; the message names the first one.
     """
-    rules = (_contact, _friction, _throat, _rates, _start, _supports, _rail, _string, _latch)
+    rules = (
+        *(_contact, _friction, _throat, _stops, _rates),
+        *(_start, _supports, _rail, _string, _latch),
+    )
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
             for rule in rules:
@@ -120,6 +123,13 @@ def _throat(scene: Scene) -> None:
         raise refuse("cone.R_c", R_c, "m", f">= {R_t:g}, {why}")
     if rest_length is not None and rest_length <= R_t:
         raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
+
+
+def _stops(scene: Scene) -> None:
+    stops, preload = scene.stops, scene.buffer.preload
+    if stops is not None and stops.extension is not None and preload > 0.0:
+        why = f"null with buffer.preload = {preload:g} N, whose seat is the stop outwards"
+        raise refuse("stops.extension", stops.extension, "m", why)
 
 
 def _rates(scene: Scene) -> None:

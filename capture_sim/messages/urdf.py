@@ -126,7 +126,9 @@ def urdf(scene: Scene) -> str:
     # the probe may go in up to its tip
     inwards, outwards = scene.rest_length - scene.probe.tip_radius, scene.rest_length
     if scene.stops is not None:
-        inwards, outwards = scene.stops.compression, scene.stops.extension
+        inwards = scene.stops.compression
+    if scene.outward_stroke is not None:
+        outwards = scene.outward_stroke
     _limit(slide, -inwards, outwards)
     for t in static_transforms(scene):
         _joint(robot, t.child.replace("/", "_"), "fixed", t.parent, t.child, t.x)

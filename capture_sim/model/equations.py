@@ -56,6 +56,7 @@ MODE = np.dtype(
         ("latch_x", "f8"),  # where the tip was caught, target frame, m
         ("latch_y", "f8"),
         ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
+        ("seated", "i8"),  # the preloaded probe is on its seat: h = h_0, moves with the cylinder
         ("rest_S", "i8"),  # vehicle held by its supports
         ("rest_T", "i8"),
         ("driven", "i8"),  # a wrench from outside the model acts on the tip
@@ -67,6 +68,7 @@ MODE = np.dtype(
 #: What an evaluation finds out besides the accelerations.
 OUT = np.dtype(
     [
+        ("axial_force", "f8"),  # on the probe by spring, damper, stop and seat, outwards, N
         ("axial", "f8"),  # power lost, W
         ("torsion", "f8"),
         ("hysteresis", "f8", (2,)),
@@ -95,9 +97,13 @@ SYSTEM = np.dtype(
 
 
 def make_system(parameters: np.ndarray) -> np.ndarray:
-    """Return the (1,) record that the kernels take, free flight, for a scene's parameters."""
+    """Return the (1,) record that the kernels take, free flight, for a scene's parameters.
+
+    The buffer is at rest: a preloaded probe is on its seat.
+    """
     system = np.zeros(1, SYSTEM)
     system["par"] = parameters
+    system["mode"]["seated"] = parameters["preload"] > 0.0
     return records(system)
 
 
@@ -203,6 +209,58 @@ def tip_forces(y, system, px, py, wx, wy):
     return fx, fy, tip, target
 
 
+@inline_kernel
+def chaser_accelerations(r_u, r_w, r_S, sD, cD, coupled, seated, par):
+    """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
+
+    For right-hand sides in which theta_P, and h unless ``seated``, are eliminated; ``coupled`` is
+    the mass across the probe that turns with it, kg.
+    """
+    a, m_along, m_free, inverse_u = par.a, par.m_C, par.m_P, par.inverse_m_SC
+    m_CP = par.m_C + par.m_P
+    if seated:
+        m_along, m_free, inverse_u = m_CP, 0.0, par.inverse_m_total
+    S_w = par.m_total - coupled
+    S_uS = m_along * a * sD
+    S_wS = a * cD * (m_CP - coupled)
+    S_S = par.I_S + a * a * (m_CP - cD * cD * coupled - m_free * sD * sD)
+    inverse_w = 1.0 / S_w
+    e_u = S_uS * inverse_u
+    e_w = S_wS * inverse_w
+    # the reciprocal does not wait for the forces
+    inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
+    alpha = (r_S - e_u * r_u - e_w * r_w) * inverse_S
+    return r_u * inverse_u - e_u * alpha, r_w * inverse_w - e_w * alpha, alpha
+
+
+@kernel
+def strike_seat(y, par):
+    """Bring the probe to rest on its seat, by an impulse along it; return the energy lost, J.
+
+    Only the chaser's bodies take part: contact, friction, latch and supports are finite forces.
+    """
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    cD = cP * cS + sP * sS
+    sD = sP * cS - cP * sS
+    a, r = par.a, y[4] - par.d
+    moment = par.first_moment_0 + par.m_P * y[4]
+    ratio = moment / (par.hinge_inertia_0 + par.m_P * r * r)
+    # what an impulse of 1 N s on the probe, outwards, changes
+    along, across, turn = chaser_accelerations(
+        -1.0, 0.0, -a * sD, sD, cD, moment * ratio, False, par
+    )
+    rate = par.inverse_m_P - along - a * sD * turn
+    impulse = -y[12] / rate
+    lost = 0.5 * y[12] * y[12] / rate
+    y[8] += impulse * (along * cP - across * sP)
+    y[9] += impulse * (along * sP + across * cP)
+    y[10] += impulse * turn
+    y[11] -= impulse * ratio * (across + a * cD * turn)
+    y[12] = 0.0
+    return lost
+
+
 @kernel
 def accelerate(y, f, system):
     """Write accelerations into f[8:16], and powers and forces into ``system.out``.
@@ -258,6 +316,7 @@ def accelerate(y, f, system):
         push, lost = stop_force(h - par.h_0, rate, mode.stop, par)
         axial += push
         out.stop = lost
+    out.axial_force = axial
     twist = spin - omega
     torque, out.torsion = hinge_torque(y[3] - y[2], twist, par)
 
@@ -271,6 +330,10 @@ def accelerate(y, f, system):
     R_S = a * (sD * R_u + cD * R_w) - torque
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
+    if mode.seated:
+        # no row of its own: what drives the probe along drives the cylinder
+        out.axial_force = axial - R_h
+        R_h = 0.0
 
     ratio = moment * inverse_P
     r_u = R_u - R_h
@@ -285,7 +348,7 @@ def accelerate(y, f, system):
         f[9] = 0.0
         f[10] = 0.0
         f[11] = R_P * inverse_P
-        f[12] = R_h * par.inverse_m_P
+        f[12] = R_h * par.inverse_m_P  # 0 on the seat
     else:
         if par.has_supports:
             qx, qy, qm, lost = rolling_wrench(
@@ -295,24 +358,18 @@ def accelerate(y, f, system):
             r_w += qy * cP - qx * sP
             r_S += qm
             out.rolling += lost
-        coupled = moment * ratio
-        S_w = par.m_total - coupled
-        S_uS = par.m_C * a * sD
-        S_wS = a * cD * (m_CP - coupled)
-        S_S = par.I_S + a * a * (m_CP - cD * cD * coupled - m_P * sD * sD)
-        inverse_w = 1.0 / S_w
-        e_u = S_uS * par.inverse_m_SC
-        e_w = S_wS * inverse_w
-        # the reciprocal does not wait for the forces
-        inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
-        alpha = (r_S - e_u * r_u - e_w * r_w) * inverse_S
-        acc_u = r_u * par.inverse_m_SC - e_u * alpha
-        acc_w = r_w * inverse_w - e_w * alpha
+        acc_u, acc_w, alpha = chaser_accelerations(
+            r_u, r_w, r_S, sD, cD, moment * ratio, mode.seated, par
+        )
         f[8] = acc_u * cP - acc_w * sP
         f[9] = acc_u * sP + acc_w * cP
         f[10] = alpha
         f[11] = (R_P - moment * (acc_w + a * cD * alpha)) * inverse_P
-        f[12] = R_h * par.inverse_m_P - acc_u - a * sD * alpha
+        along = acc_u + a * sD * alpha
+        f[12] = R_h * par.inverse_m_P - along
+        if mode.seated:
+            f[12] = 0.0
+            out.axial_force += m_P * along
 
     if mode.rest_T:
         f[13] = 0.0
@@ -344,11 +401,14 @@ def accelerate(y, f, system):
 
 @inline_kernel
 def axial_force(stroke, rate, par):
-    """Return the force of axial spring and damper on the probe, N, and the power lost, W."""
+    """Return the force of axial spring and damper on the probe, N, and the power lost, W.
+
+    Without what a seat holds of it.
+    """
     spring = par.k_A * stroke
     damper = par.c_A * rate
     if par.has_shaped_buffer:
-        spring += par.k_A3 * stroke * stroke * stroke
+        spring += par.k_A3 * stroke * stroke * stroke - par.preload
         if rate > 0.0:
             damper = par.c_A_rebound * rate
         damper += par.c_A2 * rate * abs(rate)
@@ -371,11 +431,14 @@ def hinge_torque(torsion, twist, par):
 
 @inline_kernel
 def buffer_energy(stroke, torsion, par):
-    """Return the elastic energies of the axial and the torsional spring, J."""
+    """Return the elastic energies of the axial and the torsional spring, J.
+
+    That of a preloaded spring counts from its seat.
+    """
     axial = 0.5 * par.k_A * stroke * stroke
     turning = 0.5 * par.k_T * torsion * torsion
     if par.has_shaped_buffer:
-        axial += 0.25 * par.k_A3 * stroke**4
+        axial += 0.25 * par.k_A3 * stroke**4 - par.preload * stroke
         turning += 0.25 * par.k_T3 * torsion**4
     return axial, turning
 

@@ -14,8 +14,8 @@ from capture_sim.model.equations import (
     ROLLING,
     STOP,
     TORSION,
-    accelerate_sticking,
     axial_force,
+    balance,
     buffer_energy,
     gap_and_rate,
     hinge_torque,
@@ -93,9 +93,14 @@ def observe(t, y, w, sample):
     for i in range(2):
         out.normal[i] = 0.0
         out.friction_force[i] = 0.0
-    if mode.touch[0].sticking or mode.touch[1].sticking:
-        # fills the friction forces that hold the tip
-        accelerate_sticking(y, system.spare[0], system)
+    if mode.seated and rail.on:
+        # as on the rail the buffer's load is neglected
+        sample.axial_force = 0.0
+    elif mode.seated or mode.touch[0].sticking or mode.touch[1].sticking:
+        # fills the friction forces that hold the tip, and the force through the seat
+        balance(y, system.spare[0], system)
+        if mode.seated:
+            sample.axial_force = out.axial_force
     fx, fy, tip, _ = tip_forces(y, system, px, py, wx, wy)
     sT, cT = sine_cosine(y[7])
     gx = cT * fx - sT * fy

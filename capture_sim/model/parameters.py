@@ -21,6 +21,7 @@ PARAMETERS = np.dtype(
         ("m_T", "f8"),
         ("I_T", "f8"),
         ("m_total", "f8"),  # chaser, cylinder and probe
+        ("inverse_m_total", "f8"),
         ("inverse_m_SC", "f8"),  # 1 / (m_S + m_C)
         ("inverse_m_P", "f8"),
         ("inverse_m_T", "f8"),
@@ -39,6 +40,7 @@ PARAMETERS = np.dtype(
         ("c_A_rebound", "f8"),
         ("k_T3", "f8"),
         ("c_T2", "f8"),
+        ("preload", "f8"),  # above 0: the probe has a seat at h_0
         ("h_0", "f8"),
         ("R_t", "f8"),
         ("L_T", "f8"),
@@ -63,7 +65,7 @@ PARAMETERS = np.dtype(
         ("c_L", "f8"),
         ("has_stops", "i8"),
         ("stop_compressed", "f8"),  # stroke at which each stop is met, m
-        ("stop_extended", "f8"),
+        ("stop_extended", "f8"),  # inf: none
         ("k_stop", "f8"),
         ("c_stop", "f8"),
         ("rail_length", "f8"),
@@ -135,6 +137,7 @@ def pack(
     p["m_T"], p["I_T"] = scene.target.mass, scene.target.inertia
     p["m_C"], p["m_P"] = scene.cylinder.mass, scene.probe.mass
     p["m_total"] = scene.chaser_total_mass
+    p["inverse_m_total"] = 1.0 / scene.chaser_total_mass
     p["inverse_m_SC"] = 1.0 / (scene.chaser.mass + scene.cylinder.mass)
     p["inverse_m_P"], p["inverse_m_T"] = 1.0 / scene.probe.mass, 1.0 / scene.target.mass
     p["inverse_I_T"] = 1.0 / scene.target.inertia
@@ -144,11 +147,11 @@ def pack(
         scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
     )
     buffer = scene.buffer
-    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
+    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2", "preload"):
         p[name] = getattr(buffer, name)
     p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
     p["has_shaped_buffer"] = p["c_A_rebound"] != p["c_A"] or any(
-        p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2")
+        p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload")
     )
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"] = scene.cone.L_T
@@ -178,7 +181,9 @@ def pack(
     if scene.stops is not None:
         p["has_stops"] = 1
         p["stop_compressed"] = -scene.stops.compression
-        p["stop_extended"] = scene.stops.extension
+        p["stop_extended"] = math.inf
+        if scene.stops.extension is not None:
+            p["stop_extended"] = scene.stops.extension
         p["k_stop"], p["c_stop"] = scene.stops.stiffness, scene.stops.damping
     heading = scene.initial.chaser.theta
     p["rail_x"], p["rail_y"] = math.cos(heading), math.sin(heading)

@@ -142,6 +142,13 @@ class Buffer(Checked):
         default=None,
         doc="damping coefficient of the axial damper while the probe moves outwards; null: c_A",
     )
+    preload: float = quantity(
+        "N",
+        NOT_NEGATIVE,
+        default=0.0,
+        doc="force with which the axial spring presses the probe outwards against a rigid seat at "
+        "the rest length; 0: no seat",
+    )
     k_T3: float = quantity(
         "N m/rad^3",
         NOT_NEGATIVE,
@@ -313,8 +320,11 @@ class Stops(Checked):
     compression: float = quantity(
         "m", POSITIVE, doc="inward stroke at which the probe meets the stop"
     )
-    extension: float = quantity(
-        "m", POSITIVE, doc="outward stroke at which the probe meets the stop"
+    extension: float | None = quantity(
+        "m",
+        POSITIVE,
+        doc="outward stroke at which the probe meets the stop; null: no stop outwards, as with "
+        "buffer.preload, whose seat is there",
     )
     stiffness: float = quantity("N/m", POSITIVE, doc="stiffness of each stop")
     damping: float = quantity("N s/m", NOT_NEGATIVE, doc="damping coefficient of each stop")
@@ -507,6 +517,13 @@ class Scene(Checked):
         if self.buffer.rest_length is not None:
             return self.buffer.rest_length
         return self.probe.length + self.probe.tip_radius
+
+    @property
+    def outward_stroke(self) -> float | None:
+        """Stroke outwards at which the probe meets its seat or a stop, m; None without both."""
+        if self.buffer.preload > 0.0:
+            return 0.0
+        return None if self.stops is None else self.stops.extension
 
     @cached_property
     def chaser_total_mass(self) -> float:

@@ -161,11 +161,14 @@ def _rate(index: int) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _stops(scene: Scene) -> tuple[Limit, ...]:
-    if scene.stops is None:
-        return ()
-    return (
-        Limit("stop, inwards", -scene.stops.compression * 1e3, style.GREY),
-        Limit("stop, outwards", scene.stops.extension * 1e3, style.GREY),
+    stops = {
+        "stop, inwards": None if scene.stops is None else -scene.stops.compression,
+        "stop, outwards": scene.outward_stroke,
+    }
+    return tuple(
+        Limit(name, stroke * 1e3, style.GREY)
+        for name, stroke in stops.items()
+        if stroke is not None
     )
 
 

@@ -128,13 +128,12 @@ class BenchLog:
             ("probe/rod", -probe.tip_radius - probe.length, -probe.tip_radius, 0.6, _DARK),
             ("probe/collar", -self._collar - 0.002, -self._collar + 0.002, 2.0, _DARK),
         ]
+        stops = {"extension": scene.outward_stroke}
         if scene.stops is not None:
-            rest = scene.rest_length - self._collar
-            for name, stroke in (
-                ("compression", -scene.stops.compression),
-                ("extension", scene.stops.extension),
-            ):
-                x = rest + stroke
+            stops["compression"] = -scene.stops.compression
+        for name, stroke in stops.items():
+            if stroke is not None:
+                x = scene.rest_length - self._collar + stroke
                 rods.append((f"stop_{name}", x - 0.001, x + 0.001, 2.4, _BLACK))
         for name, rear, front, thickness, colour in rods:
             rod = rr.Cylinders3D(

@@ -27,6 +27,7 @@ STOPS = "stops={compression: 1.0e-3, extension: 0.01, stiffness: 1.0e+5, damping
             {"stick", "slip", "lift_off"},
         ),
         ("paper_designed", ["run.t_end=0.08", STOPS], {"stop_hit"}),
+        ("paper_designed", ["run.t_end=0.02", "buffer.preload=20"], {"unseated", "seated"}),
         ("tilt_0", ["run.t_end=3"], {"landed", "rail_end", "moving", "touch", "latched"}),
     ],
 )
