@@ -1,4 +1,4 @@
-"""Adds what is made from the code: the scene reference and the list of public names."""
+"""Adds what is made from the code, and typesets formulas as MathML; nothing is fetched."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any
 
+from docutils.utils.math.latex2mathml import tex2mathml
 from mkdocs.structure.files import File, Files
 
 import capture_sim
@@ -13,6 +14,10 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 
 PUBLIC = "<!-- public names -->"
+FENCE = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"(?<![\\$\w])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![$\w])")
+MARK = re.compile(r"formula([bi])((?:[0-9a-f]{2})+)end")
 HEAD = """# Scenes
 
 Every field of a scene file, made from the declarations in `capture_sim/scene/parts.py`. A part that
@@ -65,12 +70,36 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Take Sphinx's roles off the names in docstrings."""
-    return re.sub(r":(?:attr|class|data|func|meth|mod):(?=<code>)", "", html)
+    """Take Sphinx's roles off the names in docstrings, and put the formulas in."""
+    html = re.sub(r":(?:attr|class|data|func|meth|mod):(?=<code>)", "", html)
+    html = re.sub(r"<p>(formulab[0-9a-f]+end)</p>", r"\1", html)
+    return MARK.sub(lambda mark: mathml(bytes.fromhex(mark[2]).decode(), mark[1] == "b"), html)
+
+
+def mathml(formula: str, is_block: bool) -> str:
+    """Return a formula of LaTeX as MathML."""
+    text = tex2mathml(formula, as_block=is_block)
+    applied = "<mo>&ApplyFunction;</mo>"
+    text = text.replace(applied, f'{applied}<mspace width="0.17em"></mspace>')  # as in "sin x"
+    return f'<div class="formula">{text}</div>' if is_block else text
+
+
+def mark(formula: str, kind: str) -> str:
+    """Return a word that Markdown leaves alone, in place of a formula."""
+    return f"formula{kind}{formula.strip().encode().hex()}end"
+
+
+def with_marks(markdown: str) -> str:
+    """Return a page with a mark for each formula: fences of math, and $...$ outside of code."""
+    markdown = FENCE.sub(lambda fence: f"\n{mark(fence[1], 'b')}\n", markdown)
+    pieces = CODE.split(markdown)  # code at the odd places
+    pieces[::2] = [INLINE.sub(lambda m: mark(m[1], "i"), piece) for piece in pieces[::2]]
+    return "".join(pieces)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Name every public name to mkdocstrings where a page asks for them."""
+    """Mark formulas; name every public name to mkdocstrings where a page asks for them."""
+    markdown = with_marks(markdown)
     if PUBLIC not in markdown:
         return markdown
     found = (getattr(capture_sim, name) for name in capture_sim.__all__)

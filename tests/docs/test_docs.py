@@ -20,6 +20,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -130,7 +131,8 @@ def test_what_is_left_out_is_counted():
 def test_every_block_is_a_fence_of_a_known_language(page):
     text = (ROOT / page).read_text()
     assert text.count("\n```") + text.startswith("```") == 2 * len(blocks(page))
-    assert {block.language for block in blocks(page)} <= {"sh", "console", "python", "yaml", "text"}
+    known = {"sh", "console", "python", "yaml", "text", "math"}
+    assert {block.language for block in blocks(page)} <= known
     outside = FENCE.sub("", text)
     assert not re.search(r"\n\n    [^ ]", outside), "indented code"
 
@@ -167,7 +169,7 @@ def commands_of(block):
 def test_blocks_run_and_print_what_they_say(page, folder, run, capfd):
     names = {}
     for block in blocks(page):
-        if block.left_out or block.language == "text":
+        if block.left_out or block.language in ("text", "math"):
             continue
         if block.language == "yaml":
             title = re.search(r'title="([^"]+)"', block.head)
@@ -265,8 +267,72 @@ def test_a_recording_is_read_by_others(recordings, tmp_path, run):
     assert "mean" in out
 
 
-def test_site_builds_without_a_warning(tmp_path):
-    build = [sys.executable, "-m", "mkdocs", "build", "-q", "-d", str(tmp_path / "site")]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the built site; a warning fails the build."""
+    folder = tmp_path_factory.mktemp("site") / "site"
+    build = [sys.executable, "-m", "mkdocs", "build", "-q", "-d", str(folder)]
     subprocess.run(build, cwd=ROOT, check=True)
-    reference = (tmp_path / "site" / "scene_reference" / "index.html").read_text()
+    return folder
+
+
+def test_site_has_every_page_and_the_scene_reference(site):
+    reference = (site / "scene_reference" / "index.html").read_text()
     assert "buffer.k_A" in reference
+    for page in (ROOT / "docs").glob("*.md"):
+        name = "" if page.stem == "index" else page.stem
+        assert (site / name / "index.html").is_file(), page
+
+
+class Formulas(HTMLParser):
+    """Collects a page's formulas as rows of cells of text, its other text, and what it loads."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tables, self.text, self.loaded, self.count, self.depth = [], "", [], 0, 0
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.depth += tag == "math"
+        self.count += tag == "math"
+        if tag == "mtable":
+            self.tables.append([])
+        if tag == "mtr":
+            self.tables[-1].append([])
+        if tag == "mtd":
+            self.tables[-1][-1].append("")
+        found = dict(attributes)
+        if tag in ("script", "img", "source") or found.get("rel") == "stylesheet":
+            self.loaded += [found[k] for k in ("src", "href") if k in found]
+
+    def handle_endtag(self, tag):
+        self.depth -= tag == "math"
+
+    def handle_data(self, data):
+        if not self.depth:
+            self.text += data
+        elif self.tables and self.tables[-1] and self.tables[-1][-1]:
+            self.tables[-1][-1][-1] += data.strip()
+
+
+def test_formulas_are_typeset_when_the_site_is_built(site):
+    """As MathML, the matrix with its rows and columns; showing them fetches nothing."""
+    page = Formulas((site / "model" / "index.html").read_text())
+    source = (ROOT / "docs" / "model.md").read_text()
+    assert page.count == source.count("```math") + len(re.findall(r"\$[^$\n]+\$", source)) > 40
+    matrix = page.tables[0]
+    assert [len(row) for row in matrix] == [5] * 5
+    assert matrix[3] == ["⋅", "⋅", "⋅", "J", "0"]
+    assert [cell.replace("\u2061", "") for cell in matrix[0]][2] == "mCPasinD"
+    article = page.text
+    assert not re.search(r"formula[bi][0-9a-f]{4}|\$|\\\\|\\frac", article)
+    assert page.loaded
+    assert not [place for place in page.loaded if "//" in place]
+
+
+def test_a_dollar_in_code_is_no_formula():
+    hooks = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
+    text = "`$HOME` costs $x$ and 5 $ or 6 $\n\n```sh\necho $HOME $PATH\n```\n"
+    marked = hooks.with_marks(text)
+    assert marked == text.replace("$x$", hooks.mark("x", "i"))
+    assert "<mi>x</mi>" in hooks.on_page_content(marked)
