@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.exact import CaptureStatus
+from capture_sim.detection.exact import CaptureStatus, Criteria
+from capture_sim.kernels import plain
+from capture_sim.model.equations import tip_in_cone
 from capture_sim.samples import EXTREMES, Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene
 
@@ -171,13 +173,14 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
 def sampled_extremes(
     scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
 ) -> Extremes:
-    """Return the extremes of a run from its samples and touches only.
+    """Return the extremes of a run from its samples, touches and events only.
 
-    The peaks of touches come from ``touches``.  Strokes, torsion, penetration and forces of buffer
-    and latch come from the samples, so peaks between two samples are missed.  A quantity that was
-    not measured is NaN.
+    The peaks of touches come from ``touches``, the force of the latch as it closes from its event.
+    Strokes, torsion, penetration and the buffer's force come from the samples, so peaks between two
+    samples are missed.  A quantity that was not measured is NaN.
     """
-    closed = next((e.t for e in events if e.kind is EventKind.LATCHED), math.inf)
+    latched = next((event for event in events if event.kind is EventKind.LATCHED), None)
+    closed = math.inf if latched is None else latched.t
     parts = [samples[samples["t"] < closed], samples[samples["t"] >= closed]]
     located = touches["start"] < closed
     found = np.zeros(2, EXTREMES)
@@ -206,6 +209,14 @@ def sampled_extremes(
                 largest = known[values[known].argmax()]
                 row[name], row[f"{name}_time"] = values[largest], times[largest]
         row["tip_distance"] *= -1.0
+    after = found[1]
+    if latched is not None and scene.latch is not None:
+        # the spring is relaxed then, the damper takes the tip's whole speed
+        state = (*latched.q.tolist(), *latched.v.tolist())
+        _, _, wx, wy = plain(tip_in_cone)(state, Criteria.of(scene))
+        force = scene.latch.damping * math.hypot(wx, wy)
+        if force > after["latch_force"]:
+            after["latch_force"], after["latch_force_time"] = force, closed
     return Extremes(found[0], found[1] if parts[1].size else None)
 
 
@@ -428,7 +439,8 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         if s["problems"]
     ]
     lines += [
-        f"{s['name']}: loads of {s['loads_from']}; of touches the peaks are located."
+        f"{s['name']}: loads are peaks of {s['loads_from']}, which may miss larger ones between "
+        "them; those of touches, and of the latch as it closes, are located."
         for s in summaries
         if s["loads_from"] != "integration"
     ]
