@@ -214,9 +214,9 @@ def sampled_extremes(
         # the spring is relaxed then, the damper takes the tip's whole speed
         state = (*latched.q.tolist(), *latched.v.tolist())
         _, _, wx, wy = plain(tip_in_cone)(state, Criteria.of(scene))
-        force = scene.latch.damping * math.hypot(wx, wy)
-        if force > after["latch_force"]:
-            after["latch_force"], after["latch_force_time"] = force, closed
+        at_closing = scene.latch.damping * math.hypot(wx, wy)
+        if at_closing > after["latch_force"]:
+            after["latch_force"], after["latch_force_time"] = at_closing, closed
     return Extremes(found[0], found[1] if parts[1].size else None)
 
 

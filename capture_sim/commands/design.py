@@ -36,6 +36,7 @@ from capture_sim.studies.design import (
     respond,
     with_buffer,
 )
+from capture_sim.studies.outcome import Outcome
 
 DESCRIPTION = (
     "Find k_A, k_T and c_A of a buffer for target strokes, or the reason why no buffer meets the "
@@ -210,8 +211,12 @@ def _report(design: Design) -> None:
     )
     if design.margin is not None:
         echo(f"  captures up to {design.margin:g} times the spread")
-    echo(f"\nsimulation of the design: {outcome.verdict}, {outcome.reason}")
+    echo(f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}")
     print_table(["whole run", "", "at s", "target", "margin"], _load_rows(design))
+    if outcome.failure:
+        echo("the loads are those until the run stopped: the design is not shown to hold")
+    if outcome.left_again:
+        echo("the tip leaves the capture zone again; a latch would hold it")
     for key, limit in exceeded(design).items():
         exceeding = next(load for load in LOADS if load.key == key)
         echo(
@@ -221,11 +226,15 @@ def _report(design: Design) -> None:
         )
 
 
+def _verdict(outcome: Outcome) -> str:
+    return f"{outcome.verdict}, left" if outcome.left_again else outcome.verdict
+
+
 def _load_rows(design: Design) -> list[list[str]]:
     """Return one row for each load of the design's whole run, with its target."""
     assert design.outcome is not None
     limits, loads = limits_of(design.target), design.outcome.loads
-    rows = []
+    rows = [["verdict", _verdict(design.outcome), f"{design.outcome.t:.3f}", "captured"]]
     for row_load in LOADS:
         value, t = loads[row_load.key], loads[f"{row_load.key}_time"]
         if not value:
@@ -245,7 +254,8 @@ def _line(design: Design) -> str:
     b, loads = design.scene.buffer, design.outcome.loads
     return (
         f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  whole run: touch "
-        f"{loads['max_normal_force']:.1f} N, buffer {loads['max_buffer_force']:.1f} N"
+        f"{loads['max_normal_force']:.1f} N, buffer {loads['max_buffer_force']:.1f} N, "
+        f"{_verdict(design.outcome)}"
     )
 
 
@@ -259,7 +269,8 @@ def _keep(design: Design, folder: Path) -> None:
 
     kept: dict[str, Any] = {"refusal": design.refusal, "margin": design.margin}
     kept["target"] = dataclasses.asdict(design.target)
-    kept["loads"] = None if design.outcome is None else design.outcome.loads
+    for name in ("verdict", "left_again", "loads"):
+        kept[name] = getattr(design.outcome, name, None)
     kept["history"] = [plain(candidate) for candidate in design.history]
     echo(f"every run in {write_json(folder / 'design.json', kept)}")
     if design.met and design.scene is not None:

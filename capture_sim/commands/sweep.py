@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = (
     "Run a scene over values, distributions or the rows of a table. Print the probability of "
-    "capture, the percentiles of the loads, the worst runs and the most influential inputs."
+    "capture, the percentiles of the loads, the worst runs and the most influential inputs. "
+    "Verdicts are those of the exact motion, without the noise of the scene's sensors."
 )
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
@@ -136,6 +137,8 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options.scene, options.overrides)
     samples = _samples(scene, options)
     prepare_folder(options.out.parent)
+    if scene.sensors is not None and scene.sensors.motion_capture is not None:
+        warn("verdicts are of the exact motion: sensors.motion_capture is not simulated")
     compile_first()
     with (
         open_executor(options.workers, options.scheduler) as executor,

@@ -86,6 +86,9 @@ def sweep(
 ) -> pandas.DataFrame:
     """Run a scene over values, distributions or the rows of a table.
 
+    Verdicts are those of the detector on the exact motion, also where the scene has
+    ``sensors.motion_capture``; for one run with its noise, see :func:`capture_sim.simulate`.
+
     Parameters
     ----------
     scene
@@ -164,6 +167,8 @@ def samples_of(
             raise SceneError("vary: must have one axis or more")
         samples = make_samples(axes, runs, sample, seed, edges)
     names = [axis.name for axis in samples.axes]
+    if sensors := [name for name in names if name.startswith("sensors.")]:
+        raise SceneError(f"{sensors[0]}: must not vary: verdicts are of the exact motion")
     clash = [name for name in names if name.startswith(("initial.", "rail.", "string."))]
     if clash and set(names) & set(APPROACH):
         raise SceneError(f"{clash[0]}: must not vary with approach.*, which replaces it")

@@ -255,6 +255,20 @@ def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
     assert len(printed.splitlines()) > 50
 
 
+@pytest.mark.parametrize("stroke, torsion, leaves", [(5, 3, True), (10, 2, False)])
+def test_a_winner_whose_tip_leaves_again_says_so(stroke, torsion, leaves, tmp_path, capsys):
+    target = [f"--stroke={stroke}", f"--torsion={torsion}", "--first-contact"]
+    assert main(["design", *target, f"--out={tmp_path}"]) == 0
+    printed = capsys.readouterr().out
+    run = simulate(load_scene(tmp_path / "design.yaml"))
+    kept = json.loads((tmp_path / "design.json").read_text())
+    assert run.verdict == kept["verdict"] == "captured"
+    assert run.summary["left_again"] == kept["left_again"] == leaves
+    assert ("the tip leaves the capture zone again" in printed) == leaves
+    closing = next(line for line in printed.splitlines() if line.startswith("verdict "))
+    assert ("captured, left" in closing) == leaves
+
+
 def test_a_tip_that_meets_the_outer_lip_is_said_to(paper):
     lip = placed(paper, 0.0, 0.07, 0.1)
     own = run_first_contact(lip)

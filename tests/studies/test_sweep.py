@@ -348,6 +348,7 @@ BAD = [
     ({"approach.angle": "100 deg"}, "approach.angle = 1.74"),
     ({"approach.speed": "0"}, "approach.speed = 0.0 m/s: must be >= 0.0001"),
     ({"approach.angle": "0,1", "initial.chaser.y": "0"}, "initial.chaser.y: must not vary with"),
+    ({"sensors.seed": "1,2"}, "sensors.seed: must not vary"),
     ({}, "one axis or more"),
     (pd.DataFrame({"buffer.cA": [1]}), r"column buffer.cA: .*did you mean buffer.c_A\?"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
@@ -360,7 +361,7 @@ def test_what_cannot_be_varied_is_rejected_in_a_line_before_anything_runs(
     vary, message, scenes_run
 ):
     with pytest.raises(SceneError, match=message) as caught:
-        capture_sim.sweep("tilt_0", vary, executor=HERE)
+        capture_sim.sweep("tilt_0", vary, {"sensors.motion_capture.rate": 100}, executor=HERE)
     assert "\n" not in str(caught.value)
     assert not scenes_run
 
@@ -439,6 +440,18 @@ def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, caps
         assert schema.field("buffer.k_A").metadata == {b"unit": b"N/m"}
         assert b"cone" in schema.metadata[METADATA]
         assert_frame_equal(pd.read_parquet(again), pd.read_parquet(out), check_exact=True)
+
+
+def test_sensors_change_no_verdict_and_the_command_says_so(tmp_path, capsys):
+    noisy = ["--set", "sensors.motion_capture.position_noise=1 mm", "--set", "run.t_end=4"]
+    vary = ["--vary=buffer.c_A=5,25", "--workers=1", f"--out={tmp_path / 'a.csv'}"]
+    assert main(["sweep", "tilt_0", *noisy, *vary]) == 0
+    shown = capsys.readouterr()
+    assert "verdicts are of the exact motion" in shown.err
+    exact = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 25]}, {"run.t_end": 4}, executor=HERE)
+    found = pd.read_csv(tmp_path / "a.csv")
+    assert found["verdict"].tolist() == exact["verdict"].tolist()
+    assert found["verdict_time [s]"].tolist() == exact["verdict_time"].tolist()
 
 
 def test_cases_in_other_units(tmp_path):
