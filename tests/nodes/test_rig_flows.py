@@ -258,7 +258,12 @@ def test_best_effort_odometry_under_other_names(tmp_path, capsys):
     }
     with processes(Forked) as start, Client() as client:
         session = Session(
-            start, client, tmp_path, poses=[*ODOMETRY.values()], **best_effort, **ODOMETRY
+            start,
+            client,
+            tmp_path,
+            poses=[f"/{name}" for name in ODOMETRY],
+            **best_effort,
+            **ODOMETRY,
         )
         with session.bench(*remaps, pace=1.0, odometry=True, rate=250.0, best_effort=True):
             path = session.try_outcomes(capsys, "captured")  # by the names that the recorder noted
