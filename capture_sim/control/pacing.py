@@ -30,26 +30,12 @@ class Lateness(NamedTuple):
 
 
 class Pacer:
-    """Computes when ticks are due, and keeps how late they came; delays are recovered.
+    """Computes when ticks are due, from one origin, and keeps how late they came.
 
-    The due time of every tick is counted from one origin, so that an error of one tick does
-    not move the others.  The first tick after :meth:`reset` is due at once.
-
-    Parameters
-    ----------
-    factor
-        Simulated seconds per second; 0 does not wait at all.
-    clock
-        A steady clock, s.
-
-    Attributes
-    ----------
-    t : float
-        Simulated time of the last tick, s; NaN before the first.
-    ticks : int
-        Ticks that were paced.
-    skipped_delay : float
-        Wall time by which the run fell behind for good, s.
+    ``factor``: simulated seconds per second, 0 for no pacing; ``clock``: a steady one, s.  The
+    first tick after :meth:`reset` is due at once.  ``t``: simulated time of the last tick, s, NaN
+    before the first; ``ticks``: how many were paced; ``skipped_delay``: s (wall) that were not
+    recovered.
     """
 
     def __init__(self, factor: float, clock: Callable[[], float] = time.monotonic) -> None:

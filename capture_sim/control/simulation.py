@@ -79,12 +79,7 @@ def _answered(code: Code, message: str = "") -> Request:
 class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
     """The run that is on must end; the text says why.
 
-    Attributes
-    ----------
-    again
-        The same run is to begin anew.
-    asked_for
-        By a request; else something has gone wrong.
+    ``again``: the same run begins anew; ``asked_for``: by a request, not by a failure.
     """
 
     def __init__(self, reason: str, *, again: bool = False, asked_for: bool = True) -> None:
@@ -96,23 +91,9 @@ class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before
 class SimulationControl:
     """The state of a simulator or player, and when its next tick may pass.
 
-    Parameters
-    ----------
-    state
-        At the start.
-    pacer
-        Says when ticks are due.
-    states
-        Those that can be asked for.
-    resets
-        Whether a run can begin anew.
-    stop
-        Set when the process is to end: the running thread then gets KeyboardInterrupt.
-
-    Attributes
-    ----------
-    changed : threading.Condition
-        Notified at every change; a lock that others may share.
+    ``states`` can be requested; ``resets``: a run can begin anew; ``stop`` is set when the process
+    is to end, and the running thread then gets KeyboardInterrupt.  ``changed`` is notified at every
+    change, and is a lock that others may share.
     """
 
     def __init__(
@@ -253,13 +234,7 @@ class SimulationControl:
             self._answer(self._pausing)
 
     def check(self) -> None:
-        """Answer requests while the run waits for others.
-
-        Raises
-        ------
-        RunCut
-            The run is to end.
-        """
+        """Answer requests while the run waits for others; RunCut if the run is to end."""
         with self._locked():
             self._raise_if_cut()
             self._answer(self._pausing)
@@ -269,12 +244,7 @@ class SimulationControl:
     def tick(self, t: float) -> None:
         """Wait until time ``t`` (s) may pass: playing and due, or stepped while paused.
 
-        The time that passed last passes again at once.
-
-        Raises
-        ------
-        RunCut
-            The run is to end.
+        The time that passed last passes again at once.  RunCut if the run is to end.
         """
         while not self._try_tick(t):
             pass

@@ -43,13 +43,7 @@ class Answers:
         return len(self._rest)
 
     def tare(self, max_force: float) -> None:
-        """Take bias and noise from the answers at rest.
-
-        Raises
-        ------
-        SafeStopError
-            The cell reads more than this at rest, N.
-        """
+        """Take bias and noise from the answers at rest; SafeStopError above ``max_force`` (N)."""
         rest = np.array(self._rest)
         self.bias = Wrench(*np.median(rest, axis=0).tolist())
         self.noise = float(rest[:, :3].std(axis=0).max())
@@ -65,21 +59,8 @@ class Answers:
     ) -> Answer | None:
         """Return the answer if it can be used; else count why not.
 
-        Parameters
-        ----------
-        stamp
-            s, of the tip's position that it answers.
-        now
-            s, the loop's time.
-        wrench
-            As measured.
-        tip
-            Where the rig has measured its tip then; None if it does not.
-
-        Raises
-        ------
-        SafeStopError
-            Force or torque is beyond its limit.
+        ``stamp`` (s) is that of the position that it answers, ``now`` (s) the loop's time, ``tip``
+        where the rig has measured its tip.  SafeStopError if force or torque is beyond its limit.
         """
         numbers = (stamp, *wrench, *(tip or ()))
         if not all(map(math.isfinite, numbers)):

@@ -25,34 +25,17 @@ _FOUND = 2.0
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """A law, and what is known of it.
+    """A law, and what is known of it."""
 
-    Attributes
-    ----------
-    law
-        Of the walls; never generates energy.
-    lag
-        s, by which the force is later than the tip's position that came with it.
-    lag_deviation
-        s, standard deviation.
-    restitution, restitution_deviation
-        At the approach speed of the touch.
-    residual
-        N, rms of what the law does not describe.
-    peak_force
-        N, measured.
-    deviations
-        Standard deviations of the four parameters of the fit.
-    """
-
-    law: WallLaw
-    lag: float = 0.0
-    lag_deviation: float = math.inf
+    law: WallLaw  # of the walls; never generates energy
+    lag: float = 0.0  # s, by which the force is later than the tip's position that came with it
+    lag_deviation: float = math.inf  # s, standard deviation
+    # restitution, restitution_deviation: at the approach speed of the touch
     restitution: float = 1.0
     restitution_deviation: float = math.inf
-    residual: float = 0.0
-    peak_force: float = 0.0
-    deviations: np.ndarray | None = None
+    residual: float = 0.0  # N, rms of what the law does not describe
+    peak_force: float = 0.0  # N, measured
+    deviations: np.ndarray | None = None  # standard deviations of the four parameters of the fit
 
 
 def fit_touch(
@@ -60,23 +43,13 @@ def fit_touch(
 ) -> Generator[None, None, LawEstimate]:
     """Fit a law to a touch; yields after each iteration, so that a loop need not wait for it.
 
-    Least squares with the prior as one more measurement (Levenberg and Marquardt's steps).  The
-    force is later than the tip by a lag, which is told from a loss by its shape: a lag shifts the
-    wall between entering and leaving, a loss does not.
+    Least squares with the law of ``prior`` as one more measurement (Levenberg and Marquardt's
+    steps); its exponent stays.  The force is later than the tip by a lag.  Its shape distinguishes
+    it from a loss: a lag shifts the wall between entering and leaving, a loss does not.
 
-    Parameters
-    ----------
-    samples
-        (n, 6): time (s), penetration (m, below 0 outside) and its rate, normal force, tangential
-        force (N), slip (m/s).  One force at least reaches the threshold.
-    prior
-        What is known before this touch; its law's exponent stays.
-    speed
-        m/s, of the approach.
-    noise
-        N, standard deviation of a measured force.
-    threshold
-        N, from which on a force is one.
+    ``samples`` (n, 6): time (s), penetration (m, below 0 outside) and its rate, normal and
+    tangential force (N), slip (m/s); at least one force reaches ``threshold`` (N).  ``speed`` (m/s)
+    is that of the approach, ``noise`` (N) the standard deviation of a force.
     """
     t, depth, rate, force, tangential, slip = samples.T
     p = prior.law.exponent

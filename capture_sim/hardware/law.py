@@ -53,30 +53,14 @@ class TipState(NamedTuple):
 
 
 class WallLaw(NamedTuple):
-    """F_n = max(0, d^p (k + c d')) at a penetration d, and friction against the slip.
+    """F_n = max(0, d^p (k + c d')) at a penetration d, and friction against the slip."""
 
-    Attributes
-    ----------
-    stiffness
-        k, N/m^p; 0 for no wall.
-    exponent
-        p: 1 for a spring, 1.5 for Hertz.
-    damping
-        c, N s/m^(p + 1): Hunt and Crossley's, c = chi of the bench's laws.
-    offset
-        m, of the walls towards the tip from where the scene has them.
-    friction
-        mu of mu F_n tanh(slip / slip_speed).
-    slip_speed
-        m/s.
-    """
-
-    stiffness: float
-    exponent: float = 1.0
-    damping: float = 0.0
-    offset: float = 0.0
-    friction: float = 0.0
-    slip_speed: float = 1e-3
+    stiffness: float  # k, N/m^p; 0 for no wall
+    exponent: float = 1.0  # p: 1 for a spring, 1.5 for Hertz
+    damping: float = 0.0  # c, N s/m^(p + 1): Hunt and Crossley's, c = chi of the bench's laws
+    offset: float = 0.0  # m, of the walls towards the tip from where the scene has them
+    friction: float = 0.0  # mu of mu F_n tanh(slip / slip_speed)
+    slip_speed: float = 1e-3  # m/s
 
     def restitution(self, speed: float) -> float:
         """Return the restitution of a touch at this approach speed (m/s), in closed form."""

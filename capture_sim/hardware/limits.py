@@ -15,29 +15,18 @@ _HALVINGS = 8
 
 
 class Limits(NamedTuple):
-    """What stops the loop.
+    """What stops the loop."""
 
-    Attributes
-    ----------
-    energy
-        J, that vehicles, buffer and law may have above their energy at the touch.
-    force, torque
-        N and N m, of the rig's wrench without its bias.
-    speed, acceleration
-        m/s and m/s^2, of the commanded position.
-    latency
-        s, from a position to the use of its wrench.
-    angular_speed
-        rad/s, of the commanded heading.
-    """
-
+    # J, that vehicles, buffer and law may have above their energy at the touch
     energy: float = 0.02
+    # force, torque: N and N m, of the rig's wrench without its bias
     force: float = 300.0
     torque: float = 30.0
+    # speed, acceleration: m/s and m/s^2, of the commanded position
     speed: float = 0.5
     acceleration: float = 100.0
-    latency: float = 0.05
-    angular_speed: float = 3.0
+    latency: float = 0.05  # s, from a position to the use of its wrench
+    angular_speed: float = 3.0  # rad/s, of the commanded heading
 
 
 def check_limit(name: str, value: float, unit: str, limit: float) -> None:
@@ -66,12 +55,8 @@ def check_motion(
 class EnergyLimit:
     """Keeps the energy that the loop adds to vehicles, buffer and law below its limit.
 
-    Attributes
-    ----------
-    excess
-        J, the most that they have been above their energy before the touch.
-    withheld
-        J, that scaled wrenches would have added.
+    ``excess`` (J): the most that they have been above their energy before the touch; ``withheld``
+    (J): what scaled wrenches would have added.
     """
 
     def __init__(self, stage: LoopStage, limit: float) -> None:
@@ -86,10 +71,8 @@ class EnergyLimit:
     def go(self, wrench: Wrench | None) -> None:
         """Go a step under a wrench, or a law; a wrench that would add too much is scaled down.
 
-        Raises
-        ------
-        SafeStopError
-            A law adds more than the limit, or as much again was withheld from a wrench.
+        SafeStopError if a law adds more than the limit, or as much again was withheld from a
+        wrench.
         """
         stage, saved, energy = self._stage, self._stage.saved(), self._stage.energy
         limit = self._reference + self._limit

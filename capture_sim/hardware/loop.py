@@ -63,26 +63,10 @@ class Loop:
     First the rig answers the position at rest, ``N_AT_REST`` times; :meth:`begin` takes bias and
     noise from that.  Then :meth:`receive` for each answer and :meth:`advance` for each step.
 
-    Parameters
-    ----------
-    stage
-        Before its first step.
-    method
-        Of :data:`METHODS`.
-    law
-        For ``model``: what is assumed of the walls at first.
-    limits
-        See there.
-    mass
-        kg, that the contact feels; None takes that of the tip at the first force, which is right
-        for a touch much shorter than the buffer's own motion.
-    threshold
-        N, at which a touch begins; 0 for six standard deviations of the cell's noise at rest.
-
-    Raises
-    ------
-    CaptureSimError
-        ``model`` has no stiffness to begin with.
+    ``method`` is of :data:`METHODS`, ``law`` what ``model`` assumes of the walls at first.
+    ``mass`` (kg): what the contact feels; None takes that of the tip at the first force, which is
+    right for a touch much shorter than the buffer's own motion.  ``threshold`` (N): where a touch
+    begins; 0 for six standard deviations of the cell's noise at rest.
     """
 
     def __init__(
@@ -159,13 +143,7 @@ class Loop:
     # steps
 
     def begin(self) -> None:
-        """Take the cell's bias and noise from the answers at rest.
-
-        Raises
-        ------
-        SafeStopError
-            The cell is loaded at rest.
-        """
+        """Take the cell's bias and noise at rest; SafeStopError if it is loaded."""
         self.answers.tare(0.1 * self._limits.force)
         noise = THRESHOLD_DEVIATIONS * self.answers.noise
         self._threshold = self._threshold or max(noise, MIN_THRESHOLD)
@@ -176,25 +154,13 @@ class Loop:
         return self._threshold
 
     def receive(self, stamp: float, wrench: Wrench, tip: TipState | None = None) -> None:
-        """Take in an answer of the rig; see :meth:`Answers.offer`.
-
-        Raises
-        ------
-        SafeStopError
-            The wrench is beyond a limit.
-        """
+        """Take in an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit."""
         answer = self.answers.offer(stamp, self.stage.t, wrench, tip)
         if answer is not None:
             self._record(answer)
 
     def advance(self) -> TipState:
-        """Go one step; return the position to send.
-
-        Raises
-        ------
-        SafeStopError
-            A limit is reached, or the vehicles cannot go on.
-        """
+        """Go one step; return the position to send.  SafeStopError at a limit."""
         stage = self.stage
         self.answers.check_latency(stage.t)
         self._ages.append(stage.t - self.answers.latest.stamp)
@@ -441,13 +407,7 @@ class Channel(Protocol):
 
 
 def run_in_process(loop: Loop, rig: Channel, t_end: float) -> str:
-    """Run a loop in one process, up to a time (s).
-
-    Returns
-    -------
-    str
-        Why it stopped; empty if it came to its end.
-    """
+    """Run a loop in one process, up to a time (s); return why it stopped, empty at its end."""
     try:
         for _ in range(N_AT_REST):
             for answer in rig.answer(loop.pose):

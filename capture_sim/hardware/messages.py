@@ -62,13 +62,7 @@ def _stamped(make: Messages, type_name: str, t: float, columns: Columns, **fixed
 
 
 def tip_of(message: Any) -> TipState:
-    """Return the tip of a message.
-
-    Raises
-    ------
-    MessageError
-        It is in another frame than target/cone, or in numbers that are not finite.
-    """
+    """Return the tip of a message; MessageError in another frame or if it is not finite."""
     _check_frame(message)
     pose, twist = message.pose.pose, message.twist.twist
     planar = pose_values(pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
@@ -80,13 +74,7 @@ def tip_of(message: Any) -> TipState:
 
 
 def wrench_of(message: Any) -> Wrench:
-    """Return the wrench of a message.
-
-    Raises
-    ------
-    MessageError
-        It is in another frame than target/cone.
-    """
+    """Return the wrench of a message; MessageError in another frame than target/cone."""
     _check_frame(message)
     force, torque = message.wrench.force, message.wrench.torque
     return Wrench(force.x, force.y, force.z, torque.x, torque.y, torque.z)

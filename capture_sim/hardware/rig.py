@@ -18,24 +18,12 @@ _SERVO_STEP = 1e-4
 
 @dataclass(frozen=True)
 class Servo:
-    """What moves the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth.
+    """What moves the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth."""
 
-    Attributes
-    ----------
-    bandwidth
-        Hz; 0 for a tip that is where it is commanded.
-    delay
-        s.
-    acceleration
-        m/s^2, at which the drive saturates.
-    damping_ratio
-        zeta.
-    """
-
-    bandwidth: float = 10.0
-    delay: float = 0.010
-    acceleration: float = 50.0
-    damping_ratio: float = 0.7
+    bandwidth: float = 10.0  # Hz; 0 for a tip that is where it is commanded
+    delay: float = 0.010  # s
+    acceleration: float = 50.0  # m/s^2, at which the drive saturates
+    damping_ratio: float = 0.7  # zeta
 
     @property
     def lag(self) -> float:
@@ -47,44 +35,25 @@ class Servo:
 
 @dataclass(frozen=True)
 class Cell:
-    """The load cell.
+    """The load cell."""
 
-    Attributes
-    ----------
-    cutoff
-        Hz, of a low-pass of first order; 0 for none.
-    noise, torque_noise
-        N and N m, standard deviation of each component.
-    bias
-        N, on each component of the force.
-    resolution
-        N and N m.
-    force_range
-        N; beyond it the cell saturates.
-    """
-
-    cutoff: float = 0.0
+    cutoff: float = 0.0  # Hz, of a low-pass of first order; 0 for none
+    # noise, torque_noise: N and N m, standard deviation of each component
     noise: float = 0.1
     torque_noise: float = 0.005
-    bias: float = 0.5
-    resolution: float = 0.006
-    force_range: float = 1000.0
+    bias: float = 0.5  # N, on each component of the force
+    resolution: float = 0.006  # N and N m
+    force_range: float = 1000.0  # N; beyond it the cell saturates
 
 
 @dataclass(frozen=True)
 class Transport:
-    """The way to the loop and back.
+    """The way to the loop and back."""
 
-    Attributes
-    ----------
-    delay, jitter
-        s; the jitter is the standard deviation of what is added.
-    drops, doubles
-        Share of the answers that are lost, and that come twice.
-    """
-
+    # delay, jitter: s; the jitter is the standard deviation of what is added
     delay: float = 0.001
     jitter: float = 0.0003
+    # drops, doubles: share of the answers that are lost, and that come twice
     drops: float = 0.001
     doubles: float = 0.001
 
@@ -94,32 +63,16 @@ IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0
 
 @dataclass
 class Rig:
-    """Walls of a law on a rig of the real kind; its time is that of the positions it is sent.
+    """Walls of a law on a rig of the real kind; its time is that of the positions it is sent."""
 
-    Attributes
-    ----------
-    scene
-        Whose cone it is.
-    law
-        Of the walls.
-    servo, cell, transport
-        See there.
-    hidden_lag
-        s, by which the force is old that is sent with the present position.
-    sends_tip
-        Whether the tip's measured position is sent as well.
-    seed
-        Of noise and transport.
-    """
-
-    scene: Scene
-    law: WallLaw
+    scene: Scene  # whose cone it is
+    law: WallLaw  # of the walls
     servo: Servo = field(default_factory=Servo)
     cell: Cell = field(default_factory=Cell)
     transport: Transport = field(default_factory=Transport)
-    hidden_lag: float = 0.0
-    sends_tip: bool = True
-    seed: int = 0
+    hidden_lag: float = 0.0  # s, by which the force is old that is sent with the present position
+    sends_tip: bool = True  # whether the tip's measured position is sent as well
+    seed: int = 0  # of noise and transport
 
     def __post_init__(self) -> None:
         self._walls = Walls(self.scene)

@@ -42,12 +42,8 @@ class StageState(NamedTuple):
 def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return coordinates (8,) and rates (8,) with which the chaser leaves its rail.
 
-    A scene's rail ends before the first touch and after the hanging mass has landed.
-
-    Raises
-    ------
-    SceneError
-        The chaser does not get that far.
+    A scene's rail ends before the first touch and after the hanging mass has landed; SceneError if
+    the chaser does not get that far.
     """
     for event in simulate(scene).events:
         if event.kind == EventKind.RAIL_END:
@@ -58,20 +54,9 @@ def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 class LoopStage:
     """Vehicles, buffer, stroke stops and latch, floating free, with the tip's wrench from outside.
 
-    Parameters
-    ----------
-    scene
-        Without supports.  With a rail the stage begins where the chaser leaves it.  Once
-        latched, the wrench acts no more.
-    step
-        s, over which a wrench is held.
-    substeps
-        Runge-Kutta steps in each.
-
-    Raises
-    ------
-    SceneError
-        The scene has a part that cannot be in a loop.
+    The wrench is held over each ``step`` (s), of ``substeps`` Runge-Kutta steps.  With a rail the
+    stage begins where the chaser leaves it.  Once latched, the wrench acts no more.  SceneError for
+    a scene with supports.
     """
 
     def __init__(self, scene: Scene, step: float = 1e-3, substeps: int = 10) -> None:
@@ -182,13 +167,7 @@ class LoopStage:
         self._count += 1
 
     def advance(self, force_x: float, force_y: float, torque: float) -> TipState:
-        """Go one step with this wrench held; return where the tip is then.
-
-        Raises
-        ------
-        SafeStopError
-            See :meth:`check`.
-        """
+        """Go one step with this wrench held; return where the tip is then.  See :meth:`check`."""
         self.go(force_x, force_y, torque)
         self.check()
         return self.tip

@@ -10,44 +10,20 @@ from capture_sim.hardware.fit import LawEstimate
 
 @dataclass
 class Touch:
-    """One touch, from its first force to its last; what chatters is one touch.
+    """One touch, from its first force to its last; what chatters is one touch."""
 
-    Attributes
-    ----------
-    begin
-        s.
-    approach_speed
-        m/s, along the force.
-    energy
-        J, of that motion before: half the effective mass times its square.
-    duration
-        s, under force.
-    work
-        J, of the wrench or the law on the vehicles.
-    peak_force
-        N, on the vehicles.
-    rig_peak_force
-        N, that the load cell has read.
-    impulse
-        N s, on the vehicles.
-    law_restitution
-        With ``model``, of the law that acted; else NaN.
-    rig
-        The law fitted to what the rig measured; None if it was not touched.
-    is_held
-        True if the restitution was within 5 % of the rig's, None if that is not known.
-    """
-
-    begin: float
-    approach_speed: float
-    energy: float
-    duration: float = 0.0
-    work: float = 0.0
-    peak_force: float = 0.0
-    rig_peak_force: float = 0.0
-    impulse: float = 0.0
-    law_restitution: float = math.nan
+    begin: float  # s
+    approach_speed: float  # m/s, along the force
+    energy: float  # J, of that motion before: half the effective mass times its square
+    duration: float = 0.0  # s, under force
+    work: float = 0.0  # J, of the wrench or the law on the vehicles
+    peak_force: float = 0.0  # N, on the vehicles
+    rig_peak_force: float = 0.0  # N, that the load cell has read
+    impulse: float = 0.0  # N s, on the vehicles
+    law_restitution: float = math.nan  # with ``model``, of the law that acted; else NaN
+    # the law fitted to what the rig measured; None if it was not touched
     rig: LawEstimate | None = None
+    # True if the restitution was within 5 % of the rig's, None if that is not known
     is_held: bool | None = None
 
     @property

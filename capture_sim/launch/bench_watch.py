@@ -83,13 +83,7 @@ class TravelFit:
 
 
 class BenchWatch:
-    """Follows a launch on a bench from its poses; see :class:`Launcher` for what it decides.
-
-    Parameters
-    ----------
-    launcher, scene
-        The launch, and what is launched.
-    """
+    """Follows a launch on a bench from its poses; see :class:`Launcher` for what it decides."""
 
     def __init__(self, launcher: Launcher, scene: Scene) -> None:
         self._launcher, self._scene = launcher, scene
@@ -121,14 +115,8 @@ class BenchWatch:
     def add_chaser(self, stamp: float, pose: Pose, arrival: float) -> LauncherStatus | None:
         """Take the chaser's pose; return the launcher's status if it was evaluated.
 
-        Parameters
-        ----------
-        stamp
-            s by the bench's clock.
-        pose
-            x, y (m) and heading (rad); one that is not finite is left out.
-        arrival
-            s by any steady clock.
+        ``stamp``: s by the bench's clock; ``arrival``: s by any steady clock.  A ``pose`` that is
+        not finite is left out.
         """
         if not all(map(math.isfinite, pose)):
             return None

@@ -27,29 +27,17 @@ from capture_sim.scene.parts import Scene
 
 @dataclass(frozen=True)
 class LaunchPlan:
-    """How the chaser is launched; SI units.
+    """How the chaser is launched; SI units."""
 
-    Attributes
-    ----------
-    hanging_mass, drop_height
-        kg and m; zero in a scene without string.
-    impact_speed
-        Expected speed of the chaser at the first touch, m/s.
-    landing_speed, landing_time
-        When the mass lands, m/s and s after the release.
-    contact_time
-        Expected first touch, s after the release; ``inf`` if there is none.
-    travel
-        Of the chaser from the release to the first touch, m; ``inf`` if there is none.
-    """
-
+    # hanging_mass, drop_height: kg and m; zero in a scene without string
     hanging_mass: float
     drop_height: float
-    impact_speed: float
+    impact_speed: float  # expected speed of the chaser at the first touch, m/s
+    # landing_speed, landing_time: when the mass lands, m/s and s after the release
     landing_speed: float
     landing_time: float
-    contact_time: float
-    travel: float
+    contact_time: float  # expected first touch, s after the release; ``inf`` if there is none
+    travel: float  # of the chaser from the release to the first touch, m; ``inf`` if there is none
 
 
 def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
@@ -59,9 +47,9 @@ def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
     # straight, the buffer is part of the chaser: of length 0 at the tip
     arm, pose = scene.buffer.hinge_offset + scene.rest_length, (chaser.x, chaser.y)
     q = (*pose, chaser.theta, chaser.theta, 0.0, target.x, target.y, target.theta)
-    ahead = (c, s, *6 * (0.0,))
+    unit_rates = (c, s, *6 * (0.0,))
     sine_cosine = (s, c, s, c, math.sin(target.theta), math.cos(target.theta))
-    return plain(tip_motion)((*q, *ahead), arm, *sine_cosine)
+    return plain(tip_motion)((*q, *unit_rates), arm, *sine_cosine)
 
 
 def travel_to_touch(scene: Scene) -> float:

@@ -83,10 +83,7 @@ def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
 def check_scene(scene: Scene) -> LaunchPlan:
     """Check the rules that tie the parts of a scene together, and return its launch plan.
 
-    Raises
-    ------
-    SceneError
-        The scene breaks a rule; the message names the first one.
+    SceneError names the first rule that the scene breaks.
     """
     rules = (
         *(_contact, _friction, _throat, _stops, _rates),

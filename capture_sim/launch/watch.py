@@ -16,19 +16,10 @@ SPEED_GUARD = 5.0
 
 
 def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
-    """Return the chaser's speed that belongs to its travel before the first touch, m/s.
+    """Return the chaser's speed (m/s) at a travel (m) from the release, before the first touch.
 
     By energy, so it needs no clock: ``v^2 = v_L^2 x / H`` while the mass sinks, then
     ``v_L^2 - 2 a_c (x - H)``.
-
-    Parameters
-    ----------
-    scene
-        What is launched.
-    plan
-        How.
-    travel
-        From where the chaser was released, m.
     """
     landing, height = plan.landing_speed, plan.drop_height
     if travel < height:
@@ -62,23 +53,12 @@ class LauncherStatus:
 
 
 class Launcher:
-    """Follows one launch from arming to the first contact.
+    """Follows one launch from arming to the first contact; without a string it only lets go.
 
-    Parameters
-    ----------
-    scene
-        With or without a string; without one the chaser is only let go.
-
-    Attributes
-    ----------
-    tolerance : float
-        The chaser's speed may differ from the expected one by this share of the wanted impact
-        speed, and the first touch may come later by this share of its time and
-        :data:`GRACE`; else the launch is aborted.
-    aborts : bool
-        False: a launch that differs from the plan is not aborted, only described.
-    deviation : str
-        How the launch differed from the plan at the last measurement; empty if it did not.
+    ``tolerance``: the share of the wanted impact speed by which the speed may differ, and of the
+    time of the first touch (and :data:`GRACE`) by which that may be late; else the launch is
+    aborted, or, without ``aborts``, only described.  ``deviation``: how the launch differed from
+    the plan at the last measurement; empty if it did not.
     """
 
     def __init__(self, scene: Scene, tolerance: float = 0.2, *, aborts: bool = True) -> None:
@@ -132,20 +112,9 @@ class Launcher:
     ) -> LauncherStatus:
         """Take in a measurement; abort if the launch does not go as planned.
 
-        Parameters
-        ----------
-        chaser_speed
-            Along the rail, m/s.
-        string_slack
-            The mass has landed (or there is no string).
-        touched
-            The tip has met the cone since the release.
-        t
-            Since the release, s; without it no delay is noticed.
-        travel
-            Of the chaser since then, m; without it the speed is not evaluated.
-        speed_deviation
-            Standard deviation of ``chaser_speed``, m/s.
+        ``chaser_speed`` (m/s, along the rail) has the standard deviation ``speed_deviation``;
+        without ``travel`` (m, since the release) it is not evaluated, and without ``t`` (s) no
+        delay.
         """
         if self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED):
             if touched:

@@ -48,13 +48,7 @@ _SEQUENCE = struct.Struct("<Q")
 
 
 def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
-    """Return the stamp in a serialised message, ns; None when the type carries none.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message.
-    """
+    """Return the stamp in a serialised message, ns; None when the type carries none."""
     if topic.stamp is Stamp.NONE:
         return None
     sec, nanosec = _unpacked(_TIME, topic, data, _HEADER)
@@ -62,13 +56,7 @@ def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
 
 
 def sequence_of(topic: Topic, data: bytes) -> int | None:
-    """Return ``seq`` of a serialised message; None when the type has none.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message.
-    """
+    """Return ``seq`` of a serialised message; None when the type has none."""
     if not topic.sequenced:
         return None
     (length,) = _unpacked(_LENGTH, topic, data, _HEADER + _TIME.size)  # of header.frame_id
@@ -86,29 +74,12 @@ def _unpacked(
 
 
 def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
-    """Return the fields of many messages of one type as columns.
+    """Return the fields of n serialised messages of a type as columns, by path.
 
-    Parameters
-    ----------
-    store
-        Knows the type.
-    type_name
-        ``package/msg/Name``.
-    messages
-        Serialised, n of them.
-
-    Returns
-    -------
-    dict
-        By the field's path (``"header.stamp.sec"``): (n,) of numbers, (n, m) for arrays
-        of m numbers, (n,) of ``str`` objects for texts; (n,) objects for sequences of
-        numbers whose length differs, and for sequences of texts (lists of ``str``).
-
-    Raises
-    ------
-    MessageError
-        A message does not fit the type, or the type has a sequence of
-        messages.
+    A path is such as ``"header.stamp.sec"``.  (n,) of numbers; (n, m) for arrays of m numbers; (n,)
+    of ``str`` objects for texts; (n,) objects for sequences of numbers whose length differs, and
+    for sequences of texts (lists of ``str``).  MessageError if a message does not fit the type, or
+    the type has a sequence of messages.
     """
     found: dict[str, np.ndarray] = {}
     sizes = np.fromiter((len(data) for data in messages), dtype=np.int64, count=len(messages))
@@ -130,19 +101,10 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
 
 
 class Numbers:
-    """Reads the same numbers out of one message after another, as they come over a topic.
+    """Reads the numbers at some paths out of one message after another, as they come over a topic.
 
-    Where they stand is found again only for a message whose texts or sequences have other
-    lengths than those of the one before.
-
-    Parameters
-    ----------
-    store
-        Knows the type.
-    type_name
-        ``package/msg/Name``.
-    paths
-        Of the numbers, such as ``"header.stamp.sec"``.
+    Where they stand is found again only for a message whose texts or sequences have other lengths
+    than those of the one before.
     """
 
     def __init__(self, store: Typestore, type_name: str, *paths: str) -> None:
@@ -151,13 +113,7 @@ class Numbers:
         self._fixed, self._lengths = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
 
     def __call__(self, data: bytes) -> np.void:
-        """Return the numbers of a serialised message: by path, or ``.item()`` as a tuple.
-
-        Raises
-        ------
-        MessageError
-            The bytes are no such message.
-        """
+        """Return the numbers of a serialised message: by path, or ``.item()`` as a tuple."""
         raw = np.frombuffer(data, dtype=np.uint8)
         fits = len(raw) == self._records.itemsize and (raw[self._fixed] == self._lengths).all()
         if not fits:
@@ -168,18 +124,9 @@ class Numbers:
 
 
 class Template:
-    """A serialised message, of which some fields are set to n values.
+    """A serialised message, of which the fields in ``columns`` are set to n values each.
 
     Texts and the lengths of sequences are those of all, so every field stands at one place.
-
-    Parameters
-    ----------
-    store
-        Knows the type.
-    message
-        Of rosbags' classes.
-    columns
-        The fields that will be set, with values of the shapes they will have.
     """
 
     def __init__(self, store: Typestore, message: Any, columns: Columns) -> None:
@@ -216,19 +163,9 @@ def fill(message: Any, path: str, value: Any) -> None:
 class Layout:
     """Where the fields of a message are, found by walking over it along its definition.
 
-    Attributes
-    ----------
-    records
-        The numbers; a name is a field's path.
-    texts
-        Offset and length of each text; of a sequence of texts a list of these.
-    fixed
-        Offsets of the bytes that another message must share to fit: encapsulation and lengths.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message, or a message has a sequence of messages.
+    ``records``: the numbers, by path; ``texts``: offset and length of each text, a list of these
+    for a sequence; ``fixed``: offsets of the bytes that another message must share to fit.
+    MessageError if the bytes are no such message, or it has a sequence of messages.
     """
 
     def __init__(self, store: Typestore, type_name: str, data: bytes) -> None:

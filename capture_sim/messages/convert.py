@@ -145,10 +145,7 @@ class RunDescription:
     def of_message(cls, info: Any) -> RunDescription:
         """Return the description of a run from its RunInfo, of any library.
 
-        Raises
-        ------
-        MessageError
-            A rate is none, or there are more or longer names than a bench has.
+        MessageError if a rate is none, or there are more or longer names than a bench has.
         """
         values: dict[str, Any] = {f.name: getattr(info, f.name) for f in fields(cls)}
         for name in ("state_rate", "rate"):
@@ -260,14 +257,9 @@ def string_states(samples: np.ndarray, scene: Scene) -> Columns:
 
 
 def odometry(pose: np.ndarray, rates: np.ndarray) -> Columns:
-    """Return the columns of Odometry.
+    """Return the columns of Odometry of poses (n, 3), x, y (m) and heading (rad), and their rates.
 
-    Parameters
-    ----------
-    pose
-        (n, 3): x, y (m), heading (rad) in a frame.
-    rates
-        (n, 3): of the pose, in the same frame, m/s and rad/s; the twist is in the body's own.
+    ``rates`` (n, 3) are in the frame of the poses, m/s and rad/s; the twist is in the body's own.
     """
     vx, vy, omega = rates.T
     along, across = _turned(vx, vy, pose[:, 2])
@@ -406,17 +398,7 @@ class Messages:
         )
 
     def many(self, type_name: str, columns: Columns, **fixed: Any) -> Iterator[bytes]:
-        """Yield n serialised messages of a type.
-
-        Parameters
-        ----------
-        type_name
-            ``package/msg/Name``.
-        columns
-            What differs between them.
-        fixed
-            Texts that all have, by path.
-        """
+        """Yield n serialised messages of a type; the ``columns`` differ, the texts do not."""
         if not len(next(iter(columns.values()))):
             return iter(())
         shapes = ((path, column.shape[1:]) for path, column in columns.items())

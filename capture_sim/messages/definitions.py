@@ -33,17 +33,7 @@ def typestore() -> Typestore:
 
 
 def learn_type(type_name: str, share: Path) -> bool:
-    """Take up a type of another package, from the definitions that it has installed.
-
-    Returns whether it is known now.
-
-    Parameters
-    ----------
-    type_name
-        As ``package/msg/Name``.
-    share
-        The package's folder of shared files.
-    """
+    """Learn a type from the definitions in a package's folder; return whether it is known now."""
     store, package = typestore(), type_name.split("/")[0]
     if type_name in store.types:
         return True
@@ -70,13 +60,7 @@ def blank(type_name: str) -> Any:
 
 
 def decoded(topic: Topic, data: bytes) -> Any:
-    """Return a message of a topic from its bytes.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message.
-    """
+    """Return a message of a topic from its bytes; MessageError if they are no such message."""
     try:
         return typestore().deserialize_cdr(data, topic.type_name)
     except (SerdeError, UnicodeDecodeError) as error:

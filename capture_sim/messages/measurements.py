@@ -64,13 +64,7 @@ _NUMBERS = {
 
 
 class MeasurementReader:
-    """Reads what a topic's messages measure, one after another, from their bytes alone.
-
-    Parameters
-    ----------
-    topic
-        One of :data:`OF_A_BENCH`.
-    """
+    """Reads what the messages of a topic of :data:`OF_A_BENCH` measure, from their bytes alone."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
@@ -80,10 +74,7 @@ class MeasurementReader:
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values, see :class:`capture_sim.detection.align.Source`.
 
-        Raises
-        ------
-        MessageError
-            The bytes are no such message, or it has no such joints.
+        MessageError if the bytes are no such message, or it has no such joints.
         """
         sec, nanosec, *numbers = self._numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec

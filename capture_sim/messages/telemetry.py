@@ -48,10 +48,7 @@ class Sent(NamedTuple):
 def samples_per_message(state_rate: float, rate: float) -> int:
     """Return how many samples lie between two periodic messages.
 
-    Raises
-    ------
-    CaptureSimError
-        ``state_rate`` is no whole multiple of ``rate``.
+    CaptureSimError if ``state_rate`` is no whole multiple of ``rate``.
     """
     every = round(state_rate / rate)
     if every < 1 or abs(every * rate - state_rate) > 1e-9 * state_rate:
@@ -93,10 +90,7 @@ class ContactInterval:
     def take(self, t: float, impulse: float, touches: int) -> tuple[float, float, int]:
         """Return largest force (N), impulse (N s) and touches begun since, and start anew.
 
-        Parameters
-        ----------
-        t, impulse, touches
-            Of the sample: s, and since the release, N s.
+        ``t`` (s), ``impulse`` and ``touches`` are the sample's, since the release.
         """
         since = (self._peak, impulse - self._impulse, touches - self._touches)
         self._peak, self._impulse, self._touches = 0.0, impulse, touches
@@ -194,18 +188,9 @@ class _StatusStream(_Stream):
 class BenchTelemetry(_Stream):
     """What the simulator sends: begin, any number of blocks, rest, end.
 
-    For every sample k come, in this order, the events before its time, BenchState, the trace
-    of the contact before its time, and when k is a multiple of ``state_rate / rate`` the clock
-    and the periodic messages.  Nothing depends on how the run is cut into blocks.
-
-    Parameters
-    ----------
-    messages
-        Makes the messages.
-    scene
-        What is on the bench.
-    run
-        The run's description; its rates are used.
+    For every sample k come, in this order, the events before its time, BenchState, the trace of the
+    contact before its time, and when k is a multiple of ``state_rate / rate`` the clock and the
+    periodic messages.  Nothing depends on how the run is cut into blocks.
     """
 
     publisher = topics.SIMULATOR
@@ -234,17 +219,9 @@ class BenchTelemetry(_Stream):
         events: Iterable[Event] = (),
         trace: np.ndarray | None = None,
     ) -> Iterator[Sent]:
-        """Yield the messages of the next samples and of new events.
+        """Yield the messages of the next samples, and of new events and trace samples, in order.
 
-        Parameters
-        ----------
-        samples
-            The samples that follow the last block's, (n,) of dtype SAMPLE.
-        events
-            Events since the last block, in order; those later than the last
-            sample wait for the next block.
-        trace
-            The contact since the last block, (m,) of dtype SAMPLE, in order; likewise.
+        Events and trace later than the last sample wait for the next block.
         """
         self._pending.extend(events)
         if trace is not None and len(trace):
@@ -275,14 +252,9 @@ class BenchTelemetry(_Stream):
         yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
 
     def cut(self, made: Mapping[Topic, int], sent: Mapping[Topic, int]) -> None:
-        """Forget what was made ahead when a run is cut: nobody is to wait for it.
+        """Forget what was made ahead when a run is cut: no node is to wait for it.
 
-        Parameters
-        ----------
-        made
-            The counts when sending began.
-        sent
-            How many of each topic have been sent since.
+        ``made``: the counts when sending began; ``sent``: how many of each topic were sent since.
         """
         self._pending.clear()
         self._trace = self._trace[:0]

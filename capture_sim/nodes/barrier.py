@@ -20,18 +20,9 @@ _REPORT_PERIOD = 2.0
 class Barrier:
     """Waits for the nodes that take part in the runs of an announcer, whatever their names.
 
-    Parameters
-    ----------
-    node
-        The announcer.
-    roles
-        Roles of the nodes to wait for before a run.  Other nodes may join at any time.
-    streams
-        Topics that the announcer publishes.
-    own
-        Roles whose counts the announcer itself publishes.
-    look
-        Called while waiting; raises what is to end that.
+    ``roles`` are waited for before a run; other nodes may join at any time.  ``streams`` are the
+    topics that the announcer publishes, ``own`` the roles whose counts it publishes.  ``look`` is
+    called while waiting and raises what is to end that.
     """
 
     def __init__(
@@ -79,10 +70,7 @@ class Barrier:
     def wait(self, what: str, pending: Callable[[], str], limit: float | None) -> None:
         """Wait until ``pending`` returns nothing; log what it returns, at growing intervals.
 
-        Raises
-        ------
-        CaptureSimError
-            After ``limit``, s.
+        CaptureSimError after ``limit`` (s).
         """
         began = last_report = time.monotonic()
         period = _REPORT_PERIOD

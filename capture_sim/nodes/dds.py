@@ -20,17 +20,8 @@ def configure(environment: MutableMapping[str, str]) -> bool:
     Nodes are bound to the loopback interface unless ROS_AUTOMATIC_DISCOVERY_RANGE or
     ROS_STATIC_PEERS asks for more.  ROS's own LOCALHOST does not do that: with it rmw_fastrtps
     limits discovery, on UDP ports that are open to all interfaces.  So the profile for loopback
-    does what LOCALHOST does, and rmw_fastrtps adds nothing to it (SYSTEM_DEFAULT).
-
-    Parameters
-    ----------
-    environment
-        Of this process; changed.
-
-    Returns
-    -------
-    bool
-        Whether the node stays on this machine though nobody has asked for that.
+    does what LOCALHOST does, and rmw_fastrtps adds nothing to it (SYSTEM_DEFAULT).  Return whether
+    the node stays on this machine without having been asked to.
     """
     if any(environment.get(name) for name in PROFILES):
         return False

@@ -56,12 +56,7 @@ def message_class(type_name: str) -> Any:
 def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
     """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
 
-    Parameters
-    ----------
-    topic
-        Of the table.
-    latched
-        Whether a subscriber wants what is kept of a latched topic; as the topic is unless given.
+    ``latched``: whether a subscriber wants what a latched topic keeps; as the topic unless given.
     """
     latched = topic.latched if latched is None else latched
     keeps_last = (topic.latched and latched) or topic.rate is Rate.CONTROL
@@ -85,10 +80,7 @@ def overridable(topic: Topic) -> QoSOverridingOptions | None:
 class BenchNode(ParameterNode):
     """A node of the bench: publishers by topic, which lose nothing, and subscriptions.
 
-    Attributes
-    ----------
-    has_coroutines : bool
-        Whether some callbacks are coroutines.
+    ``has_coroutines``: some callbacks are coroutines.
     """
 
     has_coroutines = False
@@ -283,13 +275,7 @@ class BenchNode(ParameterNode):
 
 
 def from_bytes(topic: Topic, data: bytes) -> Any:
-    """Return the message of a topic that was taken raw.
-
-    Raises
-    ------
-    MessageError
-        The bytes are no such message.
-    """
+    """Return the message of a topic that was taken raw; MessageError if the bytes are none."""
     try:
         return deserialize_message(data, message_class(topic.type_name))
     except RuntimeError:  # rclpy's RMWError, of several lines

@@ -65,29 +65,14 @@ class ParameterNode(Node):
         allowed: str = "",
         check: Callable[[Any], object] | None = None,
     ) -> Any:
-        """Declare a parameter and return its value.
+        """Declare a parameter and return its value; ParameterError, one line, if it cannot be used.
 
-        Parameters
-        ----------
-        name, default, description
-            The description says the unit.  A default that is a type: ``list`` for texts, [] unless
-            given (['']), ``float`` for a number, NaN unless given.
-        low, high
-            Bounds of a number, both or neither.
-        choices
-            All that a text may be, or the texts of a list, each once.
-        read_only
-            Whether the value is fixed from the start.
-        allowed
-            In words, where bounds and choices do not say it.
-        check
-            Called with the value, now and before every change; raises CaptureSimError if it
-            is not usable.
-
-        Raises
-        ------
-        ParameterError
-            One line that says what is allowed.
+        The description says the unit.  A ``default`` that is a type: ``list`` for texts, [] unless
+        given (['']), ``float`` for a number, NaN unless given.  ``low`` and ``high`` bound a
+        number; ``choices`` are all that a text may be, or the texts of a list, each once;
+        ``allowed`` says in words what these do not.  ``check`` is called with the value, now and
+        before every change, and raises CaptureSimError if it cannot be used.  A ``read_only`` value
+        is fixed from the start.
         """
         kind = default if isinstance(default, type) else type(default)
         descriptor = ParameterDescriptor(description=description, read_only=read_only)

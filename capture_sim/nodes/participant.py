@@ -94,13 +94,9 @@ def readers(topic: Topic, roles: Collection[str]) -> int:
 class Participant(BenchNode):
     """A node that takes part in trials, one after another.
 
-    A subclass calls :meth:`follow` for its topics and fills in :meth:`begin` and
-    :meth:`end`.  Callbacks run one at a time.
-
-    Parameters
-    ----------
-    role
-        The node's name unless it is remapped, and its role in a run whatever its name.
+    A subclass calls :meth:`follow` for its topics and fills in :meth:`begin` and :meth:`end`.
+    Callbacks run one at a time.  ``role`` is the node's name unless it is remapped, and its role
+    in a run whatever its name.
     """
 
     def __init__(self, role: str) -> None:
@@ -144,10 +140,7 @@ class Participant(BenchNode):
     def end(self, reason: str) -> list[str]:
         """End the run; return its problems, one line each.
 
-        Parameters
-        ----------
-        reason
-            Why it ended early; empty if all that was sent has arrived.
+        ``reason``: why it ended early; empty if all that was sent has arrived.
         """
         return [reason] if reason else []
 
@@ -226,10 +219,7 @@ class Participant(BenchNode):
     def announce(self, name: str, scene: Scene) -> None:
         """Begin a trial for all participants.
 
-        Raises
-        ------
-        CaptureSimError
-            A run is on, or its announcement is on its way.
+        CaptureSimError if a run is on, or its announcement is on its way.
         """
         if self.state.stage is Stage.REQUESTED:
             raise CaptureSimError("a trial is being announced already")
@@ -403,13 +393,7 @@ class Participant(BenchNode):
 
 
 def _scene_of(info: Any) -> Scene:
-    """Return the scene of a run that is announced.
-
-    Raises
-    ------
-    MessageError
-        A node cannot take part in the run.
-    """
+    """Return the scene of an announced run; MessageError if a node cannot take part in it."""
     try:
         scene = load_scene_text(info.scene)
         described = RunDescription.of_message(info)

@@ -86,7 +86,7 @@ class PlayerNode(BenchNode):
             "nodes of the bench that take part: awaited and never outrun",
             choices=ROLES,
         )
-        self._patience = self.declare(
+        self._start_timeout = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
         )
         self._delay = self.declare(
@@ -124,7 +124,7 @@ class PlayerNode(BenchNode):
             ("resume", lambda: self._control.set_state(State.PLAYING)),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
-        self._served = SimulationServices(self, self._control, INFO)
+        self._services = SimulationServices(self, self._control, INFO)
 
     # set-up
 
@@ -184,7 +184,7 @@ class PlayerNode(BenchNode):
             return FAILED
         finally:
             self._control.end()
-            self._served.close()
+            self._services.close()
         if count == 0:
             self.get_logger().error(
                 "nothing was played: of the topics and times chosen the recording contains no "
@@ -201,7 +201,7 @@ class PlayerNode(BenchNode):
         stamp = self._playback.start
         self._control.begin()
         if self._consumers:
-            self._barrier.wait(name, self._barrier.all_there, self._patience)
+            self._barrier.wait(name, self._barrier.all_there, self._start_timeout)
         else:
             STOP.wait(self._delay)
         self._control.pacer.reset()

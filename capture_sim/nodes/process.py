@@ -83,20 +83,9 @@ def run(
 ) -> int:
     """Make a node, do its work, end in order; return the process's exit status.
 
-    The process is then to end: where DDS does not, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
-
-    Parameters
-    ----------
-    make
-        Makes the node.
-    args
-        Command line; ``None`` for that of the process.
-
-    Returns
-    -------
-    int
-        0 done, or ended by Ctrl-C, which is a node's ordinary end; 1 failed; 2 refused: a
-        parameter or the scene is wrong.
+    0: done, or ended by Ctrl-C, which is a node's ordinary end; 1: failed; 2: a parameter or the
+    scene is wrong.  ``args``: the command line; None for that of the process, which is then to end:
+    where DDS does not, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         print(_usage(make), flush=True)

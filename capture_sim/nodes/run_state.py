@@ -37,23 +37,10 @@ class Stage(Enum):
 class RunState:
     """The run that a node takes part in.
 
-    Parameters
-    ----------
-    drain_timeout
-        s (wall) without a message, after which an ended run is overdue.
-    clock
-        A steady clock, s.
-
-    Attributes
-    ----------
-    info : RunInfo or None
-        Of the run that is announced, on or ended.
-    counts : StreamCounts or None
-        By which its announcer has ended it.
-    received : Counter
-        Messages of the run that have come, by topic name.
-    finished : int
-        Runs that are over.
+    ``drain_timeout``: s (wall) without a message, after which an ended run is overdue; ``clock``: a
+    steady one, s.  ``info``: RunInfo of the run that is announced, on or ended, or None;
+    ``counts``: the StreamCounts by which its announcer has ended it, or None; ``received``:
+    messages of the run that have come, by topic name; ``finished``: runs that are over.
     """
 
     def __init__(self, drain_timeout: float, clock: Callable[[], float] = time.monotonic) -> None:

@@ -40,19 +40,10 @@ def definitions() -> str:
 
 
 class SimulationServices:
-    """Serves ``<node>/set_simulation_state`` and its kin.
+    """Serves ``<node>/set_simulation_state`` and its kin for a control.
 
     Their callbacks are coroutines, which wait e.g. for a step without blocking others: the node
-    needs an executor that runs coroutines.
-
-    Parameters
-    ----------
-    node
-        The simulator; the services carry its name.
-    control
-        Carries the requests out.
-    info
-        Text beside the features.
+    needs an executor that runs coroutines.  ``info``: text beside the features.
     """
 
     def __init__(
@@ -67,7 +58,7 @@ class SimulationServices:
         self._answered = 0.0  # wall, when the state was set last
         self._package = definitions()
         group = ReentrantCallbackGroup()
-        served: dict[str, Callable[[Any, Any], Any]] = {
+        callbacks: dict[str, Callable[[Any, Any], Any]] = {
             "GetSimulatorFeatures": self._features,
             "GetSimulationState": self._get_state,
             "SetSimulationState": self._set_state,
@@ -75,7 +66,7 @@ class SimulationServices:
             "ResetSimulation": self._reset,
         }
         module = importlib.import_module(f"{self._package}.srv")
-        for name, callback in served.items():
+        for name, callback in callbacks.items():
             service = getattr(module, name)
             node.create_service(service, f"~/{_snake(name)}", callback, callback_group=group)
 
@@ -98,15 +89,15 @@ class SimulationServices:
         return _answered(response, Answer(Code.OK))
 
     async def _set_state(self, request: Any, response: Any) -> Any:
-        return await self._served(self._control.set_state(request.state.state), response)
+        return await self._await_request(self._control.set_state(request.state.state), response)
 
     async def _step(self, request: Any, response: Any) -> Any:
-        return await self._served(self._control.step(request.steps), response)
+        return await self._await_request(self._control.step(request.steps), response)
 
     async def _reset(self, request: Any, response: Any) -> Any:
-        return await self._served(self._control.reset(request.scope), response)
+        return await self._await_request(self._control.reset(request.scope), response)
 
-    async def _served(self, request: Request, response: Any) -> Any:
+    async def _await_request(self, request: Request, response: Any) -> Any:
         """Fill a response when its request is answered; the node must not end before it is sent."""
         answered = Future()
 

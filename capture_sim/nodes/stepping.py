@@ -20,25 +20,10 @@ LARGEST_BLOCK = 200
 
 
 class Stepping:
-    """Steps a bench to its end and sends what it gives.
+    """Steps a bench from its release to its end and sends what it gives.
 
-    Parameters
-    ----------
-    bench
-        At its release.
-    telemetry
-        Makes its messages.
-    control
-        Asked before every sample, and its pacer waited for.
-
-    Attributes
-    ----------
-    count : int
-        Samples sent.
-    t : float
-        Simulated time of the last one, s.
-    residual : float
-        Energy residual of the last one, J.
+    ``control`` is asked before every sample, and its pacer waited for.  ``count``: samples sent;
+    ``t`` (s) and ``residual`` (J): simulated time and energy residual of the last one.
     """
 
     def __init__(self, bench: Bench, telemetry: BenchTelemetry, control: SimulationControl) -> None:
@@ -51,17 +36,9 @@ class Stepping:
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
         """Send the run; return why it failed, or nothing.
 
-        Parameters
-        ----------
-        send
-            Called with every topic and serialised message; returns whether it was sent.
-        show
-            Called with every sample that periodic messages were made of, after them.
-
-        Raises
-        ------
-        RunCut, KeyboardInterrupt
-            The run is to end before its time; what was made ahead does not count as sent.
+        ``send`` is called with every topic and serialised message and returns whether it was sent;
+        ``show`` with every sample that periodic messages were made of, after them.  After RunCut or
+        KeyboardInterrupt, what was made ahead does not count as sent.
         """
         made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
         failure = ""

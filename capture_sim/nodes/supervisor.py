@@ -62,25 +62,12 @@ def run_suite(
     rtf: float = 0.0,
     namespace: str = "",
 ) -> SuiteResult:
-    """Run experiments with the ROS 2 nodes, in the caller's ROS_DOMAIN_ID as any ROS program.
+    """Run experiments one after another with the nodes, in the caller's ROS_DOMAIN_ID.
 
-    Parameters
-    ----------
-    scenes
-        Run one after another.
-    out
-        Folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs.
-    record
-        Whether the recorder takes part.
-    rtf
-        Simulated seconds per second; 0 runs without pacing.
-    namespace
-        Of all nodes and topics, e.g. beside another suite in the domain.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C (or SIGTERM), when all nodes have ended.
+    ``out``: folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs; ``rtf``:
+    simulated seconds per second, 0 without pacing; ``namespace``: of all nodes and topics, e.g.
+    beside another suite in the domain.  KeyboardInterrupt after Ctrl-C (or SIGTERM), when all nodes
+    have ended.
     """
     consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
     limit = START_LIMIT
@@ -101,26 +88,11 @@ def run_suite(
 
 
 def replay(parameters: Mapping[str, Any], out: Path) -> int:
-    """Play a recording with the player node, and nodes of the bench beside it.
+    """Play a recording with the player; return the exit status, see :attr:`SuiteResult.status`.
 
-    Parameters
-    ----------
-    parameters
-        Of the player.  The nodes named in ``consumers`` are started beside it, and end with it.
-    out
-        Folder of the recorder's files, where it is one of them.
-
-    Returns
-    -------
-    int
-        As :attr:`SuiteResult.status`.
-
-    Raises
-    ------
-    CaptureSimError
-        A node has refused its parameters; the text is its reason.
-    KeyboardInterrupt
-        After Ctrl-C, when all nodes have ended in order.
+    The nodes named in the player's parameter ``consumers`` are started beside it and end with it;
+    ``out``: folder of the recorder's files.  CaptureSimError if a node has rejected its parameters;
+    KeyboardInterrupt after Ctrl-C, when all nodes have ended in order.
     """
     check_ros()
     nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
@@ -213,13 +185,8 @@ class _Processes:
     def supervise(self, announcer: str, limit: float, stop: threading.Event) -> int:
         """Wait until all have ended, ``limit`` s at most; return the exit status.
 
-        When a node dies the others get some time to notice, to report it and to close their
-        files, then they are ended too.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            ``stop`` was set.
+        When a node dies the others get some time to notice, to report it and to close their files,
+        then they are ended too.  KeyboardInterrupt if ``stop`` was set.
         """
         began = time.monotonic()
         deadline = began + limit

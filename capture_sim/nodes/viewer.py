@@ -1,8 +1,8 @@
 """The node that shows a run while it goes on; needs rerun, and takes no part in the run.
 
-Of the simulator it reads BenchState, in which all of an instant stands; of a real bench, whose
-geometry is given by ``scene``, what such a bench has: poses, buffer, contact, string.  Nobody
-waits for it: what comes too fast is not shown.
+Of the simulator it reads BenchState, which holds all of an instant; of a real bench, whose
+geometry is given by ``scene``, its poses, buffer, contact and string.  No node waits for it: what
+comes too fast is not shown.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from capture_sim.scene.parts import Scene
 VIEWER = "viewer"
 
 #: Read of a real bench besides poses and buffer.
-BESIDE = (CONTACT_STATE, CONTACT_WRENCH, STRING_STATE)
+EXTRA_TOPICS = (CONTACT_STATE, CONTACT_WRENCH, STRING_STATE)
 _UNKNOWN = (math.nan, math.nan, math.nan)
 _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
 
@@ -49,7 +49,7 @@ _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte ord
 class ViewerNode(Participant):
     """Shows every run that is announced, or one of a bench that announces none.
 
-    What it shows and how stands in :class:`capture_sim.viewing.live.LiveView`.
+    What it shows and how is in :class:`capture_sim.viewing.live.LiveView`.
     """
 
     _scene: Scene  # of the run that is on
@@ -76,10 +76,10 @@ class ViewerNode(Participant):
         # the last two of each source and topic: stamps, ns, and what came
         self._newest: dict[Any, list[tuple[int, Any]]] = {}
         self._used: dict[Any, Topic] = {}  # which of its topics shows a source
-        self._beat: dict[Topic, int] = {}
+        self._last_slot: dict[Topic, int] = {}
         self._zero: float | None = None  # s, stamp of a bench's first message
         self._unannounced = False
-        self._judgement: bytes | None = None  # the detector's last
+        self._last_status: bytes | None = None  # the detector's last
         self._last_verdict = 0.0
         try:
             from capture_sim.viewing.live import LiveView
@@ -93,10 +93,10 @@ class ViewerNode(Participant):
             self.listen(BENCH_STATE, self._take_state, raw=True)
         else:
             self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
-            for topic in (*OF_A_BENCH, *BESIDE):
+            for topic in (*OF_A_BENCH, *EXTRA_TOPICS):
                 self.listen(topic, partial(self._take, topic), raw=True)
-        self.listen(BENCH_EVENT, self._happened)
-        self.listen(CAPTURE_STATUS, self._judged, raw=True)
+        self.listen(BENCH_EVENT, self._receive_event)
+        self.listen(CAPTURE_STATUS, self._receive_status, raw=True)
         # what came last is also shown when nothing follows: the run may stand still
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(max(0.2, 1.0 / refresh), self._view.show, clock=steady)
@@ -128,17 +128,19 @@ class ViewerNode(Participant):
     def _start(self, name: str) -> None:
         self._newest.clear()
         self._used.clear()
-        self._beat.clear()
-        self._judgement, self._last_verdict = None, 0.0
+        self._last_slot.clear()
+        self._last_status, self._last_verdict = None, 0.0
         self._view.begin(name, self._scene, measured=self._geometry is not None)
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
         """Return, from a message's first bytes, whether it is one of those that are shown."""
         seconds, nanoseconds = _STAMP.unpack_from(data, 4)
-        beat = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
-        if beat == self._beat.get(topic) or (self.run is None and not self._begin_unannounced()):
+        slot = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
+        if slot == self._last_slot.get(topic) or (
+            self.run is None and not self._begin_unannounced()
+        ):
             return False
-        self._beat[topic] = beat
+        self._last_slot[topic] = slot
         return True
 
     def _take_state(self, data: bytes) -> None:
@@ -185,20 +187,20 @@ class ViewerNode(Participant):
             what: min(contents, key=lambda content: abs(content[0] - stamp))[1]
             for what, contents in self._newest.items()
         }
-        seen = Observation(stamp_seconds(stamp), *(parts[source] for source in Source))
-        self._view.take(samples_of(self._scene, self._measurements(seen, parts)))
+        observation = Observation(stamp_seconds(stamp), *(parts[source] for source in Source))
+        self._view.take(samples_of(self._scene, self._measurements(observation, parts)))
 
-    def _measurements(self, seen: Observation, parts: dict[Any, Any]) -> AlignedMeasurements:
+    def _measurements(self, observation: Observation, parts: dict[Any, Any]) -> AlignedMeasurements:
         contact, wrench = parts.get(CONTACT_STATE), parts.get(CONTACT_WRENCH)
         string = parts.get(STRING_STATE)
         return AlignedMeasurements(
-            t=np.array([self._since_start(seen.t)]),
-            chaser=np.array([seen.chaser[:3]]),
-            chaser_rate=np.array([seen.chaser[3:] if seen.has_rates else _UNKNOWN]),
-            target=np.array([seen.target[:3]]),
-            target_rate=np.array([seen.target[3:] if seen.has_rates else _UNKNOWN]),
-            buffer=np.array([seen.buffer[:2]]),
-            buffer_rate=np.array([seen.buffer[2:] if seen.has_rates else (0.0, 0.0)]),
+            t=np.array([self._since_start(observation.t)]),
+            chaser=np.array([observation.chaser[:3]]),
+            chaser_rate=np.array([observation.chaser[3:] if observation.has_rates else _UNKNOWN]),
+            target=np.array([observation.target[:3]]),
+            target_rate=np.array([observation.target[3:] if observation.has_rates else _UNKNOWN]),
+            buffer=np.array([observation.buffer[:2]]),
+            buffer_rate=np.array([observation.buffer[2:] if observation.has_rates else (0.0, 0.0)]),
             tip_force=wrench and np.array([[wrench.wrench.force.x, wrench.wrench.force.y]]),
             normal_force=contact and np.array([contact.normal_force]),
             walls=contact and np.array([contact.walls]),
@@ -214,24 +216,24 @@ class ViewerNode(Participant):
             self._zero = t
         return t - self._zero
 
-    def _happened(self, event: Any) -> None:
+    def _receive_event(self, event: Any) -> None:
         if self.run is None:
             return
         self._view.event(event.t, event.kind, event.detail)
         if event.peak_force > 0.0:
             self._view.touch(event.peak_time, event.peak_force)
 
-    def _judged(self, data: bytes) -> None:
-        self._judgement = data
+    def _receive_status(self, data: bytes) -> None:
+        self._last_status = data
         over = self.run is None and not self._unannounced
         if over or self._is_shown(CAPTURE_STATUS, data):
             # the detector may judge at the end, after the simulator has ended the run
             self._show_verdict()
 
     def _show_verdict(self) -> None:
-        if self._judgement is None:
+        if self._last_status is None:
             return
-        status = from_bytes(CAPTURE_STATUS, self._judgement)
+        status = from_bytes(CAPTURE_STATUS, self._last_status)
         t = self._since_start(stamp_seconds(stamp_ns_of(status)))
         # one that is older belongs to the next run, which is not announced yet
         if self.run is not None or self._unannounced or t >= self._last_verdict:
