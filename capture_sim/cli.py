@@ -137,8 +137,8 @@ def _failed(error: Exception) -> int:
     elif isinstance(error, (SimulationError, MissingPackageError)):
         status = FAILED
     elif isinstance(error, OSError):
-        what = f"{error.filename}: " if error.filename else ""
-        text = f"{what}{error.strerror or error}"
+        prefix = f"{error.filename}: " if error.filename else ""
+        text = f"{prefix}{error.strerror or error}"
     elif not isinstance(error, CaptureSimError):
         text = f"{type(error).__name__}: {error}"
         if not isinstance(error, _FROM_OUTSIDE):

@@ -1,8 +1,8 @@
 """Measurements of several sources interpolated to common instants.
 
-Simulated poses and buffer states carry the same stamps.  On a real bench each source has
-its own clock, rate and delay, messages get lost and overtake each other.  The statuses are
-evaluated at the chaser's stamps; the other sources are interpolated to these instants.
+Simulated poses and buffer states have the same stamps.  On a real bench each source has its own
+clock, rate and delay, and messages get lost and overtake each other.  The statuses are evaluated
+at the chaser's stamps; the other sources are interpolated to these instants.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 Values = tuple[float, ...]
 
-#: Measurements of a source that are kept for the others' measurements still to come.
-ROOM = 1000
+#: Largest number of measurements of a source that wait for those of the others.
+MAX_WAITING = 1000
 #: A stamp that is later than both other sources' latest ones by more than this is rejected, s.
 MAX_LEAD = 2.0
 
@@ -64,13 +64,13 @@ class _Track:
                 return False
         self.times.insert(index, t)
         self.values.insert(index, values)
-        if len(self.times) > ROOM:
+        if len(self.times) > MAX_WAITING:
             del self.times[0], self.values[0]
         return True
 
     @property
     def newest(self) -> float:
-        """The latest time; a single one far ahead of the rest counts once a second follows it."""
+        """The latest time; one far later than the rest does not count before another follows."""
         times = self.times
         if len(times) > 1 and times[-1] - times[-2] > MAX_LEAD:
             return times[-2]
@@ -97,40 +97,29 @@ class _Track:
         first, second = self.values[after - 1], self.values[after]
         if len(first) != len(second):
             first, second = first[: len(second)], second[: len(first)]
-        mixed = [(1.0 - share) * a + share * b for a, b in zip(first, second, strict=True)]
+        values = [(1.0 - share) * a + share * b for a, b in zip(first, second, strict=True)]
         if self._is_pose:
             turn = math.remainder(second[2] - first[2], 2.0 * math.pi)
-            mixed[2] = first[2] + share * turn
-        return tuple(mixed)
+            values[2] = first[2] + share * turn
+        return tuple(values)
 
 
 class Aligner:
-    """Combines what was measured at the same instant.
+    """Combines the measurements of one instant.
 
-    An observation is returned as soon as every source has a measurement of its time or
-    of a later one; a measurement that comes late completes one too, late.  An instant in
-    a gap of a source is left out and counted in ``skipped``.  Where every source keeps
-    its own order, the result does not depend on the order between sources.
-
-    Parameters
-    ----------
-    max_gap
-        s, longest gap of a source that is interpolated over.
-
-    Attributes
-    ----------
-    skipped : int
-        Instants without an observation.
-    repeated : int
-        Measurements rejected because there was one with the same stamp.
-    rejected_leads : dict
-        By source, the stamps that were rejected because they were more than :data:`MAX_LEAD`
-        later than both other sources' latest ones: their number and the largest lead, s.
+    An observation is returned as soon as every source has a measurement of its time or of a later
+    one; a late measurement completes one too, late.  An instant in a gap of a source longer than
+    ``max_gap``, s, is left out.  If every source keeps its own order, the result does not depend
+    on the order between sources.
     """
 
     def __init__(self, max_gap: float) -> None:
+        #: Number of instants without an observation.
         self.skipped = 0
+        #: Number of measurements rejected because there was one with the same stamp.
         self.repeated = 0
+        #: By source, number and largest lead, s, of the stamps that were rejected because they
+        #: were more than :data:`MAX_LEAD` later than both other sources' latest ones.
         self.rejected_leads: dict[Source, tuple[int, float]] = {}
         self._max_gap = max_gap
         self._tracks = {source: _Track(is_pose=source is not Source.BUFFER) for source in Source}
@@ -138,16 +127,9 @@ class Aligner:
         self._waiting: list[tuple[float, Values]] = []
 
     def add(self, source: Source, t: float, values: Values) -> list[Observation]:
-        """Add a measurement; return the observations that it completes, in order.
+        """Add a measurement of stamp ``t``, s; return the observations that it completes, in order.
 
-        Parameters
-        ----------
-        source
-            Source of the measurement.
-        t
-            Its stamp, s.
-        values
-            See :class:`Source`; values that are not finite are left out.
+        The values are those of :class:`Source`; a measurement that is not finite is left out.
         """
         if not (math.isfinite(t) and all(map(math.isfinite, values))):
             self.skipped += source is Source.CHASER
@@ -172,14 +154,14 @@ class Aligner:
         """The latest stamp of all sources, s."""
         return max(track.newest for track in self._tracks.values())
 
-    def silent(self, longer: float) -> list[Source]:
+    def silent(self, max_age: float) -> list[Source]:
         """Return the sources whose last stamp is older than the newest one by more than this, s."""
         newest = self.newest
         oldest = min((t.times[0] for t in self._tracks.values() if t.times), default=0.0)
         return [
             source
             for source, track in self._tracks.items()
-            if newest - (track.newest if track.times else oldest) > longer
+            if newest - (track.newest if track.times else oldest) > max_age
         ]
 
     def flush(self) -> list[Observation]:
@@ -207,7 +189,7 @@ class Aligner:
         while self._waiting:
             t, chaser = self._waiting[0]
             is_covered = is_end or all(track.newest >= t for track in others)
-            if not is_covered and len(self._waiting) <= ROOM:
+            if not is_covered and len(self._waiting) <= MAX_WAITING:
                 break
             del self._waiting[0]
             target, buffer = (track.interpolate(t, self._max_gap) for track in others)

@@ -1,7 +1,7 @@
 """Offsets between the clocks of a bench's sources, from stamp less arrival.
 
 At 0.1 m/s an offset of 0.05 s between the poses of chaser and target moves the tip by 5 mm, the
-radius of the capture zone: beyond :data:`MAX_OFFSET` a verdict would be wrong in silence.
+radius of the capture zone: beyond :data:`MAX_OFFSET` a verdict would be wrong without notice.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from statistics import median
 
 from capture_sim.detection.align import Source
 
-#: An offset beyond this is worth a warning, s.  Latencies of drivers are up to about 0.03 s.
+#: An offset beyond this is reported, s.  Latencies of drivers are up to about 0.03 s.
 WARN_OFFSET = 0.05
 #: Beyond this nothing is evaluated, s.
 MAX_OFFSET = 0.2
-#: The median over the arrivals of this long counts, s (wall).
+#: Time over which the median of stamp less arrival is taken, s (wall).
 WINDOW = 1.0
-#: ... and how many of each source there must be.
-ENOUGH = 5
-#: A replay runs at another rate than its stamps: arrivals say nothing about clocks there.
+#: Smallest number of arrivals of each source for that median.
+MIN_ARRIVALS = 5
+#: Stamps that advance at another rate than arrivals are a replay's: they show no clock offset.
 _LIVE_RATES = (0.8, 1.25)
 
 
@@ -39,13 +39,17 @@ class ClockOffsets:
     def worst(self) -> tuple[Source, float] | None:
         """Return the source whose clock differs most from the others', and by how much, s.
 
-        Of three offsets the middle one is taken for right.  None while a source lacks
-        recent messages, or where stamps do not advance with arrival (a replay).
+        The middle one of the three offsets is the reference.  None while a source lacks recent
+        messages, or if stamps do not advance with arrival (a replay).
         """
         latest = max((r[-1][0] for r in self._arrivals.values() if r), default=0.0)
         offsets = {}
         for source, recent in self._arrivals.items():
-            if len(recent) < ENOUGH or recent[-1][0] < latest - WINDOW or not _is_live(recent):
+            if (
+                len(recent) < MIN_ARRIVALS
+                or recent[-1][0] < latest - WINDOW
+                or not _is_live(recent)
+            ):
                 return None
             offsets[source] = median(stamp - arrival for arrival, stamp in recent)
         middle = median(offsets.values())

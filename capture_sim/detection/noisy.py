@@ -1,10 +1,10 @@
 """The capture detector for measurements with noise, gaps and delays.
 
-The noise is estimated from the measurements themselves: a vehicle of 20 kg moves smoothly, so
-that over four measurements in a row its position is a parabola in time, and the remainder of
-the third difference is noise.  Without noise the path is the measured one.  With noise it is
-a parabola fitted (least squares) to the measurements before and after, as many as the noise
-requires and ``detector.max_delay`` permits.  docs/detection.md has the reasoning in numbers.
+The noise is estimated from the measurements: a vehicle of 20 kg moves smoothly, so over four
+successive measurements its position is a parabola in time, and their third difference is noise.
+Without noise the path is the measured one.  With noise it is a parabola fitted (least squares) to
+as many measurements before and after as the noise requires and ``detector.max_delay`` permits.
+docs/detection.md has the reasoning in numbers.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ from capture_sim.model.equations import tip_motion
 from capture_sim.scene.parts import Scene
 
 #: Largest and smallest number of third differences for an estimate of the noise.
-MEMORY, ENOUGH = 200, 8
+MAX_DIFFERENCES, MIN_DIFFERENCES = 200, 8
 #: Standard deviation of a fitted position that the window aims at, as a share of the radius.
 ACCURACY = 0.06
 #: A measurement further from the fit than this many standard deviations is left out.
 OUTLIER = 5.0
-#: Smallest distance of fitted positions, s: closer ones share nearly all measurements.
-SPACING = 0.003
+#: Smallest interval between fitted positions, s: closer ones share nearly all measurements.
+MIN_FIT_INTERVAL = 0.003
 #: The median of |x| of a normal x with standard deviation 1.
 _MEDIAN = 0.6744897501960817
-#: Measurements of the buffer that are averaged where a single one is too noisy.
-_SMOOTHED = 12
-#: Standard deviations by which a buffer is pushed: a single measurement of very many decides.
+#: Number of measurements of the buffer that are averaged if a single one is too noisy.
+_N_AVERAGED = 12
+#: Deflection of a pushed buffer in standard deviations: a single measurement of many decides.
 BUFFER_GUARD = 6.0
 #: Two poses of a noisy source never agree this closely, m and rad.
-_SAME = 1e-12
-#: Rest is looked for over this many ``still_time`` as well, where speeds are noisy.
-_LONGEST_STAND = 4.0
-#: The clocks of the sources are compared this often, s (wall).
+_EQUAL_POSE = 1e-12
+#: If speeds are noisy, rest is also evaluated over this many ``still_time``.
+_LONGEST_REST = 4.0
+#: Period of the comparison of the sources' clocks, s (wall).
 _CLOCK_PERIOD = 0.1
 
 # a few hundred measurements a second: not worth compiled functions of their own
@@ -69,7 +69,7 @@ _enter, _wall_gap = plain(enter), plain(wall_gap)
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:
     """Return weights of four measurements whose sum is 0 for any parabola in time.
 
-    Scaled so that the sum over independent measurements scatters as one of them does.
+    They are scaled so that the sum has the standard deviation of one independent measurement.
     """
     t_0, t_1, t_2, t_3 = t
     w_0 = 1.0 / ((t_0 - t_1) * (t_0 - t_2) * (t_0 - t_3))
@@ -84,65 +84,44 @@ class NoiseEstimate:
     """The noise of a smooth signal's measurements, from its third differences.
 
     The median makes it insensitive to the few differences that a hit makes large.
-
-    Attributes
-    ----------
-    deviation : float
-        Standard deviation of a measurement; 0 while it is not known.
     """
 
     def __init__(self) -> None:
+        #: Standard deviation of a measurement; 0 while it is not known.
         self.deviation = 0.0
-        self._left: deque[float] = deque(maxlen=MEMORY)
+        self._differences: deque[float] = deque(maxlen=MAX_DIFFERENCES)
         self._count = 0
 
-    def add(self, left: float) -> None:
+    def add(self, difference: float) -> None:
         """Add a third difference, see :func:`third_difference`."""
-        self._left.append(abs(left))
+        self._differences.append(abs(difference))
         self._count += 1
         # of many, one more does not change the median
-        if self.known and (self._count <= 4 * ENOUGH or self._count % ENOUGH == 0):
-            self.deviation = median(self._left) / _MEDIAN
+        is_due = self._count <= 4 * MIN_DIFFERENCES or self._count % MIN_DIFFERENCES == 0
+        if self.known and is_due:
+            self.deviation = median(self._differences) / _MEDIAN
 
     @property
     def known(self) -> bool:
         """True if there are enough measurements."""
-        return self._count >= ENOUGH
+        return self._count >= MIN_DIFFERENCES
 
 
 class MeasuredTip(NamedTuple):
-    """The tip in the cone's frame, as measured: axial and lateral.
+    """The tip in the cone's frame, as measured: axial and lateral."""
 
-    Attributes
-    ----------
-    place
-        m.
-    rigid
-        Where it would be with the buffer at rest, which moves smoothly, m.
-    rate
-        Of ``place``, m/s; None where it is not measured.
-    """
-
-    place: tuple[float, float]
-    rigid: tuple[float, float]
-    rate: tuple[float, float] | None
+    place: tuple[float, float]  # m
+    rigid: tuple[float, float]  # with the buffer at rest, which moves smoothly, m
+    rate: tuple[float, float] | None  # of ``place``, m/s; None if not measured
 
 
 class TipPath:
-    """Follows the tip; hands out its places in order of time, each once.
+    """Follows the tip; returns its places in the order of time, each once.
 
-    Parameters
-    ----------
-    radius
-        Of the capture zone, m: the scale that the accuracy is measured by.
-    delay
-        s, how long after an instant measurements may be waited for to know the tip then.
-    clean
-        m, scatter below which the measurements are taken as they are.
-    gap
-        s; over a longer hole nothing is fitted.  Never less than three intervals.
-    keep
-        s, how far back :meth:`fit` may be asked.
+    ``radius`` is that of the capture zone, m, which the accuracy refers to; ``delay``, s, the
+    longest wait after an instant for the measurements of its fit.  With noise below ``clean``, m,
+    the measurements are used directly.  Nothing is fitted over a gap longer than ``gap``, s, but
+    never less than three intervals.  :meth:`fit` may reach back by ``keep``, s.
     """
 
     def __init__(
@@ -158,16 +137,16 @@ class TipPath:
         self._half_window = 0.0
         self._interval = 0.0
         self._count = 0
-        self._handed_out = -math.inf  # up to here places have been handed out
+        self._t_returned = -math.inf  # stamp of the last place that was returned
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Scatter of one measurement of axial and lateral, m; 0 where it does not matter."""
+        """Standard deviation of an axial and lateral measurement, m; 0 below ``clean``."""
         return self._deviation
 
     @property
     def half_window(self) -> float:
-        """How long after an instant its place is handed out, s."""
+        """Delay after an instant until its place is returned, s."""
         return self._half_window
 
     @property
@@ -177,7 +156,7 @@ class TipPath:
 
     @property
     def gap(self) -> float:
-        """The longest time without a measurement that counts as none, s."""
+        """The longest interval without a measurement that is no gap, s."""
         return max(self._gap, 3.0 * self._interval)
 
     def add(
@@ -185,7 +164,7 @@ class TipPath:
     ) -> list[Place]:
         """Add a measurement at ``t`` (s); return the places that it completes.
 
-        ``buffer_noise``: what the buffer's measurements add to the scatter of ``tip``, m.
+        ``buffer_noise`` is the standard deviation that the buffer's measurements add to it, m.
         """
         self._buffer_noise = buffer_noise
         if not self._t or t > self._t[-1]:
@@ -193,20 +172,20 @@ class TipPath:
             self._tips.append(tip)
             self._learn()
             self._forget()
-            if self._half_window == 0.0 and len(self._t) > 1 and self._handed_out == self._t[-2]:
-                self._handed_out = t  # as nearly always: no need to search
+            if self._half_window == 0.0 and len(self._t) > 1 and self._t_returned == self._t[-2]:
+                self._t_returned = t  # as nearly always: no need to search
                 return [self._at(len(self._t) - 1)]
         else:
-            place = bisect_left(self._t, t)
-            if self._t[place] == t:
+            index = bisect_left(self._t, t)
+            if self._t[index] == t:
                 return []
-            self._t.insert(place, t)
-            self._tips.insert(place, tip)
-        return self._hand_out(self._t[-1], self._half_window)
+            self._t.insert(index, t)
+            self._tips.insert(index, tip)
+        return self._completed(self._t[-1], self._half_window)
 
     def finish(self) -> list[Place]:
-        """Return the places that were still waiting for later measurements."""
-        return self._hand_out(math.inf, self._half_window)
+        """Return the places that still wait for later measurements."""
+        return self._completed(math.inf, self._half_window)
 
     def fit(self, t: float, begin: float, end: float, degree: int) -> Place:
         """Return the place at ``t`` from a polynomial through [begin, end]."""
@@ -214,26 +193,26 @@ class TipPath:
         times = np.array(self._t[i:k]) - t
         tips = np.array([tip.place for tip in self._tips[i:k]])
         spread = max(float(np.abs(times).max()), 1e-9)
-        kept = np.ones(times.size, dtype=bool)
+        is_used = np.ones(times.size, dtype=bool)
         sigma = np.maximum(self._deviation, 1e-12)
         while True:
-            n = int(kept.sum())
+            n = int(is_used.sum())
             basis = np.vander(times / spread, min(degree, n - 1) + 1, increasing=True)
-            inverse = np.linalg.inv(basis[kept].T @ basis[kept])
-            coefficients = inverse @ (basis[kept].T @ tips[kept])
-            off = (np.abs(tips - basis @ coefficients) / sigma).max(axis=1) * kept
-            worst = int(off.argmax())
+            inverse = np.linalg.inv(basis[is_used].T @ basis[is_used])
+            coefficients = inverse @ (basis[is_used].T @ tips[is_used])
+            deviations = (np.abs(tips - basis @ coefficients) / sigma).max(axis=1) * is_used
+            worst = int(deviations.argmax())
             # one at a time: it has bent the parabola towards itself and away from the others
-            if off[worst] <= OUTLIER or n <= max(degree + 2, 0.8 * times.size):
+            if deviations[worst] <= OUTLIER or n <= max(degree + 2, 0.8 * times.size):
                 break
-            kept[worst] = False
+            is_used[worst] = False
         variance = max(float(inverse[0, 0]), 0.0) * np.square(self._deviation)
         rates = coefficients[1] / spread if len(coefficients) > 1 else np.zeros(2)
         numbers = *coefficients[0].tolist(), *rates.tolist(), *variance.tolist()
         return Place._make((t, *numbers, n))
 
     def rate_over(self, begin: float, end: float) -> tuple[float, float]:
-        """Return the mean speed over a while and its standard deviation, m/s."""
+        """Return the mean speed over an interval and its standard deviation, m/s."""
         i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
         times = np.array(self._t[i:k])
         if times.size < 3:
@@ -244,7 +223,7 @@ class TipPath:
         return math.hypot(*rates), math.hypot(*self._deviation) / math.sqrt(2.0 * square)
 
     def _learn(self) -> None:
-        """Estimate the noise anew, and from it the window."""
+        """Update the estimate of the noise, and from it the window."""
         t = self._t[-4:]
         if len(t) == 4 and t[3] - t[0] <= 3.0 * self.gap:
             w_0, w_1, w_2, w_3 = third_difference(t)
@@ -252,7 +231,7 @@ class TipPath:
             for i in (0, 1):
                 self._noise[i].add(w_0 * p_0[i] + w_1 * p_1[i] + w_2 * p_2[i] + w_3 * p_3[i])
         self._count += 1
-        if self._count <= ENOUGH or self._count % ENOUGH == 0:
+        if self._count <= MIN_DIFFERENCES or self._count % MIN_DIFFERENCES == 0:
             recent = self._t[-51:]
             if len(recent) > 1:
                 self._interval = median(b - a for a, b in pairwise(recent))
@@ -272,16 +251,17 @@ class TipPath:
         while self._t[0] < self._t[-1] - self._keep:
             del self._t[0], self._tips[0]
 
-    def _hand_out(self, newest: float, wait: float) -> list[Place]:
-        first = bisect_right(self._t, self._handed_out)
-        # a rounding of the stamps must not put off a place
+    def _completed(self, newest: float, wait: float) -> list[Place]:
+        """Return the places that need no measurement later than ``newest``, s."""
+        first = bisect_right(self._t, self._t_returned)
+        # a round-off error of the stamps must not delay a place
         last = bisect_right(self._t, newest - wait + 1e-9)
-        spacing = SPACING - 1e-9 if self._half_window > 0.0 else 0.0
+        interval = MIN_FIT_INTERVAL - 1e-9 if self._half_window > 0.0 else 0.0
         places = []
         for i in range(first, last):
-            if self._t[i] - self._handed_out >= spacing:
+            if self._t[i] - self._t_returned >= interval:
                 places.append(self._at(i))
-                self._handed_out = self._t[i]
+                self._t_returned = self._t[i]
         return places
 
     def _at(self, i: int) -> Place:
@@ -307,26 +287,16 @@ class NoisyDetector:
     (:class:`TipPath`): then a status is about an instant up to ``detector.max_delay`` before, and
     decisions allow for the remaining noise.
 
-    Parameters
-    ----------
-    scene
-        Geometry of buffer and cone, and the ``detector`` part.
-    is_released
-        The run begins with the chaser's release, as simulated ones do.  Else nothing is evaluated
-        before the tip has come nearer to BE by ``detector.capture_radius``.
-
-    Attributes
-    ----------
-    aligner : Aligner
-        Of the measurements of :meth:`measure`.
-    clock_offset : tuple or None
-        The source whose clock differs from the others' by more than :data:`WARN_OFFSET`, and by
-        how much, s.
+    The scene gives the geometry of buffer and cone, and the criteria.  ``is_released``: the run
+    begins with the chaser's release, as simulated ones do.  Otherwise nothing is evaluated before
+    the tip has approached BE by ``detector.capture_radius``.
     """
 
     def __init__(self, scene: Scene, *, is_released: bool = True) -> None:
         part = scene.detector
         self.aligner = Aligner(part.max_data_gap)
+        #: The source whose clock differs from the others' by more than :data:`WARN_OFFSET`, and
+        #: by how much, s; None if none does.
         self.clock_offset: tuple[Source, float] | None = None
         self._clocks = ClockOffsets()
         self._clocks_compared = -math.inf  # s, arrival
@@ -340,20 +310,20 @@ class NoisyDetector:
             delay=part.max_delay,
             clean=part.max_contact_gap / 4.0,
             gap=part.max_data_gap,
-            keep=_LONGEST_STAND * part.min_still_time,
+            keep=_LONGEST_REST * part.min_still_time,
         )
         self._earliest = math.inf  # s, smallest stamp
         self._place: Place | None = None  # the last that was evaluated
-        self._rested_until = -math.inf  # s, the last instant before the approach
-        self._resumed = -math.inf  # s, the first instant after the last gap
+        self._t_rest_end = -math.inf  # s, the last instant before the approach
+        self._t_gap_end = -math.inf  # s, the first instant after the last gap
         self._is_contact_unseen = False  # the tip may have met the cone in a gap
         self._last: tuple[Observation, MeasuredTip] | None = None
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
-        self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_SMOOTHED)
+        self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_N_AVERAGED)
 
     @property
     def delay(self) -> float:
-        """How long after an instant it is evaluated at present, s; 0 without noise."""
+        """Present delay between an instant and its evaluation, s; 0 without noise."""
         return self._path.half_window
 
     @property
@@ -368,15 +338,10 @@ class NoisyDetector:
     def measure(
         self, source: Source, t: float, values: Values, arrival: float | None = None
     ) -> list[CaptureStatus]:
-        """Take a measurement of one source; return the statuses that it completes.
+        """Add a measurement of one source, see :class:`Aligner`; return the statuses it completes.
 
-        Parameters
-        ----------
-        source, t, values
-            See :class:`Aligner`.
-        arrival
-            When the message arrived, s by any clock; None where that says nothing about the
-            source's clock, as in a simulation.
+        ``arrival`` is the message's time of arrival, s by any clock; None if it shows nothing
+        about the source's clock, as in a simulation.
         """
         self._earliest = min(self._earliest, t)
         if arrival is not None:
@@ -398,7 +363,7 @@ class NoisyDetector:
             self.clock_offset = worst if worst and abs(worst[1]) > WARN_OFFSET else None
 
     def update(self, observation: Observation) -> CaptureStatus:
-        """Take a measurement of all sources; return the status."""
+        """Add measurements of all sources at one instant; return the status."""
         tip = self._tip(observation)
         if self._is_frozen(observation):
             return self._status(observation, tip)
@@ -417,15 +382,10 @@ class NoisyDetector:
         """Close the run; return the remaining statuses, that of the end last.
 
         The last status is that of the last measurement: a verdict, or undecided.  It is final,
-        unless a cut run has no verdict.  If nothing was evaluated, its numbers are NaN and its
-        time is the earliest stamp.
-
-        Parameters
-        ----------
-        cut
-            True if the run was ended before its time.
+        unless a cut run has no verdict.  If nothing was measured, its numbers are NaN and its
+        time is the earliest stamp.  ``cut``: the run was ended before its time.
         """
-        rest = [self.update(observation) for observation in self.aligner.flush()]
+        remaining = [self.update(observation) for observation in self.aligner.flush()]
         memory = self._memory
         if self._last is None:
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
@@ -455,7 +415,7 @@ class NoisyDetector:
             is_blind = self.aligner.newest - last.t > self._path.gap
             decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)
             self._doubt_miss()
-        return [*rest, self._status(*self._last, is_over=not cut)]
+        return [*remaining, self._status(*self._last, is_over=not cut)]
 
     def _blame_clocks(self) -> None:
         assert self.clock_offset is not None
@@ -469,7 +429,7 @@ class NoisyDetector:
             return False
         last = self._last[0]
         return any(
-            max(abs(a - b) for a, b in zip(new[:3], old[:3], strict=True)) < _SAME
+            max(abs(a - b) for a, b in zip(new[:3], old[:3], strict=True)) < _EQUAL_POSE
             for new, old in (
                 (observation.chaser, last.chaser),
                 (observation.target, last.target),
@@ -478,9 +438,9 @@ class NoisyDetector:
 
     @property
     def _corner_time(self) -> float:
-        """By how much a parabola shortens the corner that a hit makes in the path, s per m/s.
+        """Length by which a parabola shortens the corner of a hit in the path, m per m/s.
 
-        That is 3/16 of the change of velocity in half a window.
+        That is 3/16 of the change of velocity times the window.
         """
         return 3.0 / 16.0 * 2.0 * self._path.half_window
 
@@ -488,19 +448,19 @@ class NoisyDetector:
         if not (self._memory.has_approached or self._path.knows_noise):
             return  # noise would be taken for an approach
         if not self._memory.has_approached:
-            self._rested_until = place.t
+            self._t_rest_end = place.t
         if self._place is not None and place.t - self._place.t > self._path.gap:
             self._note_gap(self._place, place)
-        criteria, stood = self._criteria, False
+        criteria, is_still = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
-            # the longer the time, the better the mean speed is known
-            for times in (1.0, _LONGEST_STAND):
+            # the mean speed over a longer time is known better
+            for times in (1.0, _LONGEST_REST):
                 begin = place.t - times * criteria.still_time
-                if begin < max(self._rested_until, self._resumed):
+                if begin < max(self._t_rest_end, self._t_gap_end):
                     break  # it includes the rest before the release, or a gap
-                speed, unsure = self._path.rate_over(begin, place.t)
-                stood = stood or speed + GUARD * unsure < criteria.still_speed
-        _decide(criteria, self._memory, place, stood, self._corner_time)
+                speed, deviation = self._path.rate_over(begin, place.t)
+                is_still = is_still or speed + GUARD * deviation < criteria.still_speed
+        _decide(criteria, self._memory, place, is_still, self._corner_time)
         self._doubt_miss()
         self._place = place
 
@@ -508,9 +468,9 @@ class NoisyDetector:
         """Note that it is unknown what the tip did between two places."""
         memory, criteria = self._memory, self._criteria
         memory.zone_since = memory.still_since = math.nan
-        self._resumed = after.t
-        to_wall = _wall_gap(criteria, before.axial, before.lateral)[0]
-        if to_wall > memory.fastest * (after.t - before.t):
+        self._t_gap_end = after.t
+        wall_distance = _wall_gap(criteria, before.axial, before.lateral)[0]
+        if wall_distance > memory.fastest * (after.t - before.t):
             return  # too far away to have met the cone
         if self._state is not CaptureState.APPROACH or not memory.has_approached:
             return
@@ -548,10 +508,10 @@ class NoisyDetector:
         scatter = max(self._buffer_scatter())
         if BUFFER_GUARD * scatter >= limit:
             # a single measurement is too noisy: take the mean of several
-            if len(values) < _SMOOTHED:
+            if len(values) < _N_AVERAGED:
                 return False
-            stroke, torsion = (mean(column) for column in zip(*values[-_SMOOTHED:], strict=True))
-            scatter /= math.sqrt(_SMOOTHED)
+            stroke, torsion = (mean(column) for column in zip(*values[-_N_AVERAGED:], strict=True))
+            scatter /= math.sqrt(_N_AVERAGED)
         return max(abs(stroke), abs(torsion) * arm) > limit + BUFFER_GUARD * scatter
 
     def _buffer_scatter(self) -> tuple[float, float]:

@@ -101,7 +101,7 @@ def find_clock(
     begin: int,
     *,
     is_simulated: bool,
-    given: float | None = None,
+    given_release: float | None = None,
 ) -> Clock:
     """Find the release of a recording.
 
@@ -115,7 +115,7 @@ def find_clock(
         First log time of all messages, ns.
     is_simulated
         True if a simulator's run is recorded: one clock stamps everything.
-    given
+    given_release
         Release time, s after the first pose; None to find it.
 
     Raises
@@ -125,8 +125,8 @@ def find_clock(
     """
     trial_release = EPOCH_NS if release is None else int(release.stamps[0])
     arrival = begin if release is None else int(release.log_times[0])
-    if given is not None:
-        origin, stamp = Origin.GIVEN, _after_first_pose(poses, given)
+    if given_release is not None:
+        origin, stamp = Origin.GIVEN, _after_first_pose(poses, given_release)
     elif is_simulated:
         origin, stamp = Origin.STAMP, EPOCH_NS
     elif release is not None and poses is not None:

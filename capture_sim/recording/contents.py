@@ -1,4 +1,4 @@
-"""What is in an MCAP file, or in a bag's folder of files, by topic and within bounds."""
+"""The contents of an MCAP file, or of a bag's folder of files, by topic."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
                 contents.damage += (f"{name}{part}",)
                 contents.has_verified_end &= part.in_index
             else:
-                reader.take(part)
+                reader.add(part)
     for topic, times in contents.log_times.items():
         if any(later < time for time, later in pairwise(times)):
             order = sorted(range(len(times)), key=times.__getitem__)
@@ -124,11 +124,11 @@ class _Reader:
     def __init__(self, contents: Contents) -> None:
         self._contents = contents
         self._schemas: dict[int, Schema] = {}
-        # messages and log times by channel; those that are left out go nowhere
+        # messages and log times by channel; those that are left out are discarded
         self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
 
-    def take(self, block: Block) -> None:
-        """Add what a record contains."""
+    def add(self, block: Block) -> None:
+        """Add the contents of a record."""
         for entry in block.entries:
             if isinstance(entry, Schema):
                 self._schemas[entry.id] = entry

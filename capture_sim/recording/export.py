@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -34,63 +34,45 @@ def save_tables(
     topics: Collection[str] = (),
     columns: Collection[str] = (),
 ) -> list[Path]:
-    """Write a recording as tables.
+    """Write a recording as tables of one of KINDS into a folder; return the paths of the files.
 
-    Parameters
-    ----------
-    run
-        The recording.
-    folder
-        Where the files go: one for every topic, or for ``npz`` ``<name>.npz`` with all, in
-        arrays named ``topic/field``, texts as Unicode strings, the scene in ``scene``, units by
-        column as JSON in ``units``; nothing in it needs pickle.
-    to
-        One of KINDS.  Numbers in CSV are written so that reading gives the same bits.  Units are
-        in the header of a CSV (``t [s]``) and in the metadata of a Parquet's columns.
-    topics
-        Those that are written; all that make tables unless given, and the touches.
-    columns
-        Those that are written beside the time; all unless given.  ``q`` stands for ``q.x_S``
-        and all others of ``q``.
+    Each topic makes a file; for ``npz`` there is one, ``<name>.npz``, with arrays named
+    ``topic/field``, texts as Unicode strings, the scene in ``scene`` and units by column as JSON
+    in ``units``; none needs pickle.  Numbers in CSV are written so that reading gives the same
+    bits.  Units are in the header of a CSV (``t [s]``) and in the metadata of a Parquet's columns.
 
-    Returns
-    -------
-    list of Path
-        Of the files.
-
-    Raises
-    ------
-    RecordingError
-        A topic or column is not there, or a file cannot be written.
+    Without ``topics`` all that make tables are written, and the touches.  Without ``columns`` all
+    are; ``q`` stands for ``q.x_S`` and the other columns of ``q``.  The time is always written.
+    RecordingError if a topic or column is not recorded, or if a file cannot be written.
     """
-    known = exported(run)[0]
-    wanted = ["/" + name.lstrip("/") for name in topics] or known
-    if unknown := [name for name in wanted if name not in known]:
+    exportable = exported(run)[0]
+    names = ["/" + name.lstrip("/") for name in topics] or exportable
+    if unknown := [name for name in names if name not in exportable]:
         raise RecordingError(
-            f"{run.path}: makes no table of {', '.join(unknown)}; must be one of {', '.join(known)}"
+            f"{run.path}: no table of {', '.join(unknown)}: must be one of {', '.join(exportable)}"
         )
-    tables = {topic: _with(columns, table(run, topic)) for topic in wanted}
+    tables = {topic: _selected(columns, table(run, topic)) for topic in names}
     if run.touches.size and not topics:
         recorded = [name for name in TOUCH.names or () if name != "rate_ratio"]  # in no message
-        tables[TOUCHES] = _with(columns, {name: run.touches[name] for name in recorded})
-    there = {name for found in tables.values() for name in columns_of(found)}
-    if missing := [name for name in columns if not any(map(_covers(name), there))]:
+        tables[TOUCHES] = _selected(columns, {name: run.touches[name] for name in recorded})
+    available = {name for fields in tables.values() for name in columns_of(fields)}
+    if missing := [name for name in columns if not any(_covers(name, each) for each in available)]:
         raise RecordingError(f"{run.path}: no table has a column {', '.join(missing)}")
-    tables = {topic: found for topic, found in tables.items() if found.keys() - {TIME}}
+    tables = {topic: fields for topic, fields in tables.items() if fields.keys() - {TIME}}
     if to == "npz":
         path = folder / f"{file_name(run.path.stem)}.npz"
         _save_npz(run, tables, path)
         return [path]
     paths = _paths(tables, folder, to)
+    save = _save_csv if to == "csv" else _save_parquet
     for topic, path in paths.items():
-        found = _with(columns, columns_of(tables[topic]))
-        units = _units(run, topic, found)
-        (_save_csv if to == "csv" else _save_parquet)(found, units, path)
+        fields = _selected(columns, columns_of(tables[topic]))
+        save(fields, _units(run, topic, fields), path)
     return list(paths.values())
 
 
 def exported(run: Run) -> tuple[list[str], list[str]]:
-    """Return the topics with messages that make tables, and why others do not, in lines."""
+    """Return the topics with messages that make tables, and a line for each that does not."""
     topics, problems = [], []
     for topic, count in run.topics.items():
         if count:
@@ -128,19 +110,19 @@ def _units(run: Run, topic: str, names: Iterable[str]) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit}
 
 
-def _covers(wanted: str) -> Callable[[str], bool]:
-    """Return whether a column is meant by a name: itself, or what it is a part of."""
-    return lambda name: name == wanted or name.startswith(f"{wanted}.")
+def _covers(name: str, column: str) -> bool:
+    """Return True if a name stands for a column: its own, or that of the field it is part of."""
+    return column == name or column.startswith(f"{name}.")
 
 
-def _with(wanted: Collection[str], columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the columns that are wanted in whole or in part, and the time; all if none is."""
+def _selected(names: Collection[str], fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the fields of which a name covers a column, and the time; without names all."""
     return {
-        name: column
-        for name, column in columns.items()
-        if name == TIME
-        or not wanted
-        or any(_covers(one)(part) for one in wanted for part in columns_of({name: column}))
+        field: values
+        for field, values in fields.items()
+        if field == TIME
+        or not names
+        or any(_covers(name, column) for name in names for column in columns_of({field: values}))
     }
 
 

@@ -123,18 +123,11 @@ def remap_of(text: str) -> tuple[str, str]:
 
 
 class Run:
-    """What a file holds of a run.  Topics are decoded when first asked for.
-
-    Attributes
-    ----------
-    path
-        The file.
-    damage
-        A line for each file that could not be read to its end; empty if there is none.
-    """
+    """A recorded run.  Topics are decoded at their first use."""
 
     def __init__(self, path: Path, contents: Contents, release: float | None = None) -> None:
         self.path = path
+        #: A line for each file that could not be read to its end.
         self.damage = contents.damage
         self._contents = contents
         self._given_release = release
@@ -161,7 +154,7 @@ class Run:
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
-        """What sequences and counts tell of lost messages and of an early end, in lines."""
+        """A line for each loss and early end, by sequence numbers and reported counts."""
         if len(self.run_ids) > 1:
             return (f"contains {len(self.run_ids)} runs: lost messages cannot be counted",)
         recorded = {
@@ -192,7 +185,7 @@ class Run:
 
     @property
     def cut(self) -> bool:
-        """Whether a simulator's run does not come to its end: ended early, or not all recorded."""
+        """Whether the end of a simulator's run is missing: ended early, or not all recorded."""
         if SIMULATOR not in self._publishers:
             return False
         ends = self._of_its_type(STREAM_COUNTS)
@@ -204,7 +197,7 @@ class Run:
         return list(filter(None, self.metadata.get("publishers", "").split("\n")))
 
     def _of_its_type(self, topic: Topic) -> Columns:
-        """Return a topic's columns; empty where a bag of others has one of another type."""
+        """Return a topic's columns; empty if the file has it with another type."""
         return self.columns(topic) if self._holds(topic) else {}
 
     def _holds(self, topic: Topic) -> bool:
@@ -222,27 +215,27 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of the experiment; of the file when the file does not say."""
+        """Name of the experiment; of the file if that has none."""
         return self.metadata.get("name", self.path.stem)
 
     @property
     def run_id(self) -> str:
-        """Unique to the run; empty when the file does not say."""
+        """Unique id of the run; empty if the file has none."""
         return self.metadata.get("run_id", "")
 
     @property
     def run_ids(self) -> tuple[str, ...]:
-        """Ids of the runs that were announced in it, in order; ours hold one."""
+        """Ids of the announced runs, in order."""
         return tuple(dict.fromkeys(self._of_its_type(RUN_INFO).get("run_id", ())))
 
     @property
     def wall_time(self) -> float | None:
-        """How long the run took, s of wall time; None when the recording ended before it."""
+        """Duration of the run, s of wall time; None if the recording ended before it."""
         return self._known_at_end("wall_time", _seconds, "must be a number of seconds >= 0")
 
     @property
     def extremes(self) -> Extremes | None:
-        """Strokes, torsion and forces between the samples too; None where not recorded."""
+        """Strokes, torsion and forces between the samples too; None if not recorded."""
         return self._known_at_end("extremes", extremes_from_text, "not as written")
 
     def _known_at_end(self, name: str, parse: Callable[[str], _T], otherwise: str) -> _T | None:
@@ -256,30 +249,24 @@ class Run:
 
     @property
     def has_scene(self) -> bool:
-        """Whether the file holds the scene that made the run."""
+        """Whether the file contains the scene that made the run."""
         return SCENE_ATTACHMENT in self._contents.attachments or self.announced is not None
 
     @property
     def scene_text(self) -> str:
-        """The resolved scene, YAML.
-
-        Raises
-        ------
-        RecordingError
-            The file holds none.
-        """
+        """The resolved scene, YAML; RecordingError if the file contains none."""
         if self.announced is not None:
             return self.announced.scene
         if SCENE_ATTACHMENT in self._contents.attachments:
             try:
                 return self._contents.attachments[SCENE_ATTACHMENT].decode()
             except UnicodeDecodeError:
-                raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is no text") from None
+                raise RecordingError(f"{self.path}: {SCENE_ATTACHMENT}: is not text") from None
         raise RecordingError(f"{self.path}: contains no scene")
 
     @cached_property
     def announced(self) -> RunDescription | None:
-        """How the run was announced, as `ros2 bag record` keeps it; None unless it is one run."""
+        """The announcement, which `ros2 bag record` keeps; None unless it is of one run."""
         if len(self.run_ids) != 1:
             return None
         fields = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
@@ -289,12 +276,7 @@ class Run:
     def scene(self) -> Scene:
         """The scene that made the run.
 
-        Raises
-        ------
-        RecordingError
-            The file holds none.
-        SceneError
-            It is not one of this version.
+        RecordingError if the file contains none, SceneError if it is not one of this version.
         """
         return load_scene_text(self.scene_text)
 
@@ -310,12 +292,8 @@ class Run:
 
         That is the given release, else that of a simulated run, else that of the launcher's
         command, by its stamp or by its arrival, else the announcement of the trial, else the
-        first pose, else the first message.
-
-        Raises
-        ------
-        RecordingError
-            The given release is not between the first and the last pose.
+        first pose, else the first message.  RecordingError if the given release is not between the
+        first and the last pose.
         """
         motion = (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY, BENCH_STATE)
         release = self._logged(LAUNCH_COMMAND)
@@ -329,7 +307,7 @@ class Run:
             release,
             min((times[0] for times in self._contents.log_times.values() if times), default=0),
             is_simulated=self.is_simulated,
-            given=self._given_release,
+            given_release=self._given_release,
         )
 
     def _logged(self, topic: Topic) -> Logged | None:
@@ -344,10 +322,12 @@ class Run:
         fields = self.columns(topic)
         if not has_stamps(fields):
             return self.clock.since_by_log(self.log_times(topic))
-        known = topic if isinstance(topic, Topic) else topic_named(topic)
-        is_of_trial = known is RUN_INFO or (known is not None and SIMULATOR not in known.publishers)
-        since = self.clock.since_by_trial if is_of_trial else self.clock.since
-        return since(stamps_of(fields))
+        bench_topic = topic if isinstance(topic, Topic) else topic_named(topic)
+        if bench_topic is None or (
+            SIMULATOR in bench_topic.publishers and bench_topic is not RUN_INFO
+        ):
+            return self.clock.since(stamps_of(fields))
+        return self.clock.since_by_trial(stamps_of(fields))
 
     @property
     def topics(self) -> dict[str, int]:
@@ -366,45 +346,36 @@ class Run:
     def raw(self, topic: str | Topic) -> list[bytes]:
         """Return the serialised messages of a topic, in the order of their log times.
 
-        Raises
-        ------
-        RecordingError
-            The topic is one of the bench's and of another type in the file.
+        RecordingError if the topic is one of the bench's and has another type in the file.
         """
         return list(self._contents.messages.get(self._resolved(topic), ()))
 
     def columns(self, topic: str | Topic) -> Columns:
         """Return a topic's fields by path, see :func:`capture_sim.messages.cdr.columns`.
 
-        Empty for a topic without messages.
-
-        Parameters
-        ----------
-        topic
-            Its name; one of the bench's topics where the fields of its type are wanted.
-
-        Raises
-        ------
-        RecordingError
-            The messages do not fit their definition, or are not of the bench's type.
+        Empty for a topic without messages.  RecordingError if the messages do not fit their
+        definition, or if a topic of the bench has another type in the file.
         """
         name = self._resolved(topic)
         if name not in self._columns:
-            messages, found = self._contents.messages.get(name), {}
-            if messages:
-                type_name = self._contents.types[name]
-                try:
-                    found = columns(self._store_for(type_name), type_name, messages)
-                except RecursionError:
-                    raise RecordingError(
-                        f"{self.path}: definition of type {type_name!r} contains itself"
-                    ) from None
-            self._columns[name] = found
+            self._columns[name] = self._decoded(name)
         return self._columns[name]
+
+    def _decoded(self, name: str) -> Columns:
+        messages = self._contents.messages.get(name)
+        if not messages:
+            return {}
+        type_name = self._contents.types[name]
+        try:
+            return columns(self._store_for(type_name), type_name, messages)
+        except RecursionError:
+            raise RecordingError(
+                f"{self.path}: definition of type {type_name!r} contains itself"
+            ) from None
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """The recorded BenchStates, (n,) of dtype SAMPLE, the very bits that were recorded."""
+        """The recorded BenchStates, (n,) of dtype SAMPLE, bit-identical."""
         recorded = self.columns(BENCH_STATE)
         samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
         if len(samples):
@@ -443,9 +414,9 @@ class Run:
 
     @cached_property
     def trace(self) -> np.ndarray:
-        """The contact at the integrator's own resolution, (n,) of dtype TRACE.
+        """The contact at the integrator's own steps, (n,) of dtype TRACE.
 
-        Empty where the scene did not ask for it (``run.trace``).
+        Empty unless the scene requests it (``run.trace``).
         """
         recorded = self.columns(CONTACT_TRACE.name)
         counts = [len(t) for t in recorded.get("t", ())]
@@ -457,7 +428,7 @@ class Run:
 
     @cached_property
     def statuses(self) -> tuple[CaptureStatus, ...]:
-        """What the detector sent, in order."""
+        """The detector's statuses, in order."""
         recorded = self.columns(CAPTURE_STATUS)
         if not recorded:
             return ()
@@ -472,21 +443,15 @@ class Run:
 
     @cached_property
     def criteria(self) -> Detector | None:
-        """The detector's limits then; None where they were not recorded, as in older files.
-
-        Raises
-        ------
-        SceneError
-            A value is none that a detector may have.
-        """
-        limits = self.columns(CAPTURE_CRITERIA)
-        if not limits:
+        """The detector's criteria; None if not recorded, SceneError if a value is invalid."""
+        recorded = self.columns(CAPTURE_CRITERIA)
+        if not recorded:
             return None
-        return Detector(**{field: float(limits[name][-1]) for name, field in CRITERIA.items()})
+        return Detector(**{field: float(recorded[name][-1]) for name, field in CRITERIA.items()})
 
     @property
     def verdict(self) -> str | None:
-        """The detector's last state; None where it was not recorded."""
+        """The detector's last state; None if not recorded."""
         return self.statuses[-1].state.label if self.statuses else None
 
     def _check_numbers(
@@ -519,10 +484,11 @@ class Run:
         absolute = name if name.startswith("/") else f"/{name}"
         name = absolute if absolute in self._contents.messages else name
         if isinstance(topic, Topic):
-            found = self._contents.types.get(name, topic.type_name)
-            if found != topic.type_name:
+            type_name = self._contents.types.get(name, topic.type_name)
+            if type_name != topic.type_name:
                 raise RecordingError(
-                    f"{self.path}: {name} is of type {found or 'none'}: wanted is {topic.type_name}"
+                    f"{self.path}: type of {name} = {type_name or 'none'}: must be "
+                    f"{topic.type_name}"
                 )
         return name
 

@@ -1,7 +1,7 @@
-"""The half of the live viewer that knows no ROS: samples in, a moving picture out.
+"""The part of the live viewer without ROS: samples in, a moving picture out.
 
-Rate and memory are bounded: what comes is gathered and logged a few times a second, and the
-server keeps no more than it may.
+Rate and memory are bounded: samples are collected and logged a few times a second, and the server
+has a limit of memory.
 """
 
 from __future__ import annotations
@@ -20,23 +20,17 @@ from capture_sim.viewing.rerun_plots import PlotLog, event_text
 from capture_sim.viewing.rerun_server import RecordingServer
 from capture_sim.viewing.rerun_stream import RunStream
 
-#: A run that is joined later than this, s since the release, is not seen whole.
-LATE = 0.1
+#: A run that is joined later than this, s since the release, is shown with a note.
+LATEST_JOIN = 0.1
 
 _BEGINS = {"landed": Phase.COAST, "rail_end": Phase.FREE, "latched": Phase.LATCHED}
 
 
 class LiveView:
-    """Shows runs while they go on, one recording each.
+    """Shows runs while they are simulated or measured, one recording each.
 
-    Parameters
-    ----------
-    port
-        TCP port of the recordings' server, on this machine.
-    memory
-        MB that the server keeps for viewers that connect late.
-    refresh
-        Hz (wall), how often the picture moves.
+    The server of the recordings listens on a TCP port of this machine and keeps ``memory`` MB for
+    viewers that connect late; ``refresh`` is the rate of the picture, Hz (wall).
     """
 
     def __init__(self, port: int, memory: int = 64, refresh: float = 10.0) -> None:
@@ -69,18 +63,18 @@ class LiveView:
         self._verdict = ""
 
     def take(self, samples: np.ndarray) -> None:
-        """Take in samples, (n,) of dtype SAMPLE, later than those before."""
+        """Add samples, (n,) of dtype SAMPLE, later than those before."""
         if self._recording is None:
             return
         if not self._joined:
             self._joined = True
-            self._note_what_is_missing(float(samples["t"][0]))
+            self._note_begin(float(samples["t"][0]))
         self._pending.append(samples)
         if time.monotonic() - self._last_logged >= self._period:
             self.show()
 
     def show(self) -> None:
-        """Show at once what has been taken in."""
+        """Show all added samples at once."""
         if self._recording is None:
             return
         self._last_logged = time.monotonic()
@@ -93,8 +87,8 @@ class LiveView:
         self._bench.trail_piece(np.append(before, samples))
         self._last_row = samples[-1:]
         self._plots.curves(samples)
-        for t, known in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
-            phase = Phase(known)
+        for t, number in zip(samples["t"].tolist(), samples["phase"].tolist(), strict=True):
+            phase = Phase(number)
             if self._measured and (phase is Phase.FREE or self._unloaded is Phase.LATCHED):
                 phase = self._unloaded
             if phase is not self._phase:
@@ -119,7 +113,7 @@ class LiveView:
             self._plots.states("verdict", np.array([t]), [state])
 
     def end(self) -> None:
-        """Show the rest of the run that is on; it stays with the server."""
+        """Show the rest of the run; the server keeps it."""
         if self._recording is not None:
             self.show()
             self._recording.flush()
@@ -127,18 +121,18 @@ class LiveView:
             self._recording = None
 
     def close(self) -> None:
-        """End, with the server."""
+        """End the run and the server."""
         try:
             self.end()
         except RuntimeError:
-            # Ctrl-C reaches the whole group: the server may be gone before us
+            # Ctrl-C reaches the whole group: the server may have ended before
             self._recording = None
         finally:
             self._server.close()
 
-    def _note_what_is_missing(self, first: float) -> None:
-        kept = f"a viewer that connects later sees the newest {self._memory} MB"
-        if first > LATE:
-            self.event(first, f"joined {first:.2f} s after the release, not shown before", kept)
+    def _note_begin(self, first: float) -> None:
+        detail = f"a viewer that connects later sees the newest {self._memory} MB"
+        if first > LATEST_JOIN:
+            self.event(first, f"joined {first:.2f} s after the release, not shown before", detail)
         else:
-            self.event(first, "shown from the beginning", kept)
+            self.event(first, "shown from the beginning", detail)

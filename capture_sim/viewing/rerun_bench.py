@@ -53,7 +53,7 @@ class BenchLog:
         self._log_close_up()
 
     def motion(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        """Log where everything is, from samples (n,) and whether the tip touches, (n,) bool."""
+        """Log all positions, from samples (n,) and whether the tip touches, (n,) bool."""
         t, q = samples["t"], samples["q"]
         for entity, body in (("chaser", shapes.CHASER), ("target", shapes.TARGET)):
             pose = q[:, list(body)]
@@ -72,18 +72,18 @@ class BenchLog:
         above = self._scene.probe.tip_radius + 0.001
         strip = _level(shapes.tip_in_world(self._scene, samples["q"]), above)
         self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
-        way = shapes.tip_in_cone(samples) * _MM
-        self._draw("way", rr.LineStrips2D([way], radii=0.3, colors=_BLACK, draw_order=20.0))
+        path = shapes.tip_in_cone(samples) * _MM
+        self._draw("way", rr.LineStrips2D([path], radii=0.3, colors=_BLACK, draw_order=20.0))
         ends = np.flatnonzero(np.diff(np.concatenate([[0], touching.astype(np.int8), [0]])))
-        pieces = [way[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
+        pieces = [path[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
         thick = rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0)
         self._draw("way_in_contact", thick)
-        latched = [way[samples["phase"] == Phase.LATCHED]]
+        latched = [path[samples["phase"] == Phase.LATCHED]]
         strip = rr.LineStrips2D(latched, radii=0.6, colors=_LATCHED, draw_order=22.0)
         self._draw("way_latched", strip)
 
     def trail_piece(self, samples: np.ndarray) -> None:
-        """Log the next piece of the tip's way, seen together with those before it."""
+        """Log the next piece of the tip's path, drawn together with those before it."""
         strips = [shapes.tip_in_cone(samples) * _MM]
         self._stream.columns(
             f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips
@@ -209,26 +209,26 @@ class BenchLog:
         self._stream.columns(f"{self._stream.name}/world/{entity}", t, rr.Transform3D, **values)
 
     def _move_string(self, samples: np.ndarray) -> None:
-        """Move what hangs: the string's level part, and the mass behind the pulley."""
-        beats = np.floor(samples["t"] / _STRING_PERIOD + 1e-6)
-        few = samples[np.flatnonzero(np.diff(beats, prepend=-1.0))]
-        few = few[np.isfinite(few["mass_height"])]
-        if self._scene.string is None or not few.size:
+        """Move the string's horizontal part, and the hanging mass below the pulley."""
+        periods = np.floor(samples["t"] / _STRING_PERIOD + 1e-6)
+        drawn = samples[np.flatnonzero(np.diff(periods, prepend=-1.0))]
+        drawn = drawn[np.isfinite(drawn["mass_height"])]
+        if self._scene.string is None or not drawn.size:
             return
         r = _PULLEY_RADIUS
-        strips = np.tile(self._pulley, (len(few), 4, 1)) + np.array(
+        strips = np.tile(self._pulley, (len(drawn), 4, 1)) + np.array(
             [[0, 0, r], [0, 0, r], [r, 0, 0], [r, 0, -0.05]]
         )
-        strips[:, 0, 0] = few["q"][:, 0]
-        strips[:, 3, 2] += few["mass_height"] - few["mass_height"].max(initial=0.0)
+        strips[:, 0, 0] = drawn["q"][:, 0]
+        strips[:, 3, 2] += drawn["mass_height"] - drawn["mass_height"].max(initial=0.0)
         entity = f"{self._stream.name}/world/string"
-        self._stream.columns(entity, few["t"], rr.LineStrips3D, strips=list(strips))
-        self._move("hanging_mass", few["t"], translation=strips[:, 3])
+        self._stream.columns(entity, drawn["t"], rr.LineStrips3D, strips=list(strips))
+        self._move("hanging_mass", drawn["t"], translation=strips[:, 3])
 
     def _move_tip(self, samples: np.ndarray, touching: np.ndarray) -> None:
         scene, t, columns = self._scene, samples["t"], self._stream.columns
         origin = _level(shapes.tip_in_world(scene, samples["q"]), scene.probe.tip_radius + 0.002)
-        # an arrow beyond the view tells nothing
+        # an arrow that leaves the view shows nothing
         force = np.nan_to_num(samples["contact_force"]) * FORCE_SCALE
         length = np.linalg.norm(force, axis=1, keepdims=True)
         force *= np.minimum(1.0, _LONGEST_ARROW / np.maximum(length, 1e-12))
@@ -249,12 +249,7 @@ class BenchLog:
 def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower half of the cone in the target's frame.
 
-    Returns
-    -------
-    vertices : ndarray (2 count, 3)
-        m.
-    triangles : ndarray (2 count - 2, 3)
-        Indices into the vertices, three each.
+    That is its vertices, (2 count, 3), m, and its triangles, (2 count - 2, 3): indices of vertices.
     """
     angle = np.linspace(np.pi, 2 * np.pi, count)
     rings = [

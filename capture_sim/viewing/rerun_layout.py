@@ -27,24 +27,20 @@ def blueprint(
     energies: bool = True,
     length: float = math.inf,
 ) -> rrb.Blueprint:
-    """Return the layout of runs side by side and overlaid.
+    """Return the layout of runs side by side and overlaid, by their scenes, prefixes and headlines.
 
-    Parameters
-    ----------
-    scenes, names, titles
-        Of each run: what is on its bench, its prefix, its headline.
-    aligned
-        Open on the time since the first touch; otherwise on simulated time.
-    live
-        Follow what comes, instead of standing still at the beginning.
-    energies
-        Whether they are known: those of a measured run are not.
-    length
-        Of the timeline it opens on, s: a short one is played slower.
+    ``aligned`` opens it on the time since the first touch, otherwise on simulated time; ``live``
+    follows the newest data, otherwise it is paused at the beginning.  ``energies``: they are known,
+    as those of a measured run are not.  ``length`` is that of the timeline it opens on, s: a short
+    one is played more slowly.
     """
     rows = [
-        rrb.Horizontal(_bench(*one), _close_up(*one[:2], live=live), column_shares=[1.5, 1.0])
-        for one in zip(scenes, names, titles, strict=True)
+        rrb.Horizontal(
+            _bench(scene, name, title),
+            _close_up(scene, name, live=live),
+            column_shares=[1.5, 1.0],
+        )
+        for scene, name, title in zip(scenes, names, titles, strict=True)
     ]
     if len(rows) == 1:
         rows = [rrb.Vertical(*rows[0].contents, row_shares=[1.0, 1.4])]
@@ -91,7 +87,7 @@ def _bench(scene: Scene, name: str, title: str) -> rrb.Spatial3DView:
 def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
     """Show the cone and a tip's width around it."""
     lip, margin = wall(scene.cone, 1)[1] * _MM, scene.probe.tip_radius * _MM
-    # live, of the trail's pieces all that have come, not only the newest
+    # live, all pieces of the trail so far, not only the newest
     so_far = rrb.VisibleTimeRanges(
         timeline=SIM_TIME,
         start=rrb.TimeRangeBoundary.infinite(),

@@ -17,7 +17,7 @@ from capture_sim.viewing.source import ViewableRun
 
 
 class Plot(NamedTuple):
-    """A diagram: its quantity, what its title tells besides, and its curves' names."""
+    """A diagram: its quantity, a note in its title, and its curves' names."""
 
     quantity: Quantity
     note: str = ""
@@ -75,7 +75,7 @@ class PlotLog:
         static, name, colour = self._stream.static, self._stream.name, self._colour
         for entity, plot in PLOTS.items():
             k = len(plot.curves)
-            # the peaks are what is looked for: no averaging of rows that share a pixel
+            # the peaks matter: no averaging of rows that share a pixel
             highest = rr.components.AggregationPolicy.Max
             lines = rr.SeriesLines(
                 colors=[colour, style.light(colour), colour][:k],
@@ -93,15 +93,15 @@ class PlotLog:
             static(f"states/{name}/{lane}", shown)
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
-        """Log the curves of samples, (n,); what is not measured (NaN) is left out."""
+        """Log the curves of samples, (n,), without what is not measured (NaN)."""
         for entity, plot in PLOTS.items():
             if force or plot.quantity is not FORCE:
                 self._curve(entity, samples["t"], plot.quantity.of(samples))
 
     def _curve(self, entity: str, t: np.ndarray, values: np.ndarray) -> None:
-        known = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
-        if known.any():
-            self._stream.scalars(self._path(entity), t[known], values[known])
+        finite = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+        if finite.any():
+            self._stream.scalars(self._path(entity), t[finite], values[finite])
 
     def touches(self, run: ViewableRun) -> None:
         """Log the force with every touch in it, and a mark at each touch's peak."""
@@ -114,7 +114,7 @@ class PlotLog:
         self._stream.scalars(self._touches, t, force)
 
     def states(self, lane: str, t: np.ndarray, states: list[str]) -> None:
-        """Log from when on which state holds, in the lane ``phase`` or ``verdict``."""
+        """Log states, each from its time on, in the lane ``phase`` or ``verdict``."""
         self._stream.columns(f"states/{self._stream.name}/{lane}", t, rr.StateChange, state=states)
 
     def events(self, run: ViewableRun) -> None:
@@ -139,14 +139,9 @@ def event_text(kind: str, detail: str) -> str:
 
 
 def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
-    """Return from when on which phase holds; the touches by their located ends.
+    """Return the times (n,), s, at which a phase begins, and the phases' names.
 
-    Returns
-    -------
-    times : ndarray (n,)
-        s, ascending.
-    names : list of str
-        One each.
+    Contact begins and ends at the located ends of the touches.
     """
     t, phase = run.samples["t"], run.samples["phase"].astype(int)
     phase[phase == Phase.CONTACT] = Phase.FREE
@@ -154,13 +149,13 @@ def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     times = np.unique(np.concatenate([t[np.diff(phase, prepend=-1) != 0], starts, ends]))
     # of the walls together
     touching = np.searchsorted(starts, times, "right") > np.searchsorted(ends, times, "right")
-    beneath = phase[np.maximum(np.searchsorted(t, times, "right") - 1, 0)]
-    now = np.where(touching, Phase.CONTACT, beneath)
-    kept = np.diff(now, prepend=-1) != 0
-    return times[kept], [Phase(known).label for known in now[kept].tolist()]
+    sampled = phase[np.maximum(np.searchsorted(t, times, "right") - 1, 0)]
+    phases_at = np.where(touching, Phase.CONTACT, sampled)
+    begins = np.diff(phases_at, prepend=-1) != 0
+    return times[begins], [Phase(number).label for number in phases_at[begins].tolist()]
 
 
 def verdicts(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
-    """Return from when on the detector was in which state, times (n,), s, and names."""
+    """Return the times (n,), s, at which a state of the detector begins, and the states' names."""
     firsts = [next(same) for _, same in groupby(run.statuses, key=lambda status: status.state)]
     return np.array([status.t for status in firsts]), [status.state.label for status in firsts]

@@ -18,35 +18,21 @@ START_TIMEOUT = 30.0
 
 
 def program() -> Path:
-    """Return the program that rerun's Python package brings along.
+    """Return the program in rerun's Python package; ImportError if rerun is not installed.
 
-    Its Python wrapper would stay between us and it, and leave it running when it is ended.
-
-    Raises
-    ------
-    ImportError
-        rerun is not installed.
+    The package's Python wrapper would leave the program running when it is ended itself.
     """
-    found = importlib.util.find_spec("rerun_cli")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
         raise ImportError("rerun is not installed")
-    return Path(found.origin).parent / "rerun"
+    return Path(spec.origin).parent / "rerun"
 
 
 class RecordingServer:
-    """Keeps live recordings in bounded memory, for viewers that connect sooner or later.
+    """Keeps live recordings for viewers that connect sooner or later.
 
-    Parameters
-    ----------
-    port
-        TCP port, on this machine only.
-    memory
-        MB; beyond it the oldest data goes.
-
-    Raises
-    ------
-    CaptureSimError
-        The port is taken, or the server does not start.
+    It listens on a TCP port of this machine only, and keeps the newest ``memory`` MB.
+    CaptureSimError if the port is taken or the server does not start.
     """
 
     def __init__(self, port: int, memory: int) -> None:
@@ -58,7 +44,7 @@ class RecordingServer:
                 probe.bind((LOCALHOST, port))
             except OSError as error:
                 raise CaptureSimError(
-                    f"port {port}: {error.strerror or error}; must be one that is free"
+                    f"port = {port}: {error.strerror or error}; must be a free port"
                 ) from None
         # a killed viewer cannot end its server: then the system does, where util-linux is there
         keeper = shutil.which("setpriv")
@@ -89,7 +75,7 @@ class RecordingServer:
 
     @property
     def pid(self) -> int:
-        """Of the server's process."""
+        """Process id of the server."""
         return self._process.pid
 
     def close(self) -> None:

@@ -1,9 +1,8 @@
-"""Where a run is logged in a rerun recording: its prefix and its timelines.
+"""A run's prefix and timelines in a rerun recording.
 
-Two timelines: ``sim_time`` holds the whole run; ``since_first_touch`` counts from each run's
-first touch, so that runs lie over each other, and holds only what happens around the contact.
-A viewer opens a timeline at its beginning: the second one makes it open shortly before the
-touch.
+Two timelines: ``sim_time`` has the whole run; ``since_first_touch`` counts from each run's first
+touch, so that runs are overlaid, and has only the time around the contact.  A viewer opens a
+timeline at its beginning: the second one makes it open shortly before the touch.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _TRAIL = 0.15
 
 
 class Span(NamedTuple):
-    """What the aligned timeline holds of a run: from when to when, and its zero; s."""
+    """Begin and end of a run on the aligned timeline, and the touch that is its zero; s."""
 
     touch: float
     begin: float
@@ -37,8 +36,8 @@ class Span(NamedTuple):
 def aligned_span(run: ViewableRun) -> Span | None:
     """Return the span of a run's contact; None for a run without samples of one.
 
-    Of a run that is cut to a window, it is no longer than the window: a viewer opens at the
-    first sample, and what happened outside does not widen the axes.
+    For a run that is cut to a window, it is within the window: a viewer opens at the first
+    sample, and events outside do not widen the axes.
     """
     touch, t = first_touch(run), run.samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
@@ -59,7 +58,7 @@ class RunStream:
         self._span = span
 
     def static(self, path: str, *archetypes: rr.AsComponents) -> None:
-        """Log what holds at all times, under the full path of an entity."""
+        """Log data without a time, under the full path of an entity."""
         self._recording.log(path, *archetypes, static=True)
 
     def columns(
@@ -68,7 +67,7 @@ class RunStream:
         """Log values over time: the columns of an archetype, (n, ...) each, at t (n,), s."""
         span, first, last = self._span, 0, 0
         if span is not None:
-            # with the sample before, so that something is there from the beginning on
+            # with the sample before, so that there is data from the beginning on
             first = max(int(np.searchsorted(t, span.begin, side="right")) - 1, 0)
             last = max(int(np.searchsorted(t, span.end, side="right")), first)
         for rows in (slice(0, first), slice(first, last), slice(last, len(t))):
@@ -76,8 +75,8 @@ class RunStream:
                 continue
             indexes = [rr.TimeColumn(SIM_TIME, duration=t[rows])]
             if span is not None and rows.start == first and rows.stop == last:
-                late = np.maximum(t[rows], span.begin) - span.touch
-                indexes.append(rr.TimeColumn(ALIGNED, duration=late))
+                since_touch = np.maximum(t[rows], span.begin) - span.touch
+                indexes.append(rr.TimeColumn(ALIGNED, duration=since_touch))
             columns = archetype.columns(**{name: value[rows] for name, value in values.items()})
             self._recording.send_columns(path, indexes=indexes, columns=columns)
 

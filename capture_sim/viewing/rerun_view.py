@@ -35,17 +35,13 @@ def save_rrd(
 ) -> Path:
     """Save at least one run as one rerun recording; return its path.
 
-    ``labels`` names the runs; None takes the scenes' names, numbered where they are the same.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
+    ``labels`` are the runs' names; None takes those of the scenes, numbered if they are equal.
+    RecordingError if the file cannot be written.
     """
-    path, shown = Path(path), plotted_runs(runs, labels)
-    # a file may be called what no path in the viewer can be
-    names = distinct_names([as_name(one.label) for one in shown])
-    titles = [headline(one.run, one.label).replace("\n", " ") for one in shown]
+    path, plotted = Path(path), plotted_runs(runs, labels)
+    # a file's name may be none that a path in the viewer can have
+    names = distinct_names([as_name(each.label) for each in plotted])
+    titles = [headline(each.run, each.label).replace("\n", " ") for each in plotted]
     spans = [aligned_span(run) for run in runs]
     layout = blueprint(
         [run.scene for run in runs],
@@ -56,11 +52,11 @@ def save_rrd(
         energies=any(has_ledger(run) for run in runs),
     )
     recording = rr.RecordingStream("capture_sim", recording_id=None)
-    # written by us: rerun writes in the background, and waits for ever for a disk that is full
+    # written here: rerun writes in the background, and waits for ever if the disk is full
     memory = recording.memory_recording()
     recording.send_blueprint(layout, make_active=False)
-    for one, name, span, title in zip(shown, names, spans, titles, strict=True):
-        _log_run(RunStream(recording, name, span), one, title)
+    for plotted_run, name, span, title in zip(plotted, names, spans, titles, strict=True):
+        _log_run(RunStream(recording, name, span), plotted_run, title)
     _log_limits(recording, runs)
     try:
         with whole_file(path) as part:
@@ -70,12 +66,12 @@ def save_rrd(
     return path
 
 
-def _log_run(stream: RunStream, one: PlottedRun, title: str) -> None:
-    run = one.run
-    bench = BenchLog(stream, run.scene, one.colour)
-    bench.motion(run.samples, one.touching)
-    bench.trail(run.samples, one.touching)
-    plots = PlotLog(stream, one.colour)
+def _log_run(stream: RunStream, plotted_run: PlottedRun, title: str) -> None:
+    run = plotted_run.run
+    bench = BenchLog(stream, run.scene, plotted_run.colour)
+    bench.motion(run.samples, plotted_run.touching)
+    bench.trail(run.samples, plotted_run.touching)
+    plots = PlotLog(stream, plotted_run.colour)
     plots.curves(run.samples, force=False)
     plots.touches(run)
     plots.states("phase", *phases(run))
@@ -91,14 +87,14 @@ def _log_run(stream: RunStream, one: PlottedRun, title: str) -> None:
 
 
 def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
-    """Log as level lines the limits that all runs share: capture zone and stops."""
+    """Log the limits that all runs share, capture zone and stops, as horizontal lines."""
     # as long as the longest run on either timeline
     longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest))
-    few = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
+    times = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
     for entity, plot in PLOTS.items():
         limits, *others = {plot.quantity.limits(run.scene) for run in runs}
         for name, value, colour in limits if not others else ():
             path = f"plots/{entity}/{name.replace(', ', '_').replace(' ', '_')}"
             stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))
-            stream.scalars(path, few, np.full(len(few), value))
+            stream.scalars(path, times, np.full(len(times), value))

@@ -1,4 +1,4 @@
-"""What the viewing needs of a run, wherever it comes from."""
+"""Runs to be drawn, simulated or recorded, and what plots, reports and tables need of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from capture_sim.samples import Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene, as_name
 from capture_sim.simulation import Result, simulate
 
-# samples over the length of each touch, and over a window that is asked for
+#: Number of samples in each touch and in a window.
 _PER_TOUCH, _PER_WINDOW = 40, 4000
 
 
@@ -26,7 +26,7 @@ class ViewableRun(Protocol):
 
     @property
     def scene(self) -> Scene:
-        """What was on the bench."""
+        """The scene that was run."""
 
     @property
     def samples(self) -> np.ndarray:
@@ -42,15 +42,15 @@ class ViewableRun(Protocol):
 
     @property
     def extremes(self) -> Extremes | None:
-        """Of the integrator's own steps, where they are known."""
+        """Extremes between the samples too; None if not known."""
 
     @property
     def trace(self) -> np.ndarray | None:
-        """(k,) with the fields of TRACE, by time: the contact, where it was asked for."""
+        """(k,) with the fields of TRACE, by time: the contact; None if not requested."""
 
     @property
     def statuses(self) -> Sequence[CaptureStatus]:
-        """The detector's judgements, by time."""
+        """The detector's statuses, by time."""
 
     @property
     def problems(self) -> Sequence[str]:
@@ -58,7 +58,7 @@ class ViewableRun(Protocol):
 
 
 def verdict(run: ViewableRun) -> str:
-    """Return the detector's last word, or that there is none."""
+    """Return the label of the detector's last status, or ``no verdict``."""
     if not run.statuses:
         return "no verdict"
     return run.statuses[-1].label
@@ -66,33 +66,15 @@ def verdict(run: ViewableRun) -> str:
 
 @dataclass(frozen=True)
 class Opened:
-    """A run to be looked at.
-
-    Attributes
-    ----------
-    run
-        To be drawn.
-    label
-        Its name, no other's of those opened with it: the recording's, or the experiment's.
-    source
-        Where it comes from, in words.
-    software
-        ``"name version"`` each, of what made it.
-    wall_time
-        s, that it took; None where that is not known.
-    problems
-        What is wrong with its recording.
-    measured
-        Known from measurements alone: it cannot be run again.
-    """
+    """A run that a command draws."""
 
     run: ViewableRun
-    label: str
-    source: str
-    software: Sequence[str]
-    wall_time: float | None = None
-    problems: Sequence[str] = ()
-    measured: bool = False
+    label: str  # its name, unique among the opened ones: the recording's, or the experiment's
+    source: str  # text: file, or run now
+    software: Sequence[str]  # that made it, ``"name version"`` each
+    wall_time: float | None = None  # duration, s of wall time; None if not known
+    problems: Sequence[str] = ()  # of the recording, in lines
+    measured: bool = False  # known from measurements alone: it cannot be run again
 
 
 def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
@@ -108,49 +90,50 @@ def first_touch(run: ViewableRun) -> Event | None:
 
 
 def start_word(scene: Scene) -> str:
-    """Return what a run of the scene begins with: bodies in free flight are not released."""
+    """Return the word for t = 0: bodies in free flight are not released."""
     return "release" if scene.string is not None else "start"
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Number names that occur more than once; no number makes one name another's."""
+    """Number names that occur more than once, so that all differ."""
     taken, distinct = set(names), []
     for name in names:
-        number = 0
-        chosen = name
-        while names.count(name) > 1 and chosen in taken:
+        number, numbered = 0, name
+        while names.count(name) > 1 and numbered in taken:
             number += 1
-            chosen = f"{name}_{number}"
-        taken.add(chosen)
-        distinct.append(chosen)
+            numbered = f"{name}_{number}"
+        taken.add(numbered)
+        distinct.append(numbered)
     return distinct
 
 
 def every_touch(run: ViewableRun) -> np.ndarray:
-    """Return the touches (m,) of dtype TOUCH, with those that a run broke off in the middle of.
+    """Return the touches (m,) of dtype TOUCH, including those during which the run ended.
 
-    Those last to the last sample; their peak, which was not located, is that of the samples.
+    Those end at the last sample; their peak, which was not located, is that of the samples.
     """
     touches, samples = run.touches, run.samples
-    began = [e for e in run.events if e.kind is EventKind.TOUCH and e.t <= samples["t"][-1]]
-    broken_off = []
+    t_end = samples["t"][-1]
+    begins = [e for e in run.events if e.kind is EventKind.TOUCH and e.t <= t_end]
+    unfinished = []
     for column, side in enumerate((1, -1)):
-        if not samples["walls"][-1] & (1 << column):
+        starts = [event.t for event in begins if event.wall == side]
+        if not starts or not samples["walls"][-1] & (1 << column):
             continue
-        begun = [event.t for event in began if event.wall == side]
-        if begun and not np.any(touches["end"][touches["wall"] == side] >= begun[-1]):
-            within = samples[samples["t"] >= begun[-1]]
-            force = np.nan_to_num(within["normal_force"][:, column])
+        start = starts[-1]
+        if not np.any(touches["end"][touches["wall"] == side] >= start):
+            during = samples[samples["t"] >= start]
+            force = np.nan_to_num(during["normal_force"][:, column])
             touch = np.zeros(1, touches.dtype)
-            touch["wall"], touch["start"], touch["end"] = side, begun[-1], samples["t"][-1]
-            touch["peak_time"] = within["t"][force.argmax()]
+            touch["wall"], touch["start"], touch["end"] = side, start, t_end
+            touch["peak_time"] = during["t"][force.argmax()]
             touch["peak_force"] = force.max()
-            broken_off.append(touch)
-    return np.concatenate([touches, *broken_off])
+            unfinished.append(touch)
+    return np.concatenate([touches, *unfinished])
 
 
 def strongest(run: ViewableRun) -> tuple[float, float]:
-    """Return when the tip was pressed most against a wall, s, and by how much, N; nan and 0."""
+    """Return time, s, and peak force, N, of the strongest touch; NaN and 0 without touches."""
     touches = every_touch(run)
     if not touches.size:
         return math.nan, 0.0
@@ -159,58 +142,51 @@ def strongest(run: ViewableRun) -> tuple[float, float]:
 
 
 def time_window(run: ViewableRun) -> tuple[float, float]:
-    """Return from when to when something happens: shortly round contact and verdict, s.
+    """Return start and end of the time around contact and verdict, s.
 
-    What has not been judged to its end, as a run that was broken off, is seen to its end.
+    A run without a verdict, e.g. one that ended early, is shown to its end.
     """
     t = run.samples["t"]
     touch = first_touch(run)
     if touch is None:
         return float(t[0]), float(t[-1])
-    action = [touch.t, *every_touch(run)["end"].tolist()]
-    action += [e.t for e in run.events if e.kind is EventKind.LATCHED]
+    times = [touch.t, *every_touch(run)["end"].tolist()]
+    times += [e.t for e in run.events if e.kind is EventKind.LATCHED]
     decided = decided_at(run)
     if decided is not None:
-        action.append(decided)
+        times.append(decided)
     elif run.statuses:
-        action.append(float(t[-1]))
-    # a verdict may even fall before the touch
-    margin = 0.12 * max(max(action) - min(action), 0.1)
-    start, end = max(float(t[0]), min(action) - margin), min(float(t[-1]), max(action) + margin)
-    # samples of a window that holds nothing of it
+        times.append(float(t[-1]))
+    # a verdict may even precede the touch
+    margin = 0.12 * max(max(times) - min(times), 0.1)
+    start, end = max(float(t[0]), min(times) - margin), min(float(t[-1]), max(times) + margin)
+    # the samples may be of a window without any of it
     return (start, end) if start < end else (float(t[0]), float(t[-1]))
 
 
 def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,), s, and normal force of both walls (n,), N, with every touch in it.
 
-    Start, located peak and end of each touch are put in between the samples: most touches are
-    shorter than the distance of two samples and would not be seen.  So is the trace, where the
-    run has one.
+    Start, located peak and end of each touch are inserted between the samples, because most
+    touches are shorter than a sample period.  So is the trace if the run has one.
     """
     touches, samples = run.touches, run.samples
     trace = samples[:0] if run.trace is None else run.trace
-    nothing = np.zeros(len(touches))
+    zeros = np.zeros(len(touches))
     sampled = [samples["normal_force"].sum(axis=1), trace["normal_force"].sum(axis=1)]
     t = np.concatenate(
         [samples["t"], trace["t"], touches["start"], touches["peak_time"], touches["end"]]
     )
-    force = np.concatenate([*sampled, nothing, touches["peak_force"], nothing])
+    force = np.concatenate([*sampled, zeros, touches["peak_force"], zeros])
     t, first = np.unique(t, return_index=True)
     return t, force[first]
 
 
 def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:
-    """Return name, verdict and impact speed in one line, and what was changed or is missing below.
+    """Return a line with name, verdict and impact speed, then lines of changes and problems.
 
-    Parameters
-    ----------
-    run
-        Of which.
-    label
-        Its name; None for its scene's.  One without the scene's name gets it behind it.
-    width
-        Letters in a line: what does not fit goes on in another, or is cut.
+    The name is the label, with the scene's name after it unless it contains that; without a label
+    the scene's.  Lines of more than ``width`` letters are wrapped or shortened.
     """
     scene = run.scene.name
     name = scene if label is None else label
@@ -220,7 +196,7 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
     lines = [f"{name}: {verdict(run)}, {impact}"]
     if len(lines[0]) > width:
-        # a long name is broken anywhere
+        # a long name is wrapped at any letter
         lines = [*textwrap.wrap(f"{name}:", width), f"{verdict(run)}, {impact}"]
     changed = run.scene.title.partition("; with ")[2]
     if changed:
@@ -232,9 +208,9 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
 
 
 def in_contact(run: ViewableRun) -> np.ndarray:
-    """Return whether the tip touches at or right after each sample, (n,) bool.
+    """Return whether the tip touches at each sample or before the next, (n,) bool.
 
-    Touches shorter than the distance of two samples count.
+    So touches shorter than a sample period count.
     """
     t = run.samples["t"]
     touching: np.ndarray = run.samples["walls"] != 0
@@ -246,30 +222,16 @@ def in_contact(run: ViewableRun) -> np.ndarray:
 
 
 def decided_at(run: ViewableRun) -> float | None:
-    """Return when the detector came to a verdict, s since the release; None if it did not."""
+    """Return the time of the verdict, s since the release; None without one."""
     return next((status.t for status in run.statuses if status.state.is_verdict), None)
 
 
 def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Result:
     """Run a run's scene again and sample every touch by the integrator's dense output.
 
-    Parameters
-    ----------
-    run
-        With the scene that made it.
-    window
-        From when to when, s since the start: only this is returned, in some 4000 samples more.
-        None keeps the whole run.
-
-    Returns
-    -------
-    Result
-        The same motion, touches and events as the run's.
-
-    Raises
-    ------
-    CaptureSimError
-        This version of the simulator gives other touches than the run has.
+    With a window (start and end, s since the release) only that part is returned, with about 4000
+    further samples.  CaptureSimError if the window is empty, or if this version of the simulator
+    gives touches that differ from the run's.
     """
     grid, touches = np.asarray(run.samples["t"]), run.touches
     start, end = (float(grid[0]), float(grid[-1])) if window is None else window
@@ -279,19 +241,19 @@ def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Res
         times.append(touch["peak_time"][None])
     if window is not None:
         times.append(np.linspace(start, end, _PER_WINDOW))
-    wanted = np.unique(np.concatenate(times))
-    wanted = wanted[(wanted >= start) & (wanted <= min(end, grid[-1]))]
-    if not wanted.size:
+    t_eval = np.unique(np.concatenate(times))
+    t_eval = t_eval[(t_eval >= start) & (t_eval <= min(end, grid[-1]))]
+    if not t_eval.size:
         raise CaptureSimError(
             f"{run.scene.name}: no motion from {start:g} to {end:g} s; it lasts to {grid[-1]:g} s"
         )
     try:
-        again = simulate(run.scene, t_eval=wanted)
+        again = simulate(run.scene, t_eval=t_eval)
     except SimulationError as error:
         if error.result is None:
             raise
         again = error.result
-    if not _same(again.touches, touches):
+    if not _are_equal(again.touches, touches):
         raise CaptureSimError(
             f"{run.scene.name}: this version of the simulator gives other touches than the run "
             "has; it can only be drawn as it was sampled"
@@ -300,7 +262,7 @@ def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Res
 
 
 def resolved_or_not(run: ViewableRun) -> ViewableRun:
-    """Return the run resolved, or as it is where it cannot be run again as it was."""
+    """Return the run resolved, or unchanged if it cannot be simulated again."""
     if not np.isfinite(run.samples["kinetic"]).any():
         return run  # measured
     try:
@@ -309,9 +271,9 @@ def resolved_or_not(run: ViewableRun) -> ViewableRun:
         return run
 
 
-def _same(touches: np.ndarray, others: np.ndarray) -> bool:
-    """Return whether two runs have the same touches, to 1 us."""
-    return len(touches) == len(others) and bool(
-        np.array_equal(touches["wall"], others["wall"])
-        and np.allclose(touches["start"], others["start"], rtol=0.0, atol=1e-6)
+def _are_equal(touches_a: np.ndarray, touches_b: np.ndarray) -> bool:
+    """Return True if the touches of two runs are equal to 1 us."""
+    return len(touches_a) == len(touches_b) and bool(
+        np.array_equal(touches_a["wall"], touches_b["wall"])
+        and np.allclose(touches_a["start"], touches_b["start"], rtol=0.0, atol=1e-6)
     )

@@ -97,10 +97,10 @@ def test_release_without_poses_counts_by_stamp_and_log():
 
 def test_given_release_counts_from_the_first_pose_whatever_is_recorded():
     seen = poses(BOOT, WALL)
-    clock = find_clock(seen, command(BOOT, WALL), WALL, is_simulated=False, given=2.5)
+    clock = find_clock(seen, command(BOOT, WALL), WALL, is_simulated=False, given_release=2.5)
     assert (clock.origin, clock.after_first_pose) == (Origin.GIVEN, 2.5)
     assert clock.since_by_log(np.array([WALL])).tolist() == [-2.5]
     with pytest.raises(RecordingError, match="release = 60 s: must be 0 to 10 s"):
-        find_clock(seen, None, WALL, is_simulated=False, given=60.0)
+        find_clock(seen, None, WALL, is_simulated=False, given_release=60.0)
     with pytest.raises(RecordingError, match="no pose"):
-        find_clock(None, None, WALL, is_simulated=False, given=1.0)
+        find_clock(None, None, WALL, is_simulated=False, given_release=1.0)

@@ -112,8 +112,8 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
                 writer.write(connection, time, data)
     assert main(["detect", str(folder), "--scene", "tilt_0"]) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "/target/odom is of type geometry_msgs/msg/PoseStamped: wanted is nav_msgs" in said
-    with pytest.raises(RecordingError, match="/bench/state is of type"):
+    assert "type of /target/odom = geometry_msgs/msg/PoseStamped: must be nav_msgs" in said
+    with pytest.raises(RecordingError, match="type of /bench/state = "):
         _ = read_run(folder).samples
 
 

@@ -172,7 +172,7 @@ def test_port_that_is_taken_is_refused_in_one_line():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(CaptureSimError, match=f"port {port}: .*must be one that is free"):
+        with pytest.raises(CaptureSimError, match=f"port = {port}: .*must be a free port"):
             LiveView(port)
 
 
