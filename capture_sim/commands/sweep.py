@@ -151,13 +151,15 @@ def run(options: argparse.Namespace) -> int:
             executor=executor,
             report=partial(progress.at, "sweep"),
         )
+    if table.empty:
+        warn(f"interrupted: 0 of {len(samples.rows)} runs are done; nothing is written")
+        return INTERRUPTED
     about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
     about |= {"sample": options.sample, "runs": len(samples.rows)}
     echo(
         f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
     )
-    if len(table):
-        _report(scene, samples, table, options)
+    _report(scene, samples, table, options)
     if len(table) < len(samples.rows):
         warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
         return INTERRUPTED

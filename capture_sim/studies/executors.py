@@ -18,7 +18,7 @@ from concurrent.futures import (
     Future,
     ProcessPoolExecutor,
 )
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
@@ -47,16 +47,41 @@ class _Processes(ProcessPoolExecutor):
         super().__init__(count, multiprocessing.get_context("spawn"), _begin_worker)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        # a process that this starts inherits the mask, and does not run the user's script again:
-        # what it does is in this package alone
+        # a process that this starts does not run the user's script again: what it does is in this
+        # package alone
         main = sys.modules["__main__"]
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         sys.modules["__main__"] = ModuleType("__main__")
         try:
-            return super().submit(fn, *args, **kwargs)
+            with _interrupts_held():
+                return super().submit(fn, *args, **kwargs)
         finally:
             sys.modules["__main__"] = main
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Handle a Ctrl-C at the end only; a process that is started inside is spared it.
+
+    A process that is half started prints a traceback of its own, or stays behind.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a process inherits it
+    held: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    # the mask is this thread's: another one may take the signal, for Python's handler here
+    is_held = threading.current_thread() is threading.main_thread() and callable(handler)
+    if is_held:
+        signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if is_held:
+            signal.signal(signal.SIGINT, handler)
+    if held and callable(handler):
+        handler(signal.SIGINT, None)
 
 
 def _begin_worker() -> None:
@@ -92,11 +117,10 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
         with _dask_client(scheduler) as client:
             yield client.get_executor(pure=False)
     elif workers > 1:
-        pool = _Processes(workers)
-        try:
+        with ExitStack() as stack:
+            with _interrupts_held():
+                pool = stack.enter_context(_Processes(workers))
             yield pool
-        finally:
-            pool.shutdown(cancel_futures=True)
     else:
         yield InProcess()
 

@@ -5,7 +5,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -413,6 +416,38 @@ def test_ctrl_c_of_the_command_keeps_the_rows_and_says_so(tmp_path):
     done = len(pd.read_csv(out))
     assert f"{done} runs, seed 1" in output
     assert done > 20
+
+
+def child_processes(pid):
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return []
+
+
+@pytest.mark.parametrize("children", [1, 2, 4])
+def test_ctrl_c_while_workers_are_started_leaves_nothing_behind(children, tmp_path):
+    """The terminal sends it to all processes of the command, whose first child is a tracker."""
+    out = tmp_path / "t.csv"
+    out.write_text("an earlier table")
+    command = [sys.executable, "-m", "capture_sim.cli", "sweep", "tilt_0", "--workers=3"]
+    command += ["--vary=buffer.c_A=uniform(5, 30)", "--runs=100000", f"--out={out}"]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as run:
+        while len(child_processes(run.pid)) < children:
+            assert run.poll() is None
+            time.sleep(0.002)
+        started = child_processes(run.pid)
+        os.killpg(run.pid, signal.SIGINT)
+        _, errors = run.communicate(timeout=300)
+    assert run.returncode == 130
+    assert len(errors.splitlines()) == 1
+    assert errors.startswith("capture-sim: interrupted")
+    assert out.read_text() == "an earlier table"
+    deadline = time.monotonic() + 60.0
+    while any(Path(f"/proc/{pid}").exists() for pid in started):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
