@@ -66,7 +66,10 @@ def explain_import_error(error: ImportError) -> str:
     """Return one line that says which package is missing and how to install it."""
     package = (error.name or "").partition(".")[0]
     if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv")):
-        return "the ROS messages are not compiled: install capture_sim where ROS 2 is installed"
+        return (
+            "the ROS messages are not compiled: run 'make setup' in a clone of capture_sim, "
+            "or build it with colcon"
+        )
     if package in _ROS_PACKAGES:
         return (
             "ROS 2 is not installed: source an installation of it, "
@@ -75,7 +78,7 @@ def explain_import_error(error: ImportError) -> str:
     for extra, packages in _EXTRAS.items():
         if package in packages:
             return f"{package} is not installed: pip install 'capture_sim[{extra}]'"
-    return str(error)
+    return one_line(str(error))
 
 
 def one_line(text: str) -> str:

@@ -1,6 +1,7 @@
-"""What pip installs without ROS: each set of extras in an environment of its own.
+"""What pip installs: each set of extras in an environment of its own.
 
-The environments are made by uv from its cache, which the project's set-up has filled.
+The environments are made by uv from its cache, which the project's set-up has filled.  What the
+extra ros is for, compiled messages and nodes, is what `make setup` and the tests of nodes do.
 """
 
 import os
@@ -19,6 +20,7 @@ pytestmark = pytest.mark.skipif(not UV.is_file(), reason="uv is not installed")
 def environment():
     """Return the variables of a shell in which no ROS is sourced."""
     ros = ("AMENT_", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHON", "VIRTUAL_ENV", "ROS_")
+    ros += ("_ROS_WHEELS",)  # says that the wheels have set their paths
     return {name: value for name, value in os.environ.items() if not name.startswith(ros)}
 
 
@@ -35,7 +37,10 @@ def wheel(tmp_path_factory):
     return next(out.glob("*.whl"))
 
 
-@pytest.fixture(scope="module", params=["", "[view]", "[study]"], ids=["base", "view", "study"])
+SETS = {"base": "", **{name: f"[{name}]" for name in ("view", "study", "cluster", "ros")}}
+
+
+@pytest.fixture(scope="module", params=SETS.values(), ids=SETS)
 def installed(request, wheel, tmp_path_factory):
     """Return the folder of programs of an environment with one set of extras, and the set.
 
@@ -86,16 +91,46 @@ def test_every_command_shows_its_help(installed, tmp_path):
 def test_commands_that_need_more_name_it(installed, tmp_path):
     status, _, errors = call(installed, "bench", "tilt_0", folder=tmp_path)
     assert (status, errors.count("\n")) == (1, 1)
-    assert errors.startswith("capture-sim: ROS 2 is not installed")
+    lacking = "ROS 2 is not installed: source an installation"
+    if installed[1] == SETS["ros"]:
+        lacking = "the ROS messages are not compiled: run 'make setup'"
+    assert errors.startswith(f"capture-sim: {lacking}")
     node = subprocess.run(
         [installed[0] / "capture-sim-recorder"], env=environment(), capture_output=True, text=True
     )
-    assert (node.returncode, node.stderr.count("\n")) == (1, 1)
-    assert node.stderr.startswith("error: ROS 2 is not installed")
+    assert (node.returncode, node.stderr.count("\n")) == (1, 1), node.stderr
+    assert node.stderr.startswith(f"error: {lacking}")
     if installed[1] != "[view]":
         status, _, errors = call(installed, "report", "tilt_0", folder=tmp_path)
         assert (status, errors.count("\n")) == (1, 1)
         assert re.search(r"pip install 'capture_sim\[view\]'", errors)
+
+
+CLUSTER = """
+import math
+from capture_sim.studies.executors import ExecutorError, answers, open_executor
+address = "tcp://127.0.0.1:9"
+try:
+    from distributed import LocalCluster
+    cluster = LocalCluster(n_workers=1, processes=False, dashboard_address=None)
+    address = cluster.scheduler_address
+except ImportError:
+    pass
+try:
+    with open_executor(scheduler=address) as executor:
+        print(list(answers(executor, math.sqrt, [4.0, 9.0])))
+except ExecutorError as error:
+    print(error)
+"""
+
+
+def test_a_cluster_works_where_its_extra_is_installed_and_is_named_elsewhere(installed, tmp_path):
+    python = [installed[0] / "python", "-c", CLUSTER]
+    printed = subprocess.check_output(python, cwd=tmp_path, env=environment(), text=True)
+    expected = "--scheduler: Dask is not installed; pip install 'capture_sim[cluster]'"
+    if installed[1] == SETS["cluster"]:
+        expected = "[2.0, 3.0]"
+    assert printed.strip() == expected
 
 
 def test_a_run_is_recorded_drawn_and_read_again(installed, tmp_path):
