@@ -124,7 +124,7 @@ class PlayerNode(BenchNode):
             ("resume", lambda: self._control.set_state(State.PLAYING)),
         ):
             self.create_service(Trigger, f"~/{name}", self._serving(action))
-        self._services = SimulationServices(self, self._control, INFO)
+        self._simulation_services = SimulationServices(self, self._control, INFO)
 
     # set-up
 
@@ -184,7 +184,7 @@ class PlayerNode(BenchNode):
             return FAILED
         finally:
             self._control.end()
-            self._services.close()
+            self._simulation_services.close()
         if count == 0:
             self.get_logger().error(
                 "nothing was played: of the topics and times chosen the recording contains no "

@@ -159,7 +159,7 @@ class SimulatorNode(BenchNode):
         self.create_publisher(Empty, f"{SESSION}{self._session}", 1)
         self._model = RobotModel(self)
         self._diagnostics = SimulatorDiagnostics(self, self.control)
-        self._services = SimulationServices(self, self.control, INFO)
+        self._simulation_services = SimulationServices(self, self.control, INFO)
         self.listen(LAUNCH_COMMAND, self._commanded)
         self.listen(RUN_INFO, self._run_announced)
         self.add_on_set_parameters_callback(self._may_set)
@@ -244,7 +244,7 @@ class SimulatorNode(BenchNode):
                         "Ctrl-C to exit"
                     )
         finally:
-            self._services.close()
+            self._simulation_services.close()
         return status
 
     def _compile(self) -> None:
