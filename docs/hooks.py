@@ -1,4 +1,4 @@
-"""Adds what is made from the code, and typesets formulas as MathML; nothing is fetched."""
+"""Adds the scene reference, made from the code, and typesets formulas as MathML."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 from docutils.utils.math.latex2mathml import tex2mathml
 from mkdocs.structure.files import File, Files
 
-import capture_sim
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 
-PUBLIC = "<!-- public names -->"
 FENCE = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<![\\$\w])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![$\w])")
@@ -98,9 +96,5 @@ def with_marks(markdown: str) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Mark formulas; name every public name to mkdocstrings where a page asks for them."""
-    markdown = with_marks(markdown)
-    if PUBLIC not in markdown:
-        return markdown
-    found = (getattr(capture_sim, name) for name in capture_sim.__all__)
-    return markdown.replace(PUBLIC, "\n".join(f"::: {x.__module__}.{x.__name__}" for x in found))
+    """Mark the formulas."""
+    return with_marks(markdown)

@@ -284,6 +284,33 @@ def test_site_has_every_page_and_the_scene_reference(site):
         assert (site / name / "index.html").is_file(), page
 
 
+def test_the_python_page_has_every_public_name_in_the_order_one_meets_it(site):
+    source = (ROOT / "docs" / "api.md").read_text()
+    named = re.findall(r"^::: capture_sim\.[\w.]*\b(\w+)$", source, re.MULTILINE)
+    assert named[:3] == ["simulate", "Result", "plot"]
+    assert set(capture_sim.__all__) <= set(named)
+    page = (site / "api" / "index.html").read_text()
+    places = [page.index(f'id="{path}"') for path in re.findall(r"^::: (\S+)$", source, re.M)]
+    assert places == sorted(places)
+
+
+def how_to_pages():
+    """Return the pages under How to, by the site's contents."""
+    contents = yaml.safe_load((ROOT / "mkdocs.yml").read_text().replace("!!", ""))["nav"]
+    [entries] = [entry["How to"] for entry in contents if "How to" in entry]
+    return [f"docs/{page}" for entry in entries for page in entry.values()]
+
+
+def test_every_how_to_has_blocks_that_run():
+    """But for those of a rig, which need ROS's command line: tests/nodes has their flows."""
+    running = [p for p in how_to_pages() if any(not b.left_out for b in blocks(p))]
+    assert len(running) >= 7
+    assert set(how_to_pages()) - set(running) <= {
+        "docs/your_rig.md",
+        "docs/hardware_in_the_loop.md",
+    }
+
+
 class Formulas(HTMLParser):
     """Collects a page's formulas as rows of cells of text, its other text, and what it loads."""
 
