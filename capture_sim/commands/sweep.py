@@ -30,6 +30,7 @@ from capture_sim.studies.axes import FAMILIAR
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
     QUANTILES,
+    Indices,
     Quantile,
     capture_probability,
     computed_rows,
@@ -42,7 +43,7 @@ from capture_sim.studies.dispersion import (
 )
 from capture_sim.studies.executors import open_executor
 from capture_sim.studies.sampling import EDGES, SAMPLES, Samples
-from capture_sim.studies.sweep import Recipe, result_units, run_samples, samples_of
+from capture_sim.studies.sweep import FAILED, Recipe, run_samples, samples_of
 
 if TYPE_CHECKING:
     import pandas
@@ -58,10 +59,10 @@ EXAMPLE = """\
     --vary buffer.k_A='normal(500, 5%)' --runs 200
   capture-sim sweep paper_designed --vary approach.angle='-30 deg:30 deg:13' \\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
-_SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
 #: Number of runs below which the percentiles are printed with their intervals.
 _FEW_RUNS = 500
 _WORST = 10
+_FAILURES = 3  # kinds of them that are printed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -159,7 +160,8 @@ def run(options: argparse.Namespace) -> int:
     echo(
         f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
     )
-    _report(scene, samples, table, options)
+    indices = _indices(samples, table, options)
+    _report(scene, samples, table, indices, options)
     if len(table) < len(samples.rows):
         warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
         return INTERRUPTED
@@ -167,7 +169,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.sweep import draw_sweep
 
-        for name, figure in draw_sweep(table, samples.axes, scene.name).items():
+        for name, figure in draw_sweep(table, samples.axes, scene.name, indices).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
             echo(f"image in {save(figure, path)}")
     return OK
@@ -194,33 +196,61 @@ def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
     return samples_of(scene, vary, runs, options.sample, options.seed, options.edges)
 
 
+def _indices(
+    samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
+) -> list[Indices]:
+    """Return the Sobol indices of the main loads, where the runs are those of Saltelli's design."""
+    if options.sample != "saltelli":
+        return []
+    drawn = [axis.name for axis in samples.axes if axis.distribution]
+    indices = (sobol_indices(table, drawn, key, options.seed) for key in MAIN_LOADS)
+    return [found for found in indices if found is not None]
+
+
 def _report(
-    scene: Scene, samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
+    scene: Scene,
+    samples: Samples,
+    table: pandas.DataFrame,
+    indices: Sequence[Indices],
+    options: argparse.Namespace,
 ) -> None:
     counts = ", ".join(f"{count} {name}" for name, count in table["verdict"].value_counts().items())
     echo(f"verdicts: {counts}")
     if table["left_again"].any():
         echo(f"{table['left_again'].sum()} of the captured runs left the capture zone again")
+    _print_failures(table)
     drawn = [axis.name for axis in samples.axes if axis.distribution]
-    if drawn:
+    if drawn or options.cases is not None:
         _print_probability(table, samples, options)
     if options.check:
         changed = table[table["verdict"] != table["verdict_at_half_tolerance"]]
         echo(f"{len(changed)} verdicts change at half the tolerance: runs {list(changed.index)}")
     if computed_rows(table).empty:
         return
-    _print_quantiles(plain_rows(computed_rows(table)))
-    if options.sample == "saltelli":
-        _print_indices(table, drawn, options.seed)
+    is_grid = not drawn and options.cases is None
+    _print_loads(plain_rows(computed_rows(table)), is_grid=is_grid)
+    if indices:
+        _print_indices(indices, drawn)
     else:
         _print_correlations(table, samples)
     _print_worst(scene, samples, table, options)
 
 
+def _print_failures(table: pandas.DataFrame) -> None:
+    """Print why runs could not be computed: one run of each kind, the most frequent kinds first."""
+    reasons = table.loc[table["verdict"] == FAILED, "failure"]
+    without_numbers = reasons.str.replace(r"[-+.\d]+(e[-+]?\d+)?", "", regex=True)
+    kinds = sorted(reasons.groupby(without_numbers), key=lambda kind: -len(kind[1]))
+    for _, alike in kinds[:_FAILURES]:
+        echo(f"{len(alike)} could not be computed, e.g. run {alike.index[0]}: {alike.iloc[0]}")
+
+
 def _print_probability(
     table: pandas.DataFrame, samples: Samples, options: argparse.Namespace
 ) -> None:
-    grid = [axis.name for axis in samples.axes if not axis.distribution]
+    # the rows of a table are draws of the user's own
+    fixed = () if options.cases is not None else samples.axes
+    grid = [axis.name for axis in fixed if not axis.distribution]
     groups = plain_rows(table).groupby(grid, sort=False) if grid else [("", table)]
     for point, rows in groups:
         found = capture_probability(rows)
@@ -235,6 +265,8 @@ def _print_probability(
         )
     if options.sample in ("latin", "sobol", "saltelli"):
         echo(f"(the interval applies to independent draws; {options.sample} draws are not)")
+    if options.cases is not None:
+        echo("(the interval applies if the rows of the table are independent draws)")
     if "design" in table:
         edge = capture_probability(table[table["design"] == EDGES].drop(columns="design"))
         echo(f"near the edges: captured {edge.captured} of {edge.computed}, not counted above")
@@ -242,19 +274,25 @@ def _print_probability(
     echo(f"runs without a failure that prove a probability at 95 % confidence: {needed}")
 
 
-def _print_quantiles(rows: pandas.DataFrame) -> None:
-    echo(f"\nloads of {len(rows)} runs, whole run and before the latch (percentiles)")
+def _print_loads(rows: pandas.DataFrame, *, is_grid: bool) -> None:
+    """Print percentiles of the loads; of a grid, whose runs are no draws, their range."""
+    echo(f"\nloads of {len(rows)} runs, whole run and before the latch")
     cells = []
-    for key, _, si_unit, *_ in LOADS:
-        unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
-        before = rows.get(f"{key}_before_latch")
+    for row_load in LOADS:
+        before = rows.get(f"{row_load.key}_before_latch")
         # loads before the latch only if the latch changes them
-        names = [key] if before is None or before.equals(rows[key]) else [key, before.name]
-        for name in names:
-            if rows[name].notna().any():
-                found = quantiles(rows[name].to_numpy(float) * factor)
-                cells.append([name, unit, *(_quantile_text(q, len(rows)) for q in found)])
-    print_table(["load", "unit", *(f"{share:.0%}" for share in QUANTILES)], cells, left=2)
+        is_same = before is None or before.equals(rows[row_load.key])
+        for name in [row_load.key] if is_same else [row_load.key, before.name]:
+            values = rows[name].dropna().to_numpy(float) * row_load.factor
+            if not values.size:
+                continue
+            if is_grid:
+                texts = [f"{np.quantile(values, share):.4g}" for share in (0.0, 0.5, 1.0)]
+            else:
+                texts = [_quantile_text(q, len(rows)) for q in quantiles(values)]
+            cells.append([name, row_load.shown_in, *texts])
+    shares = ("smallest", "median", "largest") if is_grid else (f"{q:.0%}" for q in QUANTILES)
+    print_table(["load", "unit", *shares], cells, left=2)
 
 
 def _quantile_text(found: Quantile, runs: int) -> str:
@@ -270,6 +308,8 @@ def _print_correlations(table: pandas.DataFrame, samples: Samples) -> None:
     if not numbers or len(plain_rows(computed_rows(table))) < 3:
         return
     found = rank_correlations(table, numbers)
+    if found.isna().to_numpy().all():
+        return
     echo("\nrank correlation (Spearman) of each input with")
     cells = (
         [str(name), *("-" if np.isnan(v) else f"{v:+.2f}" for v in row)]
@@ -278,12 +318,9 @@ def _print_correlations(table: pandas.DataFrame, samples: Samples) -> None:
     print_table(["input", *found.columns], cells)
 
 
-def _print_indices(table: pandas.DataFrame, inputs: Sequence[str], seed: int) -> None:
-    for key in MAIN_LOADS:
-        found = sobol_indices(table, inputs, key, seed)
-        if found is None:
-            continue
-        echo(f"\nSobol indices of {key}, {found.used} base samples (95 % interval)")
+def _print_indices(indices: Sequence[Indices], inputs: Sequence[str]) -> None:
+    for found in indices:
+        echo(f"\nSobol indices of {found.load}, {found.used} base samples (95 % interval)")
         columns: tuple[Any, ...] = found.first, found.first_interval, found.total
         cells = (
             [name, f"{s1:.3f} +- {d1:.3f}", f"{st:.3f} +- {dt:.3f}"]
@@ -295,8 +332,7 @@ def _print_indices(table: pandas.DataFrame, inputs: Sequence[str], seed: int) ->
 def _print_worst(
     scene: Scene, samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
 ) -> None:
-    si_unit = result_units()[options.worst]
-    unit, factor = _SHOWN_UNITS.get(si_unit, (si_unit, 1.0))
+    worst_load = next(each for each in LOADS if each.key == options.worst)
     recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
     echo(f"\nlargest {options.worst}, with the command that repeats each run")
     for number, row in worst_runs(table, options.worst, _WORST).iterrows():
@@ -307,4 +343,5 @@ def _print_worst(
         command = ["capture-sim", "run", options.scene]
         for change in changes:
             command += ["--set", change]
-        echo(f"{number}: {value * factor:.4g} {unit}, {row['verdict']}: {shlex.join(command)}")
+        shown = f"{value * worst_load.factor:.4g} {worst_load.shown_in}, {row['verdict']}"
+        echo(f"{number}: {shown}: {shlex.join(command)}")

@@ -88,11 +88,11 @@ def read_cases(path: Path) -> pandas.DataFrame:
     table = table.drop(columns="run", errors="ignore")  # a sweep's own number
     for head, values in table.items():
         named_unit = _HEAD.fullmatch(str(head))
-        if named_unit is None:
-            columns[str(head).strip()] = [_number(cell) for cell in values]
-        else:
-            name, unit = named_unit.groups()
-            columns[name] = [f"{cell} {unit}" for cell in values]
+        name, unit = named_unit.groups() if named_unit else (str(head).strip(), "1")
+        # a blank has no unit, nor has a number of a column "friction.mu [1]"
+        columns[name] = [
+            _number(cell) if unit == "1" or cell == "" else f"{cell} {unit}" for cell in values
+        ]
     return pandas.DataFrame(columns)
 
 

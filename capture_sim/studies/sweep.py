@@ -186,6 +186,10 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
             raise SceneError(f"column {name}: no field of {scene.name}; did you mean {near}?")
     if not columns or table.empty:
         raise SceneError("table: must have one row and one column of a field or more")
+    for name in columns:
+        blank = table[name].isna() | (table[name] == "")
+        if blank.any():
+            raise SceneError(f"column {name}: run {int(blank.argmax())} has no value")
     axes = tuple(make_axis(scene, name, table[name].tolist()) for name in columns)
     rows = list(zip(*(axis.values for axis in axes), strict=True))
     return Samples(axes, rows, [PLAIN] * len(rows))

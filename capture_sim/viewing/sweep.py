@@ -11,11 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.ticker import MaxNLocator
 
 from capture_sim.results import LOADS
 from capture_sim.studies.axes import Axis
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
+    Indices,
     capture_probability,
     computed_rows,
     plain_rows,
@@ -34,6 +37,7 @@ _UNCOMPUTED = style.LIGHT
 #: Most panels of a map.
 _MAX_PANELS = 9
 _FEWEST_RANKED = 3
+_MOST_LEVELS = 5  # of the contours
 
 
 class _Shown(NamedTuple):
@@ -50,8 +54,7 @@ class _Shown(NamedTuple):
 
 def _load(name: str) -> _Shown:
     load = next(load for load in LOADS if load.key == name)
-    units = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
-    return _Shown(load.meaning, *units.get(load.unit, (load.unit, 1.0)))
+    return _Shown(load.meaning, load.shown_in, load.factor)
 
 
 def _input(axis: Axis) -> _Shown:
@@ -59,17 +62,13 @@ def _input(axis: Axis) -> _Shown:
     return _Shown(axis.name, *units.get(axis.unit, (axis.unit, 1.0)))
 
 
-def draw_sweep(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> dict[str, Figure]:
+def draw_sweep(
+    table: pandas.DataFrame, axes: Sequence[Axis], title: str, indices: Sequence[Indices] = ()
+) -> dict[str, Figure]:
     """Return the figures of a sweep by name, those that its axes allow.
 
-    Parameters
-    ----------
-    table
-        Of :func:`capture_sim.sweep`.
-    axes
-        That were varied.
-    title
-        Of the figures: the name of the scene.
+    ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
+    of the scene.
     """
     numbers = [axis for axis in axes if table[axis.name].dtype.kind in "if"]
     grid = [axis for axis in numbers if len(set(axis.values)) > 1]
@@ -85,7 +84,9 @@ def draw_sweep(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> dic
         figures["map"] = draw_map(table, grid, title)
     if drawn or not is_grid:
         figures["loads"] = draw_loads(table, title)
-        if len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
+        if indices:
+            figures["indices"] = draw_indices(indices, [axis.name for axis in drawn], title)
+        elif len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
             figures["tornado"] = draw_tornado(table, numbers, title)
     return figures
 
@@ -170,9 +171,13 @@ def draw_map(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figur
         panel.set_title(f"{where}\n{captured:.1%} captured".strip(), fontsize=12)
     for panel in panels.flat[len(pages) :]:
         panel.set_axis_off()
-    patches = [Patch(color=colour, label=verdict) for verdict, colour in _COLOURS.items()]
-    patches.append(Patch(color=_UNCOMPUTED, label="not computed"))
-    figure.legend(handles=patches, loc="outside lower center", ncols=5 if columns > 1 else 3)
+    given = set(table["verdict"])
+    patches = [
+        Patch(color=_COLOURS[verdict], label=verdict) for verdict in _COLOURS if verdict in given
+    ]
+    if FAILED in given:
+        patches.append(Patch(color=_UNCOMPUTED, label="not computed"))
+    figure.legend(handles=patches, loc="outside lower center", ncols=6 if columns > 1 else 3)
     figure.suptitle(f"{title}: {len(table)} runs; contours: peak normal force [N]", fontsize=13)
     return figure
 
@@ -189,8 +194,14 @@ def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) 
         *places, grid.to_numpy(), cmap=colours, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest"
     )
     if min(force.shape) > 1 and force.notna().to_numpy().any():
-        lines = panel.contour(*places, force.to_numpy(), colors=style.BLACK, linewidths=0.8)
-        panel.clabel(lines, fontsize=8)
+        lines = panel.contour(
+            *places, force.to_numpy(), _MOST_LEVELS, colors=style.BLACK, linewidths=0.8
+        )
+        # read on dark colours too
+        halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]
+        lines.set_path_effects(halo)
+        for text in panel.clabel(lines, fontsize=9):
+            text.set_path_effects(halo)
     panel.set_xlabel(x.label)
     panel.set_ylabel(y.label)
 
@@ -223,6 +234,7 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
             )
         panel.set_xlabel(shown.label)
         panel.set_ylabel("runs")
+        panel.yaxis.set_major_locator(MaxNLocator(integer=True))
     panels[0, 0].legend(fontsize=11)
     p = capture_probability(table)
     figure.suptitle(
@@ -252,5 +264,33 @@ def draw_tornado(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> F
         panel.set_title(_load(name).name if name in MAIN_LOADS else "capture", fontsize=12)
     panels[0, 0].set_yticks(range(len(order)), list(order))
     figure.supxlabel("rank correlation (Spearman)", fontsize=12)
-    figure.suptitle(f"{title}: what matters, {len(plain_rows(table))} runs", fontsize=14)
+    runs = len(plain_rows(computed_rows(table)))
+    figure.suptitle(f"{title}: what matters, {runs} runs", fontsize=14)
+    return figure
+
+
+def draw_indices(indices: Sequence[Indices], inputs: Sequence[str], title: str) -> Figure:
+    """Return Sobol's first and total indices of each input for each load, with 95 % intervals."""
+    figure, panels = subplots(
+        3.0 + 3.4 * len(indices),
+        2.4 + 0.6 * len(inputs),
+        *(1, len(indices)),
+        grid="x",
+        font=12.0,
+        sharey=True,
+    )
+    at = np.arange(len(inputs))
+    for panel, found in zip(panels.flat, indices, strict=True):
+        for place, values, interval, colour, label in (
+            (at + 0.2, found.first, found.first_interval, style.BLUE, "first"),
+            (at - 0.2, found.total, found.total_interval, style.SKY, "total"),
+        ):
+            panel.barh(place, values, 0.38, xerr=interval, color=colour, label=label, capsize=3)
+        panel.axvline(0.0, color=style.BLACK, lw=0.8)
+        panel.set_xlim(-0.25, 1.25)
+        panel.set_title(_load(found.load).name, fontsize=12)
+    panels[0, 0].set_yticks(at, list(inputs))
+    panels[0, -1].legend(fontsize=11)
+    figure.supxlabel("Sobol index: share of the variance, 95 % interval", fontsize=12)
+    figure.suptitle(f"{title}: what matters, {indices[0].used} base samples", fontsize=14)
     return figure

@@ -356,6 +356,8 @@ BAD = [
     (pd.DataFrame({"buffer.cA": [1]}), r"column buffer.cA: .*did you mean buffer.c_A\?"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
     (pd.DataFrame({"buffer.c_A": [-1.0]}), "must be >= 0"),
+    (pd.DataFrame({"buffer.c_A": [5.0, None]}), "column buffer.c_A: run 1 has no value"),
+    (pd.DataFrame({"buffer.c_A": ["5", "", ""]}), "column buffer.c_A: run 1 has no value"),
 ]
 
 
@@ -489,6 +491,37 @@ def test_sensors_change_no_verdict_and_the_command_says_so(tmp_path, capsys):
     assert found["verdict_time [s]"].tolist() == exact["verdict_time"].tolist()
 
 
+def test_own_cases_have_a_probability_and_dimensionless_heads(tmp_path, capsys):
+    cases, out = tmp_path / "cases.csv", tmp_path / "out.csv"
+    cases.write_text("friction.mu [1],buffer.c_A [N s/m]\n0.1,10\n0.2,12\n-1,12\n0.3,14\n")
+    options = ["--set", "run.t_end=3", "--workers=1", f"--out={out}"]
+    assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 2
+    assert "friction.mu = -1.0: must be >= 0" in capsys.readouterr().err
+    cases.write_text(cases.read_text().replace("-1,", "0.25,"))
+    assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 0
+    shown = capsys.readouterr().out
+    assert "95 % interval" in shown
+    assert "if the rows of the table are independent draws" in shown
+    assert pd.read_csv(out)["friction.mu [1]"].tolist() == [0.1, 0.2, 0.25, 0.3]
+
+
+def test_the_command_says_why_runs_could_not_be_computed(tmp_path, capsys):
+    """Each kind of reason once, the most frequent first; a grid has no percentiles."""
+    vary = ["--vary=initial.target.x=-1e3,0.45,0.44,0.9", "--set", "run.t_end=0.5", "--workers=1"]
+    assert main(["sweep", "tilt_0", *vary, f"--out={tmp_path / 'a.csv'}"]) == 0
+    shown = capsys.readouterr().out
+    assert "verdicts: 3 failed, 1 undecided" in shown
+    assert "2 could not be computed, e.g. run 1: " in shown
+    assert "1 could not be computed, e.g. run 0: " in shown
+    assert "smallest" in shown
+    assert "95%" not in shown
+    vary[0] = "--vary=initial.target.x=-1e3,-2e3"
+    assert main(["sweep", "tilt_0", *vary, f"--out={tmp_path / 'a.csv'}"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.splitlines()[1] == "verdicts: 2 failed"
+    assert "2 could not be computed, e.g. run 0: " in shown
+
+
 def test_cases_in_other_units(tmp_path):
     path = tmp_path / "cases.csv"
     path.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
@@ -532,3 +565,11 @@ def test_pictures_fit_what_was_varied(vary, names, tmp_path):
         assert "could not be computed" in title
     for name, figure in figures.items():
         figure.savefig(tmp_path / f"{name}.png")
+
+
+def test_saltellis_runs_are_drawn_as_their_indices(tmp_path, capsys):
+    vary = ["--vary=buffer.c_A=uniform(5, 20)", "--vary=friction.mu=uniform(0, 0.3)"]
+    design = ["--sample=saltelli", "--runs=4", "--set", "run.t_end=3.2", "--workers=1"]
+    assert main(["sweep", "tilt_0", *vary, *design, f"--out={tmp_path / 'a.csv'}"]) == 0
+    assert "Sobol indices of max_normal_force, 4 base samples" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.glob("*.png")} == {"a_loads.png", "a_indices.png"}
