@@ -25,7 +25,7 @@ Columns = Mapping[str, np.ndarray]
 
 _HEADER = 4
 #: Offset and length of a text.
-_Place = tuple[int, int]
+_TextSlot = tuple[int, int]
 _LITTLE_ENDIAN = b"\x00\x01"
 #: Kinds of numbers, as they stand in a message.
 NUMBERS = {
@@ -40,7 +40,7 @@ NUMBERS = {
 }
 
 #: Fields of a message at most, those in it counted.
-_MOST_FIELDS = 100_000
+_MAX_FIELDS = 100_000
 
 _TIME = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
@@ -70,7 +70,7 @@ def _unpacked(
     try:
         return kind.unpack_from(data, place)
     except struct.error:
-        raise MessageError(f"{topic.name}: message of {len(data)} bytes is cut") from None
+        raise MessageError(f"{topic.name}: message of {len(data)} bytes is truncated") from None
 
 
 def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
@@ -81,23 +81,23 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
     for sequences of texts (lists of ``str``).  MessageError if a message does not fit the type, or
     the type has a sequence of messages.
     """
-    found: dict[str, np.ndarray] = {}
+    fields: dict[str, np.ndarray] = {}
     sizes = np.fromiter((len(data) for data in messages), dtype=np.int64, count=len(messages))
     by_size = np.argsort(sizes, kind="stable")
-    for waiting in np.split(by_size, np.flatnonzero(np.diff(sizes[by_size])) + 1):
-        while len(waiting):
+    for rows in np.split(by_size, np.flatnonzero(np.diff(sizes[by_size])) + 1):
+        while len(rows):
             try:
-                layout = Layout(store, type_name, messages[waiting[0]])
+                layout = Layout(store, type_name, messages[rows[0]])
             except KeyError as error:
                 raise MessageError(f"{type_name}: {error} is no known type") from None
-            raw = np.frombuffer(b"".join([messages[i] for i in waiting]), dtype=np.uint8)
-            raw = raw.reshape(len(waiting), -1)
-            alike = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
-            _store_records(found, layout, raw[alike], waiting[alike], len(messages))
-            waiting = waiting[~alike]
-    for column in found.values():
+            raw = np.frombuffer(b"".join([messages[i] for i in rows]), dtype=np.uint8)
+            raw = raw.reshape(len(rows), -1)
+            fits = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)
+            _store_records(fields, layout, raw[fits], rows[fits], len(messages))
+            rows = rows[~fits]
+    for column in fields.values():
         column.flags.writeable = False
-    return found
+    return fields
 
 
 class Numbers:
@@ -174,9 +174,9 @@ class Layout:
         self._store, self._type_name, self._data = store, type_name, data
         self._position = _HEADER
         self._numbers: list[tuple[str, object, int]] = []  # path, format, offset
-        self.texts: dict[str, _Place | list[_Place]] = {}
+        self.texts: dict[str, _TextSlot | list[_TextSlot]] = {}
         self._lengths: list[int] = []  # where they stand
-        self._steps = 0
+        self._n_fields = 0
         self._message("", type_name)
         # a transport may pad a message to a multiple of 4 bytes
         if not 0 <= len(data) - self._position < 4:
@@ -191,21 +191,21 @@ class Layout:
         self.fixed = np.array(fixed, dtype=np.int64)
 
     def _message(self, prefix: str, type_name: str) -> None:
-        known = self._store.fielddefs[type_name][1]
-        self._steps += len(known) + 1
-        if self._steps > _MOST_FIELDS:
-            raise MessageError(f"{self._type_name}: more than {_MOST_FIELDS} fields")
-        for name, (kind, of) in known:
+        fields = self._store.fielddefs[type_name][1]
+        self._n_fields += len(fields) + 1
+        if self._n_fields > _MAX_FIELDS:
+            raise MessageError(f"{self._type_name}: more than {_MAX_FIELDS} fields")
+        for name, (kind, definition) in fields:
             path = f"{prefix}{name}"
             if kind == Nodetype.BASE:
-                if of[0] == "string":
+                if definition[0] == "string":
                     self.texts[path] = self._text()
                 else:
-                    self._number(path, of[0], ())
+                    self._number(path, definition[0], ())
             elif kind == Nodetype.NAME:
-                self._message(f"{path}.", str(of))
+                self._message(f"{path}.", str(definition))
             else:
-                (item_kind, item), count = of
+                (item_kind, item), count = definition
                 if kind == Nodetype.SEQUENCE:
                     count = self._length()
                 if item_kind != Nodetype.BASE:
@@ -218,7 +218,7 @@ class Layout:
                 elif item[0] != "string":
                     self._number(path, item[0], (count,))
                 elif count > len(self._data):
-                    raise self._is_cut()
+                    raise self._truncated()
                 else:
                     self.texts[path] = [self._text() for _ in range(count)]
 
@@ -237,20 +237,20 @@ class Layout:
         start = self._position
         self._position += _LENGTH.size
         if self._position > len(self._data):
-            raise self._is_cut()
+            raise self._truncated()
         self._lengths.append(start)
         (length,) = _LENGTH.unpack_from(self._data, start)
         if self._position + length > len(self._data) + 3:
-            raise self._is_cut()
+            raise self._truncated()
         return int(length)
 
-    def _text(self) -> _Place:
+    def _text(self) -> _TextSlot:
         length, start = self._length(), self._position
         self._position += length
         return start, max(length - 1, 0)  # without the closing zero
 
-    def _is_cut(self) -> MessageError:
-        return MessageError(f"{self._type_name}: message of {len(self._data)} bytes is cut")
+    def _truncated(self) -> MessageError:
+        return MessageError(f"{self._type_name}: message of {len(self._data)} bytes is truncated")
 
 
 def _aligned(position: int, size: int) -> int:
@@ -258,29 +258,29 @@ def _aligned(position: int, size: int) -> int:
 
 
 def _store_records(
-    found: dict[str, np.ndarray], layout: Layout, raw: np.ndarray, rows: np.ndarray, total: int
+    fields: dict[str, np.ndarray], layout: Layout, raw: np.ndarray, rows: np.ndarray, total: int
 ) -> None:
     records = np.ascontiguousarray(raw).view(layout.records)[:, 0]
     for name in layout.records.names or ():
         values = records[name]
-        column = found.get(name)
+        column = fields.get(name)
         if column is None:
-            column = found[name] = np.empty((total, *values.shape[1:]), dtype=values.dtype)
+            column = fields[name] = np.empty((total, *values.shape[1:]), dtype=values.dtype)
         if column.dtype != object and column.shape[1:] != values.shape[1:]:
-            column = found[name] = _as_objects(column)
+            column = fields[name] = _as_objects(column)
         if column.dtype == object:
             for row, value in zip(rows, values, strict=True):
                 column[row] = value.copy()
         else:
             column[rows] = values
-    for name, places in layout.texts.items():
-        texts = found.setdefault(name, np.empty(total, dtype=object))
-        if isinstance(places, list):
-            parts = [_texts(raw, place) for place in places]
+    for name, slots in layout.texts.items():
+        texts = fields.setdefault(name, np.empty(total, dtype=object))
+        if isinstance(slots, list):
+            parts = [_texts(raw, slot) for slot in slots]
             for i, row in enumerate(rows):
                 texts[row] = [part[i] for part in parts]
         else:
-            texts[rows] = _texts(raw, places)
+            texts[rows] = _texts(raw, slots)
 
 
 def _as_objects(column: np.ndarray) -> np.ndarray:
@@ -290,8 +290,8 @@ def _as_objects(column: np.ndarray) -> np.ndarray:
     return objects
 
 
-def _texts(raw: np.ndarray, place: _Place) -> np.ndarray:
-    start, length = place
+def _texts(raw: np.ndarray, slot: _TextSlot) -> np.ndarray:
+    start, length = slot
     block = raw[:, start : start + length]
     texts = np.empty(len(raw), dtype=object)
     if (block == block[:1]).all():  # frame names and the like: decode once

@@ -107,25 +107,24 @@ def save_report(
 
 def report(opened: Sequence[Opened], progress: ShowProgress = lambda done, count: None) -> str:
     """Return the report of runs as one page of HTML; each run is simulated again."""
-    names, runs = [one.label for one in opened], [one.run for one in opened]
-    summaries = [summary_of(one.run, one.wall_time) for one in opened]
-    shown = plotted_runs(runs, names, aligned=len(runs) > 1)
-    known = [one for one in shown if has_ledger(one.run)]
+    names, runs = [each.label for each in opened], [each.run for each in opened]
+    summaries = [summary_of(each.run, each.wall_time) for each in opened]
+    plotted = plotted_runs(runs, names, aligned=len(runs) > 1)
+    with_ledger = [each for each in plotted if has_ledger(each.run)]
     panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
-    simulated = len(known) == len(runs)
-    drawn = [report_figures.trajectory(plotted, i) for i, plotted in enumerate(shown)]
-    drawn += [report_figures.over_time(panel, shown) for panel in panels]
-    if simulated:  # neither is measured on a bench
-        drawn.append(report_figures.load_stroke(shown))
-        drawn.append(report_figures.over_time("intrusion", shown))
-    drawn += report_figures.velocities(shown)
-    energies, layer_colours = report_figures.energies(known)
+    drawn = [report_figures.trajectory(each, i) for i, each in enumerate(plotted)]
+    drawn += [report_figures.over_time(panel, plotted) for panel in panels]
+    if len(with_ledger) == len(runs):  # neither is measured on a bench
+        drawn.append(report_figures.load_stroke(plotted))
+        drawn.append(report_figures.over_time("intrusion", plotted))
+    drawn += report_figures.velocities(plotted)
+    energies, layer_colours = report_figures.energies(with_ledger)
     about_runs, strips, steps = [], [], 1 + 2 * len(opened)
-    for i, (one, plotted) in enumerate(zip(opened, shown, strict=True)):
+    for i, (opened_run, plotted_run) in enumerate(zip(opened, plotted, strict=True)):
         progress(1 + 2 * i, steps)
-        about_runs.append(_of_run(one))
+        about_runs.append(_about(opened_run))
         progress(2 + 2 * i, steps)
-        strips.append(_strip(plotted, i))
+        strips.append(_strip(plotted_run, i))
     progress(steps, steps)
     differing, shared = parameter_rows([run.scene for run in runs])
     groups = groupby(heads(), key=lambda head: head[0] or head)  # nameless ones stand alone
@@ -145,39 +144,41 @@ def report(opened: Sequence[Opened], progress: ShowProgress = lambda done, count
         pictures=strips,
         energies=energies,
         layers=layer_colours,
-        key=[(one.label, one.colour, one.marker and _GLYPHS[one.marker[1]]) for one in shown],
-        ledger=energy_rows([one.run for one in known]) if known else [],
-        ledger_names=[one.label for one in known],
-        not_measured=[one.label for one in shown if not has_ledger(one.run)],
+        key=[
+            (each.label, each.colour, each.marker and _GLYPHS[each.marker[1]]) for each in plotted
+        ],
+        ledger=energy_rows([each.run for each in with_ledger]) if with_ledger else [],
+        ledger_names=[each.label for each in with_ledger],
+        not_measured=[each.label for each in plotted if not has_ledger(each.run)],
         differing=differing,
         shared=shared,
         versions=[
-            (name, ", ".join(one.software) or "not known")
-            for name, one in zip(names, opened, strict=True)
+            (name, ", ".join(each.software) or "not known")
+            for name, each in zip(names, opened, strict=True)
         ],
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
     )
 
 
-def _of_run(one: Opened) -> dict[str, Any]:
-    """Return what the page says of a run."""
-    run = one.run
+def _about(opened: Opened) -> dict[str, Any]:
+    """Return the section of the page on a run."""
+    run = opened.run
     lines = []
     for event in run.events:
         wall = "+y wall" if event.wall > 0 else "-y wall"
         detail = event.detail or (wall if event.kind is EventKind.TOUCH else "")
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
-    course = f"{headline(run, one.label)}."
+    course = f"{headline(run, opened.label)}."
     decided = decided_at(run)
     if decided is not None:
         reason = next(s.reason for s in run.statuses if s.state.is_verdict)
         course += f" Decided at {decided:.3f} s: {reason}."
     return {
-        "name": one.label,
+        "name": opened.label,
         "title": run.scene.title,
-        "source": one.source,
-        "problems": one.problems,
-        "error": _MEASURED if one.measured else error_statement(run),
+        "source": opened.source,
+        "problems": opened.problems,
+        "error": _MEASURED if opened.measured else error_statement(run),
         "course": course,
         "events": lines,
         "event_head": (f"since the {start_word(run.scene)} [s]", "event", ""),
@@ -199,15 +200,16 @@ _GLYPHS = {
 }
 
 
-def _strip(one: PlottedRun, i: int) -> dict[str, str]:
-    """Return the i-th run from above in some instants, as an image within the page."""
+def _strip(plotted: PlottedRun, i: int) -> dict[str, str]:
+    """Return the i-th run from above at some instants, as an image within the page."""
     drawn, small = io.BytesIO(), io.BytesIO()
-    figures.snapshots(one.run, labels=[one.label], first=i).savefig(drawn, format="png", dpi=80)
+    figure = figures.snapshots(plotted.run, labels=[plotted.label], first=i)
+    figure.savefig(drawn, format="png", dpi=80)
     with Image.open(drawn) as picture:
         # few colours: a third of the bytes
         picture.convert("RGB").quantize(48, dither=Image.Dither.NONE).save(small, "PNG")
     data = base64.b64encode(small.getvalue()).decode()
-    return {"caption": f"{one.label}, from above", "source": f"data:image/png;base64,{data}"}
+    return {"caption": f"{plotted.label}, from above", "source": f"data:image/png;base64,{data}"}
 
 
 def energy_rows(runs: Sequence[ViewableRun]) -> list[tuple[str, ...]]:
@@ -236,24 +238,24 @@ def parameter_rows(
     values = [dict(_fields("", scene, described)) for scene in scenes]
     differing: list[tuple[str, ...]] = []
     shared: list[tuple[str, ...]] = []
-    for name, what in described.items():
-        unit = "" if what.unit == "1" else what.unit
-        cells = [found.get(name, "-") for found in values]
+    for name, declaration in described.items():
+        unit = "" if declaration.unit == "1" else declaration.unit
+        cells = [of_scene.get(name, "-") for of_scene in values]
         if len(set(cells)) > 1:
-            differing.append((name, unit, *cells, what.doc))
+            differing.append((name, unit, *cells, declaration.doc))
         else:
-            shared.append((name, unit, cells[0], what.doc))
+            shared.append((name, unit, cells[0], declaration.doc))
     return differing, shared
 
 
 def _fields(prefix: str, part: Any, described: dict[str, Declared]) -> Iterator[tuple[str, str]]:
-    """Yield every number and choice of a part by its path; note what is declared of each."""
-    for name, what in declared(type(part)).items():
+    """Yield every number and choice of a part by its path; add its declaration to a dict."""
+    for name, declaration in declared(type(part)).items():
         value = getattr(part, name)
         if is_dataclass(value):
             yield from _fields(f"{prefix}{name}.", value, described)
         elif name not in ("name", "title"):
-            described.setdefault(prefix + name, what)
+            described.setdefault(prefix + name, declaration)
             yield prefix + name, _shown(value)
 
 
