@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import rclpy
 import yaml
 from bench_processes import join_dds
 
@@ -31,6 +32,16 @@ def test_file_and_nodes_agree(tmp_path, monkeypatch):
         declared[f"/**/{node.get_name()}"] = {"ros__parameters": given}
         node.destroy_node()
     assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared
+
+
+def test_nodes_keep_nothing_under_a_name_of_rclpys_node():
+    join_dds()
+    plain = rclpy.create_node("plain")
+    node = SimulatorNode()
+    for name, value in vars(plain).items():
+        assert type(vars(node)[name]) is type(value), name
+    plain.destroy_node()
+    node.destroy_node()
 
 
 @pytest.mark.parametrize("name", ["launcher", "recorder", "capture_detector"])

@@ -201,20 +201,18 @@ def test_disturbed_sensors(tmp_path, capsys):
                 session.try_outcomes(capsys, "captured", "rebound")
         with session.bench(encoder_end=1.0):
             session.launch()
-            session.wait(4.0)  # the chaser is at the cone
+            session.detector.wait_for("no measurement of the")
             live, path = session.end()
             assert live is CaptureState.UNDECIDED
             check(live, path, capsys)
-            session.detector.wait_for("no measurement of the")
         with session.bench(pace=1.0, encoder_offset=0.4):
             session.launch()
-            session.wait(4.0)
+            session.detector.wait_for("buffer: clock 0.")  # s ahead of the other sources'
             live, path = session.end()
             assert live is CaptureState.UNDECIDED
             offsets = re.findall(r"sources differ by (\d+) ms", check(live, path, capsys))
             assert offsets  # printed by `detect`, and recorded
             assert all(350 < int(offset) < 450 for offset in offsets)
-            session.detector.wait_for("buffer: clock 0.")  # s ahead of the other sources'
         with session.bench():
             session.launch()
             session.wait(1.0)
