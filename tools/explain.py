@@ -277,14 +277,14 @@ def _draw_buffer(axes: Axes, scene: Scene, q: np.ndarray, colour: str) -> None:
     """Draw the buffer large, as seen from the chaser, with the tip's rest position dashed."""
     at_rest = np.zeros(8)
     at_rest[H] = scene.rest_length
-    seen = at_rest.copy()
-    seen[THETA_P], seen[H] = q[THETA_P] - q[CHASER[2]], q[H]
+    in_chaser = at_rest.copy()
+    in_chaser[THETA_P], in_chaser[H] = q[THETA_P] - q[CHASER[2]], q[H]
     rest_tip = circle(tip_in_world(scene, at_rest[None])[0], scene.probe.tip_radius)
-    chaser = state_shapes(scene, seen, colour, both=False)
+    chaser = state_shapes(scene, in_chaser, colour, both=False)
     draw_shapes(axes, [Shape(rest_tip, style.GREY, 1.2, dashed=True, order=3.5), *chaser])
     hinge = scene.buffer.hinge_offset
     axes.set(xlim=(hinge - 0.07, hinge + 0.26), ylim=(-0.05, 0.05), aspect="equal")
-    stroke, torsion = (q[H] - scene.rest_length) * 1e3, seen[THETA_P] * 1e3
+    stroke, torsion = (q[H] - scene.rest_length) * 1e3, in_chaser[THETA_P] * 1e3
     text = f"the buffer: stroke {stroke:+.1f} mm, torsion {torsion:+.1f} mrad"
     axes.set_title(text, fontsize=14, loc="left")
 

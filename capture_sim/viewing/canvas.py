@@ -74,29 +74,21 @@ def hide_unused(axes_grid: np.ndarray, used: Container[Axes]) -> None:
 def rows_of_axes(
     figure: Figure, sides: tuple[float, float], top: float, rows: Sequence[tuple[float, float]]
 ) -> list[Axes]:
-    """Return axes one below the other, all in inches.
+    """Return axes one below the other; all lengths are in inches.
 
-    Parameters
-    ----------
-    figure
-        Where.
-    sides
-        Left and right end.
-    top
-        Of the first, below the figure's upper edge.
-    rows
-        Height of each and the gap below it.
+    ``sides`` are their left and right ends, ``top`` is the distance of the first from the
+    figure's upper edge, ``rows`` are the height of each and the gap below it.
     """
     width, height = figure.get_size_inches()
     left, right = sides
-    found, y = [], height - top
+    stacked, y = [], height - top
     for high, gap in rows:
         y -= high
-        found.append(
+        stacked.append(
             figure.add_axes((left / width, y / height, (right - left) / width, high / height))
         )
         y -= gap
-    return found
+    return stacked
 
 
 def dress(axes: Axes, grid: Any = "both", font: float = style.FONT) -> None:

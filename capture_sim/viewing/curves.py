@@ -89,40 +89,20 @@ class Limit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity over time.
+    """A quantity over time."""
 
-    Attributes
-    ----------
-    title
-        In words.
-    label
-        Of its axis.
-    unit
-        Of its axis.
-    factor
-        How many of the unit to the SI unit.
-    si
-        Of samples (n,): values (n,), or (n, k) of several curves, in the SI unit.
-    sign
-        What its sign means.
-    from_zero
-        Whether the axis begins at zero.
-    located
-        Of a run: times (n,), s, and values (n,), SI, that show the touches between the samples
-        too.  None where the samples are all: then the line tells contact from flight.
-    limits
-        Of a scene, in the unit.
-    """
-
-    title: str
-    label: str
-    unit: str
-    factor: float
+    title: str  # in words
+    label: str  # of its axis
+    unit: str  # of its axis
+    factor: float  # from the SI unit to this unit
+    #: Values in the SI unit of samples (n,): (n,), or (n, k) of several curves.
     si: Callable[[np.ndarray], np.ndarray]
-    sign: str = ""
-    from_zero: bool = False
+    sign: str = ""  # what its sign means
+    from_zero: bool = False  # the axis begins at zero
+    #: Times (n,), s, and values (n,), SI, of a run, with the touches between its samples.  None if
+    #: the samples are all: then the line shows contact and flight.
     located: Callable[[ViewableRun], tuple[np.ndarray, np.ndarray]] | None = None
-    limits: Callable[[Scene], tuple[Limit, ...]] = lambda _: ()
+    limits: Callable[[Scene], tuple[Limit, ...]] = lambda _: ()  # of a scene, in the unit
 
     @property
     def axis(self) -> str:
@@ -238,23 +218,11 @@ VELOCITIES = tuple(
 def plotted_runs(
     runs: Runs, labels: Sequence[str] | None = None, *, aligned: bool = False, first: int = 0
 ) -> list[PlottedRun]:
-    """Give every run its label, colour and origin of time.
+    """Return one run or several with their labels, colours, markers and origins of time.
 
-    Parameters
-    ----------
-    runs
-        One, or several.
-    labels
-        One each; None takes the scenes' names.
-    aligned
-        Count each run's time from its first touch.
-    first
-        Number of the first run among others, for its colour.
-
-    Raises
-    ------
-    ValueError
-        There is no run, or not one label each.
+    Without labels, runs have their scenes' names.  ``aligned`` counts each run's time from its
+    first touch; ``first`` is the number of the first run among others, for its colour.
+    ValueError: there is no run, or not one label for each.
     """
     several = list(runs) if isinstance(runs, Sequence) else [runs]
     if not several:
@@ -273,14 +241,10 @@ def plotted_runs(
 
 
 def marked_points(length: np.ndarray, number: int, count: int) -> np.ndarray:
-    """Return which points of a curve bear its run's marker, indices (k,).
+    """Return which points of a curve bear the marker of run ``number`` of ``count``, indices (k,).
 
-    Parameters
-    ----------
-    length
-        Time or length of the curve up to each point, (n,), ascending.
-    number, count
-        Number of the run and of all runs: the markers of curves that coincide do not.
+    ``length`` is the time or length of the curve up to each point, (n,), ascending.  On curves
+    that coincide, the markers of different runs do not.
     """
     if length.size < 2:
         return np.zeros(0, int)
@@ -352,16 +316,10 @@ def has_ledger(run: ViewableRun) -> bool:
 def energy_layers(
     run: ViewableRun,
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str, np.ndarray]]]:
-    """Return what became of the energy put in.
+    """Return where the energy that was put in is.
 
-    Returns
-    -------
-    t : ndarray (n,)
-        s, of some of the samples.
-    put_in : ndarray (n,)
-        mJ.
-    layers : list of (str, str, ndarray (n,))
-        Name, colour and energy, mJ, of each that is large enough to be seen.
+    These are times (n,), s, of some of the samples, the energy put in (n,), mJ, and name, colour
+    and energy (n,), mJ, of each layer that is large enough to be seen.
     """
     samples = run.samples[:: max(len(run.samples) // _POINTS, 1)]
     put_in = (samples["kinetic"][0] + samples["work_string"]) * 1e3

@@ -249,8 +249,8 @@ def snapshots(
     if single:
         figure.suptitle(shown[0].label, fontsize=style.FONT + 1, fontweight="bold")
     hide_unused(axes_grid, used)
-    seen = Bbox.union([axes.dataLim for axes in used])
-    left, low, right, high = seen.padded(_MARGIN).extents
+    drawn = Bbox.union([axes.dataLim for axes in used])
+    left, low, right, high = drawn.padded(_MARGIN).extents
     high += 0.09 * (right - left)  # room for the caption
     axes_grid[0, 0].set(xlim=(left, right), ylim=(low, high))  # of all
     panel = _PANEL * (high - low) / (right - left) + 0.12
@@ -260,7 +260,7 @@ def snapshots(
         lowest.set_xlabel("x in the world  [m]")
     for axes in axes_grid[:, 0]:
         axes.set_ylabel("y  [m]")
-    key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_way_line, shown))
+    key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_path_line, shown))
     figure.legend(
         key,
         ["walls of the cone", "path of the tip's centre"],
@@ -294,8 +294,8 @@ def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> Non
     if t == run.samples["t"][0]:
         meaning = start_word(run.scene)
     draw_shapes(axes, state_shapes(run.scene, state_at(run, t), plotted.colour))
-    way = tip_in_world(run.scene, run.samples["q"][run.samples["t"] <= t][::5])
-    axes.add_line(_way_line(plotted, way))
+    path = tip_in_world(run.scene, run.samples["q"][run.samples["t"] <= t][::5])
+    axes.add_line(_path_line(plotted, path))
     axes.set_aspect("equal")
     axes.text(
         0.012,
@@ -310,9 +310,9 @@ def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> Non
     )
 
 
-def _way_line(plotted: PlottedRun, way: np.ndarray | None = None) -> Line2D:
-    """Return the tip's way, (n, 2), m, as a line over the bodies; without one for a legend."""
-    x, y = ([], []) if way is None else way.T
+def _path_line(plotted: PlottedRun, path: np.ndarray | None = None) -> Line2D:
+    """Return the tip's path, (n, 2), m, as a line over the bodies; without points for a legend."""
+    x, y = ([], []) if path is None else path.T
     return Line2D(x, y, color=plotted.colour, lw=1.8, zorder=2.5)
 
 
@@ -353,14 +353,14 @@ def _label_runs(
             axes.plot([], [], color=tone, label=name, **line_look(name))
     figure = axes.get_figure(root=True)
     if outside and figure is not None:
-        found = dict[str, Artist]()
+        entries = dict[str, Artist]()
         for each in figure.axes:
             handles, names = each.get_legend_handles_labels()
-            found.update(zip(names, handles, strict=True))
-        columns = max(min(len(found), int(figure.get_figwidth() // _ENTRY)), 1)
+            entries.update(zip(names, handles, strict=True))
+        columns = max(min(len(entries), int(figure.get_figwidth() // _ENTRY)), 1)
         figure.legend(
-            list(found.values()),
-            list(found),
+            list(entries.values()),
+            list(entries),
             loc="outside upper center",
             ncols=columns,
             fontsize=style.SMALL,

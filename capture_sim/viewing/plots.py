@@ -110,10 +110,12 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
         line, column = divmod(i, columns)
         sides = (6.0 * column + 1.05, 6.0 * column + 5.82)
         bench, cone, *over_time = rows_of_axes(figure, sides, top + block * line, rows)
-        seen = draw_bench(bench, plotted)
+        instants = draw_bench(bench, plotted)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
         dashed = (
-            f"dashed: at the {source.start_word(plotted.run.scene)}" if " and " in seen else seen
+            f"dashed: at the {source.start_word(plotted.run.scene)}"
+            if " and " in instants
+            else instants
         )
         bench.set_xlabel(f"x in the world  [m]   ({dashed})")
         benches.append(bench)
@@ -253,19 +255,16 @@ def _mark_verdict(axes: Axes, run: ViewableRun, window: Window) -> None:
 def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
     """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
 
-    Returns
-    -------
-    str
-        What is seen, in words.
+    Return the drawn instants in words.
     """
     run, scene, start = plotted.run, plotted.run.scene, plotted.run.samples["q"][0]
     touch = source.first_touch(run)
     then = run.samples["q"][-1] if touch is None else touch.q
     moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
-    seen = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, plotted.colour)
+    bodies = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, plotted.colour)
     if moved:
-        seen += shapes.state_shapes(scene, start, plotted.colour, ghost=True, both=False)
-    draw_shapes(axes, seen)
+        bodies += shapes.state_shapes(scene, start, plotted.colour, ghost=True, both=False)
+    draw_shapes(axes, bodies)
     degrees = round(float(np.rad2deg(then[shapes.TARGET[2]])))
     _name(axes, "chaser", chaser_box(scene), then[list(shapes.CHASER)], side=0.5)
     turned = f"target\n{degrees:+d}°" if degrees else "target\n0°"

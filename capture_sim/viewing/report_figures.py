@@ -121,7 +121,7 @@ def load_stroke(shown: Sequence[PlottedRun]) -> Drawn:
 
 def velocities(shown: Sequence[PlottedRun]) -> list[Drawn]:
     """Draw horizontal, vertical and angular velocities of each vehicle."""
-    found = []
+    figures = []
     for quantities in zip(*VELOCITIES, strict=True):
         figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.05)
         _add_over_time(figure, quantities, shown)
@@ -130,21 +130,16 @@ def velocities(shown: Sequence[PlottedRun]) -> list[Drawn]:
             figure.update_yaxes(title=label, automargin=True, row=row, col=1)
         vehicle = quantities[0].title
         caption = f"Velocities of the {vehicle}"
-        found.append(drawn(figure, f"velocities-{vehicle}", caption, "half tall"))
-    return found
+        figures.append(drawn(figure, f"velocities-{vehicle}", caption, "half tall"))
+    return figures
 
 
 def energies(known: Sequence[PlottedRun]) -> tuple[list[Drawn], dict[str, str]]:
-    """Draw what the energy put in has become, layer on layer, of runs that have a ledger.
+    """Draw where the energy that was put in is, layer on layer, for each run with a ledger.
 
-    Returns
-    -------
-    list of Drawn
-        One each, with the same scale.
-    dict
-        Colours of the layers by name.
+    Return the figures, of one scale, and the colours of the layers by name.
     """
-    found, colours = [], dict[str, str]()
+    figures, colours = [], dict[str, str]()
     ledgers = [energy_layers(plotted.run) for plotted in known]
     highest = 1.05 * max((put_in.max() for _, put_in, _ in ledgers), default=1.0)
     for number, (plotted, (t, put_in, layers)) in enumerate(zip(known, ledgers, strict=True)):
@@ -160,8 +155,8 @@ def energies(known: Sequence[PlottedRun]) -> tuple[list[Drawn], dict[str, str]]:
         label = time_label([plotted._replace(origin=0.0)])
         figure.update_xaxes(title=f"{label}  [s]")
         figure.update_yaxes(title="energy  [mJ]", range=(0.0, highest))
-        found.append(drawn(figure, f"energy-{number}", plotted.label, "third"))
-    return found, colours
+        figures.append(drawn(figure, f"energy-{number}", plotted.label, "third"))
+    return figures, colours
 
 
 def simplified(
@@ -169,29 +164,17 @@ def simplified(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a curve without the points that lie on the line through their neighbours.
 
-    Parameters
-    ----------
-    x, y
-        Points, (n,); pieces are separated by NaN in y.
-    extent
-        Width and height of the axes: no point is farther from the new curve than
-        ``_TOLERANCE`` of them.
-    also
-        Values that go with the points, (n,).
-
-    Returns
-    -------
-    x, y, also : ndarray (k,)
-        The rest, pieces separated by one NaN, in single precision.
+    No point (x, y), (n,) each, is farther from the new curve than ``_TOLERANCE`` of the axes,
+    whose width and height are ``extent``.  Pieces are separated by NaN, before and after.  The
+    values ``also``, (n,), go with their points.  All are returned in single precision, (k,).
     """
     points = np.stack([x / extent[0], y / extent[1]], axis=-1)
     finite = np.isfinite(points).all(axis=1)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
-    kept = [np.zeros(0, int)]
+    pieces = [np.zeros(0, int)]
     for first, last in zip(ends[::2], ends[1::2] - 1, strict=True):
-        kept.append(_needed(points, int(first), int(last)))
-        kept.append(np.array([-1]))
-    index = np.concatenate(kept[:-1] if len(kept) > 1 else kept)
+        pieces += [_needed(points, int(first), int(last)), np.array([-1])]  # -1: the gap after it
+    index = np.concatenate(pieces[:-1] if len(pieces) > 1 else pieces)
     values = (np.where(index < 0, np.nan, v[index]) for v in (x, y, x if also is None else also))
     new_x, new_y, new_also = (v.astype(np.float32) for v in values)
     return new_x, new_y, new_also

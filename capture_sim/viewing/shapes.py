@@ -29,30 +29,14 @@ _TURNS = 8
 
 
 class Shape(NamedTuple):
-    """A line, or an outline that is filled.
+    """A line, or an outline that is filled."""
 
-    Attributes
-    ----------
-    points
-        (n, 2), m.
-    line
-        Its colour; empty for none.
-    width
-        Points.
-    fill
-        Colour inside; empty for none.
-    dashed
-        Whether the line is.
-    order
-        What is drawn over what.
-    """
-
-    points: np.ndarray
-    line: str = style.BLACK
-    width: float = 1.5
-    fill: str = ""
+    points: np.ndarray  # (n, 2), m
+    line: str = style.BLACK  # its colour; empty for no line
+    width: float = 1.5  # points
+    fill: str = ""  # colour inside; empty for none
     dashed: bool = False
-    order: float = 2.0
+    order: float = 2.0  # a higher order is drawn over a lower one
 
 
 def placed(points: np.ndarray, x: float, y: float, theta: float) -> np.ndarray:
@@ -101,18 +85,9 @@ def rail_shapes(scene: Scene) -> list[Shape]:
 def state_shapes(
     scene: Scene, q: np.ndarray, colour: str, *, ghost: bool = False, both: bool = True
 ) -> list[Shape]:
-    """Return the vehicles at the coordinates q (8,).
+    """Return the vehicles at the coordinates q (8,), the tip in the run's colour.
 
-    Parameters
-    ----------
-    scene, q
-        What, and where.
-    colour
-        Of the run: its tip bears it.
-    ghost
-        Dashed, without fill.
-    both
-        The target too, not the chaser alone.
+    A ghost is dashed and has no fill; ``both`` adds the target to the chaser.
     """
     pose = q[list(CHASER)]
     line = style.GREY if ghost else style.BLACK
