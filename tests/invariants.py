@@ -11,9 +11,15 @@ import numpy as np
 
 from capture_sim.engine import loop
 from capture_sim.engine.state import NO_EVENT, Segment, Status
-from capture_sim.engine.steps import distances
+from capture_sim.engine.steps import distance_to_edge
 from capture_sim.model.contact import COULOMB
-from capture_sim.model.equations import N_TOTAL, NO_TOUCH, rate_of_change
+from capture_sim.model.equations import (
+    N_TOTAL,
+    NO_TOUCH,
+    gap_and_rate,
+    rate_of_change,
+    tip_in_cone,
+)
 from capture_sim.samples import EventKind
 
 
@@ -47,10 +53,15 @@ def check_between_segments(w):
     if rail.on:
         return
     if step.start_measured:
-        *known, tip_speed = distances(stepper.y, par)
-        assert np.array_equal(step.start.gap, known[0::2])
-        assert np.array_equal(step.start.gap_rate, known[1::2])
-        assert step.start.tip_speed == tip_speed
+        px, py, wx, wy = tip_in_cone(stepper.y, par)
+        for i, side in enumerate((1.0, -1.0)):
+            gap = gap_and_rate(px, py, wx, wy, side, par)[:2]
+            known = (math.inf, 0.0) if mode.latched else gap
+            assert (step.start.gap[i], step.start.gap_rate[i]) == known
+        distance, rate = distance_to_edge(px, py, wx, wy, par)
+        assert step.start.gap[2] == distance - par.latch_radius
+        assert step.start.gap_rate[2] == rate
+        assert step.start.tip_speed == math.sqrt(wx * wx + wy * wy)
     if not step.equations_changed and not any(touch.sticking for touch in mode.touch):
         # a force that has been found by events is known to their rounding only
         f = np.zeros(N_TOTAL)

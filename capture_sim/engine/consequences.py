@@ -174,6 +174,7 @@ def latch_tip(w):
             w.totals.lost_latch += elastic_contact_energy(gap, par.K)
             end_touch(w, i)
     mode.latched = 1
+    w.step.start_measured = 0
     mode.latch_x = px
     mode.latch_y = py
     progress.t_stop = min(progress.t_stop, w.step.t0 + par.after_latch)

@@ -14,10 +14,17 @@ from __future__ import annotations
 import math
 
 from capture_sim.engine.state import NO_EVENT, NO_WALL
-from capture_sim.engine.steps import SMALL_MOVE, distances, move, state_inside
+from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move, state_inside
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import COULOMB
-from capture_sim.model.equations import accelerate_sticking, balance, slip_acceleration, slip_of
+from capture_sim.model.equations import (
+    accelerate_sticking,
+    balance,
+    gap_and_rate,
+    slip_acceleration,
+    slip_of,
+    tip_in_cone,
+)
 from capture_sim.model.supports import fastest_ball, load_factor
 from capture_sim.model.trig import sine_cosine
 from capture_sim.samples import EventKind
@@ -31,6 +38,8 @@ _CUBIC_OFF_INSIDE = 0.02
 _STRAIGHT = (0.7, 1.3)
 #: Rounding of a place in a step.
 _ROUNDING = 4e-16
+#: m, of a distance: by what the first correction of its place goes beyond zero.
+_DISTANCE_ROUNDING = 3e-17
 #: Newton's last step: below this share of the place the next one is below rounding.
 _NEWTON_DONE = 1e-9
 #: Of the scene's speed: slip below it is rounding's, without direction.
@@ -59,14 +68,14 @@ def event_value(y, par, kind, which):
         return -g, -d
     if kind == EventKind.SEATED:
         return par.h_0 - y[4], -y[12]
-    g0, d0, g1, d1, g2, d2, _ = distances(y, par)
+    px, py, wx, wy = tip_in_cone(y, par)
     if kind == EventKind.LATCHED:
-        return g2, d2
-    if which == 1:
-        g0, d0 = g1, d1
+        distance, d = distance_to_edge(px, py, wx, wy, par)
+        return distance - par.latch_radius, d
+    g, d, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * which, par)
     if kind == EventKind.TOUCH:
-        return g0, d0
-    return -g0, -d0
+        return g, d
+    return -g, -d
 
 
 @kernel
@@ -104,7 +113,9 @@ def refine(w, kind, which, x_a, x_b, x):
     # rounding may leave it a hair short: what has been left must not be met again at once
     nudge = 0.5 * _ROUNDING * x
     for _ in range(40):
-        g, _ = value_inside(w, x, kind, which)
+        g, d = value_inside(w, x, kind, which)
+        if d < 0.0:
+            nudge = max(nudge, -(g + _DISTANCE_ROUNDING) / (d * w.step.h))
         if g < 0.0 or x + nudge >= x_b:
             return x
         x += nudge
@@ -174,13 +185,15 @@ def first_crossing(w, kind, which):
 @kernel
 def is_slow(y, par, which, times):
     """Return whether a vehicle is below ``times`` the speed at which it may be put at rest."""
-    if which == 0:
-        s, c = sine_cosine(y[2])
-        speed = fastest_ball(y[8], y[9], y[10], c, s, par.balls_S)
-    else:
-        s, c = sine_cosine(y[7])
-        speed = fastest_ball(y[13], y[14], y[15], c, s, par.balls_T)
-    return speed < times * _REST_SPEED * par.v_eps_ball
+    limit = times * _REST_SPEED * par.v_eps_ball
+    first, heading, balls = (8, 2, par.balls_S) if which == 0 else (13, 7, par.balls_T)
+    vx, vy, omega = y[first], y[first + 1], y[first + 2]
+    # the first ball's speed at least, without sines
+    turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[0, 1]))
+    if max(abs(vx), abs(vy)) > limit + turning:
+        return False
+    s, c = sine_cosine(y[heading])
+    return fastest_ball(vx, vy, omega, c, s, balls) < limit
 
 
 @kernel

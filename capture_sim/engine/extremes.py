@@ -14,14 +14,16 @@ from enum import IntEnum
 import numpy as np
 
 from capture_sim.engine.events import seat_load
-from capture_sim.engine.steps import SMALL_MOVE, distances, move, state_inside
-from capture_sim.kernels import kernel
+from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move, state_inside
+from capture_sim.kernels import inline_kernel, kernel
 from capture_sim.model.contact import normal_force
 from capture_sim.model.equations import (
     axial_force,
+    axial_force_rate,
     gap_acceleration,
     gap_and_rate,
     hinge_torque,
+    hinge_torque_rate,
     stop_force,
     tip_in_cone,
 )
@@ -29,12 +31,14 @@ from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
 _GOLDEN = 0.6180339887498949
-#: Of the segment: how far from the best of some places the largest value may lie, where golden
-#: sections give way to parabolas, and how near these go.
+#: Of the segment: how far from the best of some places the largest value may lie, the width at
+#: which golden sections give way to parabolas, and how near these go.
 _BRACKET, _PARABOLAS, _NEAREST = 0.25, 0.05, 1e-6
 #: Of the sum of both slopes: no cubic rises above its ends by more than 4/27 of it; and by how
 #: much the quantity may rise above the cubic.
 _CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
+#: Of that: a quantity as near to its cubic is largest where the cubic is.
+_TRUSTED = 0.1
 #: Of the rates at a touch's ends and middle: how much larger one inside may be.
 _RATE_RISE = 1.0
 
@@ -84,14 +88,20 @@ def buffer_torque_at(y, par):
     return torque
 
 
-@kernel
-def latch_force_at(y, system):
-    """Return the magnitude of the latch's force on the tip, N."""
+@inline_kernel
+def latch_force_of(tip, system):
+    """Return the magnitude of the latch's force on a tip as of :func:`tip_in_cone`, N."""
     par, mode = system.par, system.mode
-    px, py, wx, wy = tip_in_cone(y, par)
+    px, py, wx, wy = tip[0], tip[1], tip[2], tip[3]
     return math.hypot(
         par.k_L * (px - mode.latch_x) + par.c_L * wx, par.k_L * (py - mode.latch_y) + par.c_L * wy
     )
+
+
+@kernel
+def latch_force_at(y, system):
+    """Return the magnitude of the latch's force on the tip, N."""
+    return latch_force_of(tip_in_cone(y, system.par), system)
 
 
 @kernel
@@ -122,13 +132,12 @@ def value_at(w, x, quantity, side):
 
 
 @kernel
-def largest_inside(w, quantity, side, x):
-    """Return place and value of a quantity's largest value within the present segment.
+def search_bracket(w, quantity, side, x, f):
+    """Return place, value and half the bracket of the best place of a segment, by golden sections.
 
-    It is near ``x``, or near one of the segment's quarters.
+    It is near ``x``, of value ``f``, or near one of the segment's quarters.
     """
     x_end = w.step.x_end
-    f = value_at(w, x, quantity, side)
     for quarter in range(1, 4):
         x1 = 0.25 * quarter * x_end
         f1 = value_at(w, x1, quantity, side)
@@ -148,9 +157,18 @@ def largest_inside(w, quantity, side, x):
             b, x2, f2 = x2, x1, f1
             x1 = b - _GOLDEN * (b - a)
             f1 = value_at(w, x1, quantity, side)
-    x, f = (x1, f1) if f1 > f2 else (x2, f2)
-    # then parabolas through three places, ever closer
-    width = 0.5 * (b - a)
+    if f1 > f2:
+        return x1, f1, 0.5 * (b - a)
+    return x2, f2, 0.5 * (b - a)
+
+
+@kernel
+def search_top(w, quantity, side, x, f, width):
+    """Return place and value of a maximum near ``x``, of value ``f``, and whether it is one.
+
+    By parabolas through three places ``width`` apart, ever closer.
+    """
+    x_end, shift = w.step.x_end, 1.0
     for _ in range(5):
         width = min(width, x, x_end - x)
         if width < _NEAREST * x_end:
@@ -167,6 +185,25 @@ def largest_inside(w, quantity, side, x):
             width *= 0.1
             if abs(shift) < 0.1 and width < 1e-3 * x_end:
                 break
+    return x, f, abs(shift) < 1.0
+
+
+@kernel
+def largest_inside(w, quantity, side, x, expected, tolerance):
+    """Return place and value of a quantity's largest value within the present segment.
+
+    Near ``x`` where its value there is as ``expected``, within a ``tolerance``; else all of the
+    segment is searched.
+    """
+    f = value_at(w, x, quantity, side)
+    if abs(f - expected) <= tolerance:
+        x_top, top, is_maximum = search_top(
+            w, quantity, side, x, f, 0.5 * _PARABOLAS * w.step.x_end
+        )
+        if is_maximum:
+            return x_top, top
+    x, f, width = search_bracket(w, quantity, side, x, f)
+    x, f, _ = search_top(w, quantity, side, x, f, width)
     return x, f
 
 
@@ -178,6 +215,15 @@ def keep(totals, row, slot, value, t):
         totals.extreme_time[row, slot] = t
 
 
+@inline_kernel
+def may_exceed(largest, width, v_a, d_a, v_b, d_b):
+    """Return whether the cubic through two values and rates may rise above ``largest``.
+
+    Cheap: most segments hold no larger value of anything.  ``width`` is that of the segment, s.
+    """
+    return max(v_a, v_b) + _CUBIC_RISE * width * (abs(d_a) + abs(d_b)) > largest
+
+
 @kernel
 def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
     """Return place and value of a maximum above ``largest`` inside a segment; -1 if there is none.
@@ -185,13 +231,14 @@ def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
     Values and rates are those at the segment's ends.
     """
     width = w.step.x_end * w.step.h
-    changes = width * (abs(d_a) + abs(d_b))
-    if max(v_a, v_b) + _CUBIC_RISE * changes <= largest:
+    if not may_exceed(largest, width, v_a, d_a, v_b, d_b):
         return -1.0, largest
     place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
-    if place < 0.0 or -low + _ABOVE_CUBIC * changes <= largest:
+    tolerance = _ABOVE_CUBIC * width * (abs(d_a) + abs(d_b))
+    if place < 0.0 or -low + tolerance <= largest:
         return -1.0, largest
-    x, value = largest_inside(w, quantity, side, place * w.step.x_end)
+    x = place * w.step.x_end
+    x, value = largest_inside(w, quantity, side, x, -low, _TRUSTED * tolerance)
     if value > largest:
         return x, value
     return -1.0, largest
@@ -201,10 +248,21 @@ def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
 def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
     """Keep a quantity's largest value over a segment; values and rates are those at its ends."""
     step, totals, row = w.step, w.totals, w.system.mode.latched
+    # an impact, or a stop with a damper, changes a force at once
+    keep(totals, row, slot, v_a, step.t0)
     keep(totals, row, slot, v_b, step.t1)
     x, value = rise_inside(w, quantity, side, totals.extreme[row, slot], v_a, d_a, v_b, d_b)
     if x >= 0.0:
         keep(totals, row, slot, value, step.t0 + x * step.h)
+
+
+@inline_kernel
+def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
+    """Keep the largest magnitude of a quantity over a segment."""
+    largest, width = w.totals.extreme[w.system.mode.latched, slot], w.step.x_end * w.step.h
+    for side in (-1.0, 1.0):
+        if may_exceed(largest, width, side * v_a, d_a, side * v_b, d_b):
+            watch(w, quantity, side, slot, side * v_a, side * d_a, side * v_b, side * d_b)
 
 
 @kernel
@@ -213,15 +271,19 @@ def watch_extremes(w):
     start, end = w.step.start, w.step.end
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
+    largest, width = w.totals.extreme[mode.latched], w.step.x_end * w.step.h
     for side in (-1.0, 1.0):
         slot = STROKE_IN if side < 0.0 else STROKE_OUT
-        s_a, s_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0)
-        watch(w, Watched.STROKE, side, slot, s_a, side * a[12], s_b, side * b[12])
-        t_a, t_b = side * (a[3] - a[2]), side * (b[3] - b[2])
-        r_a, r_b = side * (a[11] - a[10]), side * (b[11] - b[10])
-        watch(w, Watched.TORSION, side, TORSION, t_a, r_a, t_b, r_b)
+        s_a, s_b, r_a, r_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0), a[12], b[12]
+        if may_exceed(largest[slot], width, s_a, r_a, s_b, r_b):
+            watch(w, Watched.STROKE, side, slot, s_a, side * r_a, s_b, side * r_b)
+    watch_magnitude(
+        w, Watched.TORSION, TORSION, a[3] - a[2], a[11] - a[10], b[3] - b[2], b[11] - b[10]
+    )
     d_a, d_b = start.gap[2] + par.latch_radius, end.gap[2] + par.latch_radius
-    watch(w, Watched.NEARNESS, 0.0, TIP_DISTANCE, -d_a, -start.gap_rate[2], -d_b, -end.gap_rate[2])
+    r_a, r_b = -start.gap_rate[2], -end.gap_rate[2]
+    if may_exceed(largest[TIP_DISTANCE], width, -d_a, r_a, -d_b, r_b):
+        watch(w, Watched.NEARNESS, 0.0, TIP_DISTANCE, -d_a, r_a, -d_b, r_b)
     for i in range(2):
         if mode.touch[i].on:
             watch_touch(w, i)
@@ -246,7 +308,9 @@ def watch_touch(w, i):
     width = step.x_end * step.h
     p_a, r_a = -start.gap[i], -start.gap_rate[i]
     p_b, r_b = -end.gap[i], -end.gap_rate[i]
-    watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
+    largest = w.totals.extreme[w.system.mode.latched, PENETRATION]
+    if may_exceed(largest, width, p_a, r_a, p_b, r_b):
+        watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
     touch.largest_rate = max(touch.largest_rate, r_b)
     force, _ = normal_force(p_b, r_b, K, touch.chi)
     if force > touch.peak_force:
@@ -272,7 +336,7 @@ def watch_touch(w, i):
         f_b, d_b = force_and_rate(p_b, r_b, a_b, K, touch.chi)
         if step.x_end < 1.0 and step.t0 == touch.start:
             # all of the touch may lie in this segment, its force flat at both ends
-            x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end)
+            x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end, 0.0, -1.0)
         else:
             x, peak = rise_inside(
                 w, Watched.NORMAL_FORCE, side, touch.peak_force, f_a, d_a, f_b, d_b
@@ -284,61 +348,89 @@ def watch_touch(w, i):
     keep(w.totals, w.system.mode.latched, slot, touch.peak_force, touch.peak_time)
 
 
+@inline_kernel
+def buffer_force_rate(y, acceleration, system):
+    """Return d/dt of :func:`buffer_force_at` of a probe off its seat, N/s."""
+    par, stop = system.par, system.mode.stop
+    stroke, rate = y[4] - par.h_0, y[12]
+    total = axial_force_rate(stroke, rate, acceleration, par)
+    if stop:
+        total -= par.k_stop * rate + par.c_stop * acceleration
+    return total
+
+
 @kernel
 def watch_loads(w):
     """Keep forces and torques of buffer and latch over the segment that ends."""
     step, stepper, system = w.step, w.stepper, w.system
-    mode, par, small = system.mode, system.par, SMALL_MOVE * step.h
-    y_a, y_b, near = stepper.y, w.y_end, stepper.y_stage
-    first = 0 if mode.latched else 2  # the buffer depends on neither place nor speed of the chaser
-    latch_a = latch_rate_a = 0.0
-    # rates by small moves along the motion: they only decide where to look
-    move(y_a, stepper.K[0], small, first, near)
-    torque_a = buffer_torque_at(y_a, par)
-    torque_rate_a = (buffer_torque_at(near, par) - torque_a) / small
-    if mode.latched:
-        latch_a = latch_force_at(y_a, system)
-        latch_rate_a = (latch_force_at(near, system) - latch_a) / small
+    mode, par, y_a, y_b = system.mode, system.par, stepper.y, w.y_end
+    f_a, f_b = stepper.K[0], stepper.K[stepper.stages]
+    axial_b, turning_b = f_b[12], f_b[11] - f_b[10]
+    if step.x_end < 1.0:
+        # the rates only decide where to look
+        state_inside(w, step.x_end - SMALL_MOVE)
+        axial_b = (y_b[12] - w.y_x[12]) / (SMALL_MOVE * step.h)
+        turning_b = (y_b[11] - y_b[10] - w.y_x[11] + w.y_x[10]) / (SMALL_MOVE * step.h)
+    torsion_a, torsion_b = y_a[3] - y_a[2], y_b[3] - y_b[2]
+    twist_a, twist_b = y_a[11] - y_a[10], y_b[11] - y_b[10]
+    watch_magnitude(
+        w,
+        Watched.BUFFER_TORQUE,
+        BUFFER_TORQUE,
+        buffer_torque_at(y_a, par),
+        hinge_torque_rate(torsion_a, twist_a, f_a[11] - f_a[10], par),
+        buffer_torque_at(y_b, par),
+        hinge_torque_rate(torsion_b, twist_b, turning_b, par),
+    )
     if mode.seated:
         force_a, force_rate_a = step.seat_load[0], step.seat_load_rate[0]
-    else:
-        force_a = buffer_force_at(y_a, system)
-        force_rate_a = (buffer_force_at(near, system) - force_a) / small
-    if step.x_end == 1.0:
-        move(y_b, stepper.K[stepper.stages], -small, first, near)
-    else:
-        state_inside(w, step.x_end - SMALL_MOVE)
-        near = w.y_x
-    torque_b = buffer_torque_at(y_b, par)
-    torque_rate_b = (torque_b - buffer_torque_at(near, par)) / small
-    if mode.seated and step.x_end == 1.0:
         force_b, force_rate_b = step.seat_load[1], step.seat_load_rate[1]
+        if step.x_end < 1.0:
+            force_b = buffer_force_at(y_b, system)
+            force_rate_b = (force_b - buffer_force_at(w.y_x, system)) / (SMALL_MOVE * step.h)
     else:
-        force_b = buffer_force_at(y_b, system)
-        force_rate_b = (force_b - buffer_force_at(near, system)) / small
+        force_a, force_b = buffer_force_at(y_a, system), buffer_force_at(y_b, system)
+        force_rate_a = buffer_force_rate(y_a, f_a[12], system)
+        force_rate_b = buffer_force_rate(y_b, axial_b, system)
+    watch_magnitude(
+        w, Watched.BUFFER_FORCE, BUFFER_FORCE, force_a, force_rate_a, force_b, force_rate_b
+    )
     if mode.latched:
-        latch_b = latch_force_at(y_b, system)
-        latch_rate_b = (latch_b - latch_force_at(near, system)) / small
-        watch(
-            w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, latch_rate_a, latch_b, latch_rate_b
-        )
-    # an impact, or a stop with a damper, changes the force at once
-    keep(w.totals, mode.latched, BUFFER_FORCE, abs(force_a), step.t0)
-    for side in (-1.0, 1.0):
-        a, d_a, b, d_b = side * force_a, side * force_rate_a, side * force_b, side * force_rate_b
-        watch(w, Watched.BUFFER_FORCE, side, BUFFER_FORCE, a, d_a, b, d_b)
-        a, b = side * torque_a, side * torque_b
-        d_a, d_b = side * torque_rate_a, side * torque_rate_b
-        watch(w, Watched.BUFFER_TORQUE, side, BUFFER_TORQUE, a, d_a, b, d_b)
+        watch_latch(w)
+
+
+@kernel
+def watch_latch(w):
+    """Keep the latch's force over the segment that ends."""
+    step, stepper, system = w.step, w.stepper, w.system
+    tip_a, tip_b, k, c = step.start.tip, step.end.tip, system.par.k_L, system.par.c_L
+    latch_a, latch_b = latch_force_of(tip_a, system), latch_force_of(tip_b, system)
+    # a first look with the mean acceleration, by twice the rise of a cubic
+    width = step.x_end * step.h
+    x, y = c / width * (tip_b[2] - tip_a[2]), c / width * (tip_b[3] - tip_a[3])
+    rate_a = 2.0 * math.hypot(k * tip_a[2] + x, k * tip_a[3] + y)
+    rate_b = 2.0 * math.hypot(k * tip_b[2] + x, k * tip_b[3] + y)
+    largest = w.totals.extreme[system.mode.latched, LATCH_FORCE]
+    if not may_exceed(largest, width, latch_a, rate_a, latch_b, rate_b):
+        return
+    near, small = stepper.y_stage, SMALL_MOVE * step.h
+    move(stepper.y, stepper.K[0], small, 0, near)
+    rate_a = (latch_force_at(near, system) - latch_a) / small
+    if step.x_end == 1.0:
+        move(w.y_end, stepper.K[stepper.stages], -small, 0, near)
+    else:
+        near = w.y_x
+        state_inside(w, step.x_end - SMALL_MOVE)
+    rate_b = (latch_b - latch_force_at(near, system)) / small
+    watch(w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, rate_a, latch_b, rate_b)
 
 
 @kernel
 def watch_rail(w, y):
     """Keep the distance at the end of a segment on the rail, along which it falls; t1 is there."""
-    _, _, _, _, gap, _, _ = distances(y, w.system.par)
-    keep(
-        w.totals, w.system.mode.latched, TIP_DISTANCE, -(gap + w.system.par.latch_radius), w.step.t1
-    )
+    px, py, wx, wy = tip_in_cone(y, w.system.par)
+    distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
+    keep(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
 
 
 @kernel
@@ -356,5 +448,6 @@ def begin_extremes(w):
     totals.extreme[row, BUFFER_TORQUE] = abs(buffer_torque_at(y, w.system.par))
     if row:
         totals.extreme[row, LATCH_FORCE] = latch_force_at(y, w.system)
-    _, _, _, _, gap, _, _ = distances(y, w.system.par)
-    totals.extreme[row, TIP_DISTANCE] = -(gap + w.system.par.latch_radius)
+    px, py, wx, wy = tip_in_cone(y, w.system.par)
+    distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
+    totals.extreme[row, TIP_DISTANCE] = -distance

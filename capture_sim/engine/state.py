@@ -45,12 +45,13 @@ LOG_ROOM = 256
 #: The states and the energies count in the error, the impulses do not.
 N_WATCHED = STOP + 1
 
-#: Distances of the tip at one end of the present step.
+#: Where the tip is at one end of the present step, and its distances.
 DISTANCES = np.dtype(
     [
         ("gap", "f8", (3,)),  # of both walls and to the latch, m
         ("gap_rate", "f8", (3,)),
-        ("tip_speed", "f8"),  # against the target, m/s
+        ("tip", "f8", (4,)),  # place and velocity in the target's frame, m and m/s
+        ("tip_speed", "f8"),  # m/s
     ],
     align=True,
 )

@@ -78,6 +78,7 @@ OUT = np.dtype(
         ("stop", "f8"),
         ("normal", "f8", (2,)),  # forces of both walls, N
         ("friction_force", "f8", (2,)),
+        ("tip", "f8", (4,)),  # as of tip_in_cone, where something acts on the tip
         ("hold", "f8", (6,)),  # Fx, Fy (N), M (N m) of the chaser, then of the target
     ],
     align=True,
@@ -305,6 +306,10 @@ def accelerate(y, f, system):
         sT, cT = sine_cosine(y[7])
     if contact:
         px, py, wx, wy = tip_motion(y, a, sS, cS, sP, cP, sT, cT)
+        out.tip[0] = px
+        out.tip[1] = py
+        out.tip[2] = wx
+        out.tip[3] = wy
         fx, fy, tip, target = tip_forces(y, system, px, py, wx, wy)
         gx = cT * fx - sT * fy
         gy = sT * fx + cT * fy
@@ -416,6 +421,19 @@ def axial_force(stroke, rate, par):
 
 
 @inline_kernel
+def axial_force_rate(stroke, rate, acceleration, par):
+    """Return d/dt of :func:`axial_force`, N/s, for d(rate)/dt in m/s^2."""
+    spring = par.k_A * rate
+    damper = par.c_A * acceleration
+    if par.has_shaped_buffer:
+        spring += 3.0 * par.k_A3 * stroke * stroke * rate
+        if rate > 0.0:
+            damper = par.c_A_rebound * acceleration
+        damper += 2.0 * par.c_A2 * abs(rate) * acceleration
+    return -spring - damper
+
+
+@inline_kernel
 def hinge_torque(torsion, twist, par):
     """Return the torque of torsional spring and damper on the cylinder, N m, and power lost, W.
 
@@ -427,6 +445,17 @@ def hinge_torque(torsion, twist, par):
         spring += par.k_T3 * torsion * torsion * torsion
         damper += par.c_T2 * twist * abs(twist)
     return -spring - damper, damper * twist
+
+
+@inline_kernel
+def hinge_torque_rate(torsion, twist, acceleration, par):
+    """Return d/dt of :func:`hinge_torque`, N m/s, for d(twist)/dt in rad/s^2."""
+    spring = par.k_T * twist
+    damper = par.c_T * acceleration
+    if par.has_shaped_buffer:
+        spring += 3.0 * par.k_T3 * torsion * torsion * twist
+        damper += 2.0 * par.c_T2 * abs(twist) * acceleration
+    return -spring - damper
 
 
 @inline_kernel
@@ -468,14 +497,15 @@ def slip_of(y, par, i):
 
 
 @inline_kernel
-def tip_acceleration(y, f, px, py, wx, wy, par):
-    """Return the acceleration of the tip's centre in the target's frame, m/s^2.
+def tip_and_acceleration(y, f, par):
+    """Return what :func:`tip_in_cone` does, and the acceleration in the target's frame, m/s^2.
 
-    For accelerations f[8:16]; place and velocity there are those of :func:`tip_in_cone`.
+    For accelerations f[8:16].
     """
     sS, cS = sine_cosine(y[2])
     sP, cP = sine_cosine(y[3])
     sT, cT = sine_cosine(y[7])
+    px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
     h, omega, spin, turn = y[4], y[10], y[11], y[15]
     along = f[12] - h * spin * spin
     across = h * f[11] + 2.0 * y[12] * spin
@@ -483,16 +513,15 @@ def tip_acceleration(y, f, px, py, wx, wy, par):
     uy = f[9] + par.a * (f[10] * cS - omega * omega * sS) + along * sP + across * cP - f[14]
     ax = cT * ux + sT * uy + 2.0 * turn * wy + turn * turn * px + f[15] * py
     ay = cT * uy - sT * ux - 2.0 * turn * wx + turn * turn * py - f[15] * px
-    return ax, ay
+    return px, py, wx, wy, ax, ay
 
 
 @kernel
 def gap_acceleration(y, f, par, i):
     """Return the second derivative of the gap to wall ``i`` for accelerations f[8:16], m/s^2."""
-    px, py, wx, wy = tip_in_cone(y, par)
+    px, py, wx, wy, ax, ay = tip_and_acceleration(y, f, par)
     side = 1.0 - 2.0 * i
     gap, _, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
-    ax, ay = tip_acceleration(y, f, px, py, wx, wy, par)
     across = wy * nx - wx * ny
     curvature = wall_curvature(
         -(px + par.L_T), side * py, gap + par.R_t, par.R_c, par.L_c, par.cos_b, par.sin_b
@@ -503,10 +532,9 @@ def gap_acceleration(y, f, par, i):
 @kernel
 def slip_acceleration(y, f, par, i):
     """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2; linear in these."""
-    px, py, wx, wy = tip_in_cone(y, par)
+    px, py, wx, wy, ax, ay = tip_and_acceleration(y, f, par)
     side = 1.0 - 2.0 * i
     gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
-    ax, ay = tip_acceleration(y, f, px, py, wx, wy, par)
     across = wy * nx - wx * ny
     dist = gap + par.R_t
     curvature = wall_curvature(

@@ -38,8 +38,12 @@ def may_cross(g_a, d_a, g_b, d_b, margin):
     """
     if g_b < 0.0:
         return True
+    changes = abs(d_a) + abs(d_b)
+    # no cubic dips below its ends by more than 4/27 of its slopes
+    if min(g_a, g_b) > (0.25 + margin) * changes + margin * abs(g_b - g_a):
+        return False
     place, low = cubic_minimum(g_a, d_a, g_b, d_b)
-    slack = margin * (abs(d_a) + abs(d_b) + abs(g_b - g_a))
+    slack = margin * (changes + abs(g_b - g_a))
     if place >= 0.0:
         return low < slack
     # no dip between the ends: only one that the cubic cannot see matters

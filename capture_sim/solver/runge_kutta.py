@@ -77,10 +77,10 @@ def next_factor(error, previous, order):
         return GROW_MOST
     if not error < OVERFLOW:
         return SHRINK_MOST
-    exponent = 1.0 / order - 0.75 * BETA
-    factor = SAFETY * error**-exponent
+    growth = -(1.0 / order - 0.75 * BETA) * math.log(error)
     if error <= 1.0:
-        factor *= max(previous, LEAST_ERROR) ** BETA
+        growth += BETA * math.log(max(previous, LEAST_ERROR))
+    factor = SAFETY * math.exp(growth)
     return min(GROW_MOST, max(SHRINK_MOST, factor))
 
 

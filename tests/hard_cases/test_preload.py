@@ -114,7 +114,7 @@ def test_the_mass_turns_where_preload_and_spring_have_taken_its_energy():
     deepest = (math.sqrt(PRELOAD**2 + STIFFNESS * M * SPEED**2) - PRELOAD) / STIFFNESS
     extremes = result.extremes.before_latch
     assert extremes["axial_stroke_in"] == pytest.approx(deepest, rel=LIGHT)
-    assert extremes["axial_stroke_out"] == 0.0
+    assert extremes["axial_stroke_out"] < 1e-16
     assert extremes["buffer_force"] == pytest.approx(PRELOAD + STIFFNESS * deepest, rel=LIGHT)
     omega, rest = math.sqrt(STIFFNESS / M), PRELOAD / STIFFNESS
     back = math.acos(rest / (rest + deepest)) / omega
@@ -235,7 +235,7 @@ def test_a_latched_pull_outwards_is_carried_by_the_seat():
     # the same pull would stretch the spring
     assert after["axial_force"].min() < -1.0
     extremes = result.extremes
-    assert extremes.after_latch["axial_stroke_out"] == 0.0
+    assert extremes.after_latch["axial_stroke_out"] < 1e-16
     assert extremes.after_latch["buffer_force"] >= np.abs(after["axial_force"]).max() - 1e-9
 
 
