@@ -27,11 +27,6 @@ def placed(scene: Scene, angle: float, offset: float, speed: float, run_up: floa
     centre of mass and which meets the cone at ``speed`` (m/s).  Rail and string are taken
     off.  Where the straight path touches no wall, past the cone or through its throat, the scene
     starts with the tip in front of the cone.
-
-    Raises
-    ------
-    SceneError
-        If a value is out of its range.
     """
     heading, target = scene.initial.chaser.theta, scene.initial.target
     c, s = math.cos(heading), math.sin(heading)
@@ -55,10 +50,7 @@ def placed(scene: Scene, angle: float, offset: float, speed: float, run_up: floa
 def approach_of(scene: Scene) -> tuple[float, float, float]:
     """Return how a scene's chaser comes to the cone: angle (rad), offset (m), speed (m/s).
 
-    Raises
-    ------
-    SceneError
-        If the straight path passes the cone by.
+    Raises SceneError if the straight path misses the cone.
     """
     chaser, target = scene.initial.chaser, scene.initial.target
     plan = plan_launch(scene)

@@ -60,13 +60,7 @@ class Axis:
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:
-    """Return what a field of a scene, or of the approach, may be.
-
-    Raises
-    ------
-    SceneError
-        The scene has no such field.
-    """
+    """Return what a field of a scene, or of the approach, may be; SceneError if there is none."""
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
@@ -77,22 +71,10 @@ def declaration_of(scene: Scene, name: str) -> Declared:
 
 
 def make_axis(scene: Scene, name: str, given: Any) -> Axis:
-    """Return an axis.
+    """Return the axis of a field (``buffer.c_A``) or of the approach (``approach.angle``).
 
-    Parameters
-    ----------
-    scene
-        Whose field varies.
-    name
-        Of the field, as ``buffer.c_A``, or of the approach, as ``approach.angle``.
-    given
-        ``LOW:HIGH:COUNT``, ``A,B,C`` or ``normal(500, 5%)`` as text; or values; or a frozen
-        distribution of scipy.stats.
-
-    Raises
-    ------
-    SceneError
-        One line that names the axis, and what it must be.
+    It is given by a text (``LOW:HIGH:COUNT``, ``A,B,C``, ``normal(500, 5%)``), values, or a frozen
+    distribution of scipy.stats.  Raises SceneError, which names the axis and what it must be.
     """
     what = declaration_of(scene, name)
     if hasattr(given, "ppf"):

@@ -28,16 +28,10 @@ class Gap(NamedTuple):
 def overlap(
     a: Series, b: Series, contact_a: float, contact_b: float, window: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return when both series were sampled, (n,), s after the first contacts, and how often.
+    """Return when both series were sampled, (n,), s after the first contacts, and counts (2,).
 
-    The times are those of the series with fewer samples there: the other one is finer, and
-    interpolated.
-
-    Returns
-    -------
-    times : ndarray (n,)
-    counts : ndarray (2,)
-        Samples of each in the interval that both hold.
+    The counts are the samples of each in the interval that both hold.  The times are those of the
+    series with fewer of them: the other one is finer, and interpolated.
     """
     mine, theirs = a.t - contact_a, b.t - contact_b
     begin = max(0.0, mine[0], theirs[0]) - TICK
@@ -54,16 +48,7 @@ def gaps(
 
     Poses count from where they were at the first contact: two benches need not share an
     origin, and the approach is a matter of the launch.  What has fewer than LEAST samples in
-    common is left out, and so is the force.
-
-    Parameters
-    ----------
-    a, b
-        What was measured.
-    contact_a, contact_b
-        Their first contacts, s.
-    window
-        s after the first contact that are compared.
+    common is left out, and so is the force.  Times are in s, the window after the first contact.
     """
     found = []
     for name, parts in PARTS.items():

@@ -77,11 +77,6 @@ class DesignTarget(Checked):
         Limit of the normal force of every touch, N.
     spread : Spread or None
         Of the approach, for the margin; None takes the middle of the dampers that capture.
-
-    Raises
-    ------
-    SceneError
-        A value is out of its range.
     """
 
     axial_stroke: float = quantity("m", Range(1e-6, 1.0))
@@ -95,17 +90,7 @@ class DesignTarget(Checked):
 class Response:
     """What a buffer does in what its target is for: the first contact, or the whole run.
 
-    Attributes
-    ----------
-    axial_stroke, torsion : float
-        Largest magnitudes, m and rad.
-    peak_force : float
-        Largest normal force, N.
-    touches : int
-    failure : str
-        Why the run had to stop, if it did.
-    outcome : Outcome or None
-        Of the whole run.
+    Largest magnitudes, SI units; ``outcome`` is that of the whole run.
     """
 
     axial_stroke: float
@@ -136,58 +121,27 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies of a run, J.
+    """Energies of a run, J."""
 
-    Attributes
-    ----------
-    approach : float
-        Kinetic energy of the relative motion at the first touch, of the reduced mass.
-    damper : float
-        Absorbed by the axial damper from the launch on: the area of load over stroke.
-    contact : float
-        Lost in the touches: the area of normal force over penetration.
-    """
-
-    approach: float
-    damper: float
-    contact: float
+    approach: float  # kinetic, of the reduced mass in the relative motion at the first touch
+    damper: float  # absorbed from the launch on: the area of load over stroke
+    contact: float  # lost in the touches: the area of normal force over penetration
 
 
 @dataclass(frozen=True)
 class Design:
-    """The result of a design.
-
-    Attributes
-    ----------
-    target : DesignTarget
-    refusal : str
-        Why no buffer meets the target; empty if one does.
-    scene : Scene or None
-        With the buffer in it; without one that meets the target, the nearest that was found.
-    undamped, damped : FirstContact or None
-        The first contact with these springs, without and with the damper.
-    outcome : Outcome or None
-        Of the whole run of ``scene``.
-    capturing : (float, float) or None
-        Dampers round the chosen one that capture and keep the limits, N s/m.
-    margin : float or None
-        How many times the spread the approach may deviate before a capture is lost.
-    energy : Energy or None
-        Until the verdict.
-    history : tuple of Candidate
-        Every run, in order.
-    """
+    """The result of a design."""
 
     target: DesignTarget
-    refusal: str
-    scene: Scene | None = None
-    undamped: FirstContact | None = None
+    refusal: str  # why no buffer meets the target; empty if one does
+    scene: Scene | None = None  # with the buffer, or with the nearest to the target that was found
+    undamped: FirstContact | None = None  # with these springs, without the damper
     damped: FirstContact | None = None
-    outcome: Outcome | None = None
-    capturing: tuple[float, float] | None = None
-    margin: float | None = None
-    energy: Energy | None = None
-    history: tuple[Candidate, ...] = field(default=(), repr=False)
+    outcome: Outcome | None = None  # of the scene's whole run
+    capturing: tuple[float, float] | None = None  # dampers that capture in the limits, N s/m
+    margin: float | None = None  # times the spread up to which captures are kept
+    energy: Energy | None = None  # until the verdict
+    history: tuple[Candidate, ...] = field(default=(), repr=False)  # every run, in order
 
     @property
     def met(self) -> bool:

@@ -98,19 +98,10 @@ def _begin_worker() -> None:
 
 @contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """Give an executor for a while.
+    """Give an executor for a while: processes, or a Dask cluster by its scheduler's address.
 
-    Parameters
-    ----------
-    workers
-        Processes; 1 stays in this one, None takes one for each core that this one may use.
-    scheduler
-        Address of a Dask scheduler, as ``tcp://127.0.0.1:8786``; then ``workers`` counts nothing.
-
-    Raises
-    ------
-    ExecutorError
-        The cluster does not answer, has no workers, or Dask is not installed.
+    One worker is this process, None takes a process for each core.  Raises ExecutorError if the
+    cluster does not answer, has no workers, or Dask is not installed.
     """
     workers = workers or len(os.sched_getaffinity(0))
     if scheduler is not None:
@@ -154,12 +145,8 @@ def answers(
 ) -> Iterator[Any]:
     """Yield the answers in the order of the arguments, each as soon as those before it are there.
 
-    ``report`` is called with how many of how many are done.
-
-    Raises
-    ------
-    ExecutorError
-        The workers were lost.
+    ``report`` is called with how many of how many are done.  Raises ExecutorError if the workers
+    were lost.
     """
     try:
         for done, answer in enumerate(executor.map(function, arguments), 1):

@@ -51,41 +51,18 @@ _FAR = 1e3
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit gave.
+    """What a fit gave; units are those of the scene's fields."""
 
-    Attributes
-    ----------
-    names
-        Of the parameters.
-    values, errors : ndarray (k,)
-        Fitted, and their standard errors; units of the scene's fields.
-    correlation : ndarray (k, k)
-        Of the errors.
-    chi2
-        Sum of the squared residuals over the degrees of freedom: 1 when the model explains
-        all but the noise.
-    freedom
-        Degrees of freedom: residuals less parameters.
-    at_bound
-        Parameters that ended at a bound of their range: their errors mean nothing.
-    evaluations
-        Simulations that it took.
-    scene
-        With the fitted values.
-    touches
-        How many were used.
-    """
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    errors: np.ndarray
-    correlation: np.ndarray
-    chi2: float
-    freedom: int
-    at_bound: tuple[str, ...]
-    evaluations: int
-    scene: Scene = field(repr=False)
-    touches: int = 0
+    names: tuple[str, ...]  # of the parameters
+    values: np.ndarray  # (k,)
+    errors: np.ndarray  # (k,), standard errors
+    correlation: np.ndarray  # (k, k), of the errors
+    chi2: float  # per degree of freedom: 1 when the model explains all but the noise
+    freedom: int  # degrees of freedom: residuals less parameters
+    at_bound: tuple[str, ...]  # parameters at a bound of their range: their errors mean nothing
+    evaluations: int  # simulations
+    scene: Scene = field(repr=False)  # with the fitted values
+    touches: int = 0  # number that was used
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -346,17 +323,10 @@ class _Problem:
 
 
 def spread(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variances of least-squares parameters, and their covariances.
+    """Return the variances (k,) of least-squares parameters, and their covariances (k, k).
 
-    Parameters
-    ----------
-    J
-        (n, k) derivatives of residuals of unit variance.
-
-    Returns
-    -------
-    variance, covariance : ndarray (k,), (k, k)
-        The variance is infinite for what the data do not determine; the covariance leaves it out.
+    ``J`` (n, k) has the derivatives of residuals of unit variance.  The variance is infinite for
+    what the data do not determine; the covariance leaves it out.
     """
     _, singular, right = np.linalg.svd(J, full_matrices=False)
     tiny = singular <= 1e-10 * singular.max(initial=1e-300)
@@ -368,20 +338,10 @@ def spread(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scatter(series: Series) -> np.ndarray:
-    """Estimate the noise of a smooth series from its third differences.
+    """Return the noise of each part of a smooth, evenly spaced series: standard deviations (m,).
 
     The third difference of white noise has 20 times its variance, that of a smooth motion
     is small; the median keeps bends at touches from counting.
-
-    Parameters
-    ----------
-    series
-        n evenly spaced values or rows of m.
-
-    Returns
-    -------
-    ndarray (m,)
-        Standard deviations; m = 1 for plain values.
     """
     values = series.values.reshape(len(series.t), -1)
     if len(values) < 5:

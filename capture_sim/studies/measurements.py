@@ -15,18 +15,10 @@ _CHASER, _TARGET = slice(0, 3), slice(5, 8)
 
 
 class Series(NamedTuple):
-    """One measured thing.
+    """One measured thing over time."""
 
-    Attributes
-    ----------
-    t : ndarray (n,)
-        s, ascending.
-    values : ndarray (n,) or (n, m)
-        SI units.
-    """
-
-    t: np.ndarray
-    values: np.ndarray
+    t: np.ndarray  # (n,), s, ascending
+    values: np.ndarray  # (n,) or (n, m), SI units
 
     @property
     def interval(self) -> float:
@@ -60,25 +52,13 @@ _NOTHING = Series(np.zeros(0), np.zeros(0))
 
 @dataclass(frozen=True)
 class Measurements:
-    """Time series of a run; one that was not measured is empty.
+    """Time series of a run; one that was not measured is empty."""
 
-    Attributes
-    ----------
-    chaser, target
-        Poses in the world (n, 3): x m, y m, theta rad.
-    stroke
-        h - rest length, m.
-    torsion
-        theta_P - theta_S, rad.
-    force
-        Magnitude of the force on the tip, N.
-    """
-
-    chaser: Series = _NOTHING
+    chaser: Series = _NOTHING  # poses in the world (n, 3): x m, y m, theta rad
     target: Series = _NOTHING
-    stroke: Series = _NOTHING
-    torsion: Series = _NOTHING
-    force: Series = _NOTHING
+    stroke: Series = _NOTHING  # h - rest length, m
+    torsion: Series = _NOTHING  # theta_P - theta_S, rad
+    force: Series = _NOTHING  # magnitude on the tip, N
 
     def items(self) -> list[tuple[str, Series]]:
         """Return name and series of all that was measured."""

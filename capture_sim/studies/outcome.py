@@ -33,36 +33,16 @@ CAPTURED = CaptureState.CAPTURED.label
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run; SI units.
+    """What came of a run; SI units.  After a failure, all of it is of the run up to there."""
 
-    Attributes
-    ----------
-    verdict : str
-        Of the detector: captured, rebound, missed, stuck or undecided.
-    t : float
-        Time of the verdict, s since the release.
-    reason : str
-        The detector's, or why the run had to stop.
-    left_again : bool
-        Whether the tip was captured and is outside the capture zone again.
-    first_touch : float
-        s since the release; NaN without a touch.
-    loads : dict
-        By name, see :func:`capture_sim.results.loads_of`: of the motion, not of samples of it.
-    energy_residual : float
-        Largest residual of the energy ledger, J.
-    failure : str
-        Why the integration had to stop, if it did: the rest is of the run up to there.
-    """
-
-    verdict: str
-    t: float
-    reason: str
-    left_again: bool
-    first_touch: float
-    loads: dict[str, Any]
-    energy_residual: float
-    failure: str = ""
+    verdict: str  # captured, rebound, missed, stuck or undecided
+    t: float  # of the verdict, s since the release
+    reason: str  # the detector's, or why the run had to stop
+    left_again: bool  # the tip was captured and is outside the capture zone again
+    first_touch: float  # s since the release; NaN without a touch
+    loads: dict[str, Any]  # of the motion, see capture_sim.results.loads_of
+    energy_residual: float  # largest of the energy ledger, J
+    failure: str = ""  # why the integration had to stop
 
     @property
     def captured(self) -> bool:
@@ -75,25 +55,12 @@ def run_to_verdict(scene: Scene) -> Outcome:
 
     ``run.rate`` is the detector's.  Loads are those up to the end of the last piece that was run:
     at most 20 measurements of the detector later than the verdict.
-
-    Raises
-    ------
-    SceneError
-        If a value is out of its range.
     """
     return _run(scene, to_verdict=True)
 
 
 def run_to_end(scene: Scene) -> Outcome:
-    """Run a scene to its end, the verdict and what follows it included.
-
-    The verdict is that of :func:`run_to_verdict`, the loads are those of the whole run.
-
-    Raises
-    ------
-    SceneError
-        If a value is out of its range.
-    """
+    """Run a scene to its end; the verdict is that of :func:`run_to_verdict`."""
     return _run(scene, to_verdict=False)
 
 
@@ -132,39 +99,21 @@ def _measured_at(t_end: float, rate: float) -> np.ndarray:
 class FirstContact:
     """The first contact of a run (:func:`capture_sim.results.first_cluster`); SI units.
 
-    Attributes
-    ----------
-    axial_stroke, torsion : float
-        Largest magnitudes until it ended, m and rad: |Delta x| and |Delta theta| of the
-        paper's design flow.
-    duration : float
-        From the start of the first touch to the end of the last, s; NaN without a touch.
-    peak_force : float
-        Largest normal force, N.
-    buffer_force : float
-        Largest axial force of the buffer, N: what the vehicles feel.
-    touches : int
-    failure : str
-        Why the run had to stop, if it did; the rest is then of what was run.
+    Largest magnitudes until it ended.  Strokes are |Delta x| and |Delta theta| of the paper's
+    design flow.
     """
 
     axial_stroke: float
     torsion: float
-    duration: float
-    peak_force: float
-    buffer_force: float
+    duration: float  # s, first touch's start to last one's end; NaN without a touch
+    peak_force: float  # normal, of a touch
+    buffer_force: float  # axial: what the vehicles feel
     touches: int
-    failure: str = ""
+    failure: str = ""  # why the run had to stop; the rest is then of what was run
 
 
 def run_first_contact(scene: Scene) -> FirstContact:
-    """Run a scene until its first contact is over.
-
-    Raises
-    ------
-    SceneError
-        If a value is out of its range.
-    """
+    """Run a scene until its first contact is over."""
     grid = np.arange(0.0, scene.run.t_end, 1.0 / _RATE)
     bench, now, end, failure = Bench(scene), 0.0, None, ""
     for block in drive(bench, grid, block=_CONTACT_BLOCK):

@@ -51,16 +51,10 @@ def agreement(
     events: Sequence[Event],
     traces: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Agreement:
-    """Compare what was recorded with what is simulated.
+    """Compare what was recorded, (n,) of dtype SAMPLE, with what is simulated, (m,) by time.
 
-    Parameters
-    ----------
-    recorded, again
-        (n,) and (m,) of dtype SAMPLE; ``again`` ascending in time.
-    recorded_events, events
-        In order.
-    traces
-        Recorded and simulated contact at the integrator's own steps, with the fields of TRACE.
+    ``traces`` are the recorded and the simulated contact at the integrator's own steps, with the
+    fields of TRACE.
     """
     index = np.searchsorted(again["t"], recorded["t"]).clip(max=max(len(again) - 1, 0))
     shared = again["t"][index] == recorded["t"] if len(again) else np.zeros(len(recorded), bool)

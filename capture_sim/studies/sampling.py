@@ -23,45 +23,20 @@ _EDGE_SHAPE, _EDGE_CUT = 0.2, 0.005
 
 @dataclass(frozen=True)
 class Samples:
-    """The runs of a sweep.
-
-    Attributes
-    ----------
-    axes : tuple of Axis
-    rows : list of tuple
-        The values of a run, in the order of ``axes``, SI units.
-    designs : list of str
-        Of each run: ``plain``, or ``edges`` for a draw that favours the edges.
-    """
+    """The runs of a sweep."""
 
     axes: tuple[Axis, ...]
-    rows: list[tuple[Any, ...]]
-    designs: list[str]
+    rows: list[tuple[Any, ...]]  # values of each run, in the order of the axes, SI units
+    designs: list[str]  # of each run: plain, or edges for a draw that favours the edges
 
 
 def make_samples(
     axes: Sequence[Axis], runs: int = 0, sample: str = "random", seed: int = 1, edges: int = 0
 ) -> Samples:
-    """Return the runs over some axes.
+    """Return the runs over some axes: all combinations of values, the same draws at each of them.
 
-    Parameters
-    ----------
-    axes
-        With values: all combinations.  With distributions: draws, the same at each combination.
-    runs
-        Draws; with ``saltelli`` its base samples, each of which is (distributions + 2) draws.
-    sample
-        One of :data:`SAMPLES`: independent, a Latin hypercube, a scrambled Sobol sequence, or
-        Saltelli's design for Sobol indices.
-    seed
-        Of the draws.
-    edges
-        Further draws that favour the edges of the distributions.
-
-    Raises
-    ------
-    SceneError
-        Names what is out of its range.
+    See :func:`capture_sim.sweep` for the parameters; a base sample of ``saltelli`` is
+    (distributions + 2) draws.  Raises SceneError for a number that is out of its range.
     """
     grid, drawn = ([a for a in axes if not a.distribution], [a for a in axes if a.distribution])
     _check(grid, drawn, runs, sample, edges)

@@ -31,34 +31,18 @@ _COLUMNS = ("start", "peak", "lasted", "peak_time", "impulse", "wall")
 
 @dataclass(frozen=True)
 class Touches:
-    """Touches of a run one by one, in order; what is not known of one is NaN (wall: 0).
+    """Touches of a run, (n,) each, in order; what is not known of one is NaN (wall: 0)."""
 
-    Attributes
-    ----------
-    start, peak : ndarray (n,)
-        s, and N: of the normal force, or of its magnitude where that is what was measured.
-    lasted, peak_time, impulse : ndarray (n,)
-        s, s, N s.
-    wall : ndarray (n,)
-        +1 or -1.
-    start_noise, peak_noise
-        Standard deviations, s and N.
-    threshold
-        N; touches whose peak is below it were not seen.
-    spacing
-        s between the samples of the force they were found in; 0 where none can be missed.
-    """
-
-    start: np.ndarray
-    peak: np.ndarray
-    lasted: np.ndarray
-    peak_time: np.ndarray
-    impulse: np.ndarray
-    wall: np.ndarray
-    start_noise: float = 0.0
-    peak_noise: float = 0.0
-    threshold: float = 0.0
-    spacing: float = 0.0
+    start: np.ndarray  # s
+    peak: np.ndarray  # N, of the normal force, or of the magnitude where that was measured
+    lasted: np.ndarray  # s
+    peak_time: np.ndarray  # s
+    impulse: np.ndarray  # N s
+    wall: np.ndarray  # +1 or -1
+    start_noise: float = 0.0  # standard deviation, s
+    peak_noise: float = 0.0  # standard deviation, N
+    threshold: float = 0.0  # N; touches whose peak is below it were not seen
+    spacing: float = 0.0  # s between the samples they were found in; 0 where none can be missed
 
     def of(self, kept: np.ndarray | slice) -> Touches:
         """Return some of the touches."""
@@ -92,33 +76,18 @@ def located(touches: np.ndarray) -> Touches:
 
 
 class Quiet(NamedTuple):
-    """What a force sensor reads before anything touches.
+    """What a force sensor reads before anything touches."""
 
-    Attributes
-    ----------
-    bias : ndarray (2,)
-        N.
-    sigma
-        Standard deviation of a component, N.
-    threshold
-        Magnitude, N, that noise passes in one of 1000 recordings.
-    """
-
-    bias: np.ndarray
-    sigma: float
-    threshold: float
+    bias: np.ndarray  # (2,), N
+    sigma: float  # standard deviation of a component, N
+    threshold: float  # magnitude that noise passes in one of 1000 recordings, N
 
 
 def quiet_before_contact(force: np.ndarray) -> Quiet | None:
-    """Return bias, noise and threshold of a planar force; None when there is too little of it.
+    """Return bias, noise and threshold of a force (n, 2), N; None when there is too little of it.
 
-    The magnitude of white noise of two components has Rayleigh's distribution: it passes
-    k sigma with the chance exp(-k^2 / 2).
-
-    Parameters
-    ----------
-    force : ndarray (n, 2)
-        N; nothing touches at its beginning.
+    Nothing touches at its beginning.  The magnitude of white noise of two components has
+    Rayleigh's distribution: it passes k sigma with the chance exp(-k^2 / 2).
     """
     n = len(force)
     until = max(_QUIET, n // 20)
@@ -154,16 +123,8 @@ def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
 def normal_force(force: np.ndarray, attitude: np.ndarray, cone: Cone) -> np.ndarray:
     """Return the part of a force on the tip that is normal to the wall it comes from, (n,), N.
 
-    Friction acts along the wall and leaves it as it is.
-
-    Parameters
-    ----------
-    force : ndarray (n, 2)
-        N, in the tip's frame.
-    attitude : ndarray (n,)
-        Of the tip in the cone, rad.
-    cone
-        Its walls.
+    The force (n, 2), N, is in the tip's frame, whose attitude (n,), rad, is that in the cone.
+    Friction acts along the wall and leaves the normal part as it is.
     """
     c, s = np.cos(attitude), np.sin(attitude)
     along = c * force[:, 0] - s * force[:, 1]
@@ -185,17 +146,9 @@ def in_force(
     may have been missed.  A touch starts between two samples, its peak is that of the parabola
     through the largest sample and its neighbours.
 
-    Parameters
-    ----------
-    t : ndarray (n,)
-        s, ascending.
-    force : ndarray (n, 2)
-        N, in the tip's frame, with bias and noise; nothing touches at its beginning.
-    attitude : ndarray (n,) or None
-        Of the tip in the cone, rad; with it and the cone, peak and impulse are those of the
-        normal force, else those of the magnitude, friction included.
-    cone
-        Its walls.
+    Times (n,), s, ascend; the force (n, 2), N, is in the tip's frame, with bias and noise, and
+    nothing touches at its beginning.  With the tip's attitude (n,), rad, in the cone, peak and
+    impulse are those of the normal force, else those of the magnitude, friction included.
     """
     quiet = quiet_before_contact(force)
     if quiet is None:
@@ -231,16 +184,9 @@ def in_messages(
 ) -> Touches | None:
     """Find the touches in messages that count them since the last one; None if none.
 
-    The first message that counts two touches ends the search: it has one peak for both.
-
-    Parameters
-    ----------
-    t : ndarray (n,)
-        s, ascending.
-    begun, peak : ndarray (n,)
-        Touches begun and largest force (N) since the message before.
-    in_touch : ndarray (n,)
-        Whether it touches now.
+    The first message that counts two touches ends the search: it has one peak for both.  Of each
+    message, (n,): time (s, ascending), touches begun and largest force (N) since the one before,
+    and whether it touches now.
     """
     rows, spacing = [], [0.0]
     for i in np.flatnonzero(begun):
