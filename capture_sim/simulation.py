@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,9 @@ from capture_sim.sensors import SimulatedSensors
 
 if TYPE_CHECKING:
     import pandas
+
+#: Tables of a result.
+Table = Literal["samples", "touches", "events"]
 
 
 @dataclass(frozen=True)
@@ -205,9 +208,7 @@ class Result:
         )
         return f"<table>{head}{''.join(lines)}</table>"
 
-    def to_dataframe(
-        self, table: Literal["samples", "touches", "events"] = "samples"
-    ) -> pandas.DataFrame:
+    def to_dataframe(self, table: Table = "samples") -> pandas.DataFrame:
         """Return samples, touches or events as a pandas table with one row each.
 
         Parameters
@@ -223,7 +224,12 @@ class Result:
         ------
         MissingPackageError
             pandas is not installed.
+        ValueError
+            There is no such table.
         """
+        if table not in get_args(Table):
+            tables = " or ".join(map(repr, get_args(Table)))
+            raise ValueError(f"table = {table!r}: must be {tables}; loads are in result.loads")
         try:
             import pandas
         except ImportError:

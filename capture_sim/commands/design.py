@@ -274,5 +274,7 @@ def _keep(design: Design, folder: Path) -> None:
     kept["history"] = [plain(candidate) for candidate in design.history]
     echo(f"every run in {write_json(folder / 'design.json', kept)}")
     if design.met and design.scene is not None:
-        scene = dataclasses.replace(design.scene, title=f"{design.scene.title}; designed")
+        # a name of its own: both can be run into one folder and compared
+        name, title = f"{design.scene.name}_design", f"{design.scene.title}; designed"
+        scene = dataclasses.replace(design.scene, name=name, title=title)
         echo(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")

@@ -136,7 +136,8 @@ def parse_scene(text: str, source: str) -> dict[str, Any]:
     """Return the parts that a YAML text says, unchecked; errors as of :func:`parse`."""
     data = _parsed(text, source)
     if not isinstance(data, dict):
-        raise SceneError(f"{source}: a scene is a mapping of parts, got {type(data).__name__}")
+        found = "is empty" if data is None else f"holds {shown(data)}"
+        raise SceneError(f"{source}: {found}: must be fields of a scene, e.g. buffer: {{k_A: 400}}")
     return copy.deepcopy(data)
 
 
@@ -286,7 +287,8 @@ def build(data: Any, part: Any = Scene, where: str = "") -> Any:
 def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
     """Return a part made of plain data; None where it adds to the mistakes."""
     if not isinstance(data, Mapping):
-        mistakes.append(str(refuse(where, data, "", "a mapping of its fields")))
+        example = next(iter(declared(part)))
+        mistakes.append(str(refuse(where, data, "", f"its fields, e.g. {{{example}: VALUE}}")))
         return None
     prefix = f"{where}." if where else ""
     fields = declared(part)

@@ -190,5 +190,6 @@ def _checked(distribution: Any, name: str, text: str) -> Any:
     with np.errstate(all="ignore"):
         quartiles = distribution.ppf([0.25, 0.5, 0.75])
     if not (np.all(np.isfinite(quartiles)) and np.all(np.diff(quartiles) > 0.0)):
-        raise SceneError(f"{name} = {text}: must have a width > 0 and an order LOW < HIGH")
+        why = " (a percentage of 0 is 0)" if "%" in text else ""
+        raise SceneError(f"{name} = {text}: must have a width > 0, bounds in ascending order{why}")
     return distribution

@@ -63,6 +63,11 @@ def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
     labels
         Their names, one each; None takes the scenes'.
 
+    Raises
+    ------
+    TypeError
+        An argument is no run, e.g. a list of runs or the name of a scene.
+
     Examples
     --------
     >>> import capture_sim
@@ -71,6 +76,12 @@ def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
     >>> [axes.get_title(loc="left") for axes in figure.axes]
     ['(a)', '(b)', '(c)', '(d)']
     """
+    for run in runs:
+        if not hasattr(run, "scene"):
+            raise TypeError(
+                f"plot({type(run).__name__}): must be runs, one argument each, e.g. "
+                "plot(result_1, result_2)"
+            )
     if len(runs) == 1:
         return draw_run(runs[0], None if labels is None else labels[0])
     return sheet(_OVERLAID, runs, labels=labels)

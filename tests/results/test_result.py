@@ -76,6 +76,18 @@ def test_touches_and_events_are_tables(run):
     assert np.array_equal(events["v.theta_P"], [event.v[3] for event in run.events])
 
 
+@pytest.mark.parametrize("table", ["touch", "loads", "", None])
+def test_an_unknown_table_is_rejected(run, table):
+    with pytest.raises(ValueError, match="must be 'samples' or 'touches' or 'events'"):
+        run.to_dataframe(table)
+
+
+@pytest.mark.parametrize("given", [["tilt_0"], [[]]])
+def test_what_is_no_run_is_not_drawn(run, given):
+    with pytest.raises(TypeError, match="must be runs, one argument each"):
+        capture_sim.plot(run, *given)
+
+
 def test_several_runs_are_drawn_over_each_other(run):
     other = simulate("paper_designed", {"buffer.c_A": 5}, t_end=0.5)
     figure = capture_sim.plot(run, other, labels=["20", "5"])

@@ -243,6 +243,7 @@ def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
     assert float(torsion[2]) == pytest.approx(loads["max_torsion"] * 1e3, rel=1e-3)
     assert f"torsion {loads['max_torsion'] * 1e3:.4g} mrad, must be at most" in printed
     scene = load_scene(tmp_path / "design.yaml")
+    assert scene.name == "paper_designed_design"
     assert simulate(scene).verdict == "captured"
     kept = json.loads((tmp_path / "design.json").read_text())
     assert kept["refusal"] == ""

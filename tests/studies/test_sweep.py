@@ -346,6 +346,7 @@ BAD = [
     ({"buffer.k_A": "normal(500)"}, r"must be normal\(MEAN, STD\) in N/m"),
     ({"buffer.k_A": "normal(500, 0)"}, "must have a width > 0"),
     ({"buffer.k_A": "uniform(2, 1)"}, "must have a width > 0"),
+    ({"initial.target.theta": "normal(100%, 10%)"}, "a percentage of 0 is 0"),
     ({"buffer.k_A": "gauss(1, 2)"}, "must be a distribution of scipy.stats"),
     ({"buffer.k_A": "poisson(3)"}, "must be a distribution of scipy.stats"),
     ({"approach.angle": "100 deg"}, "approach.angle = 1.74"),
