@@ -127,7 +127,7 @@ class Buffer(Checked):
         "m",
         POSITIVE,
         default=None,
-        doc="distance from the hinge to the tip's centre with the spring relaxed, h_0; "
+        doc="distance from the hinge to the tip's centre with the buffer at rest, h_0; "
         "null: L_p + R_t",
     )
     k_A3: float = quantity(
