@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.detection.align import MAX_LEAD, Source
 from capture_sim.detection.clocks import MAX_OFFSET
-from capture_sim.detection.exact import CaptureStatus
+from capture_sim.detection.exact import CaptureState, CaptureStatus
 from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import SceneError
 from capture_sim.messages.convert import EPOCH_NS, stamp_seconds
@@ -46,6 +46,7 @@ class CaptureDetectorNode(Participant):
     _detector: NoisyDetector
     _sources: dict[Topic, Source]
     _telemetry: DetectorTelemetry
+    _state: CaptureState
     _zero: int | None  # ns, stamp of t = 0: the release, or a bench's first measurement
 
     def __init__(self) -> None:
@@ -74,6 +75,7 @@ class CaptureDetectorNode(Participant):
         self._detector = NoisyDetector(scene, is_released=self.simulated)
         self._sources = detector_sources(scene) if self.simulated else dict(OF_A_BENCH)
         self._zero = EPOCH_NS if self.simulated else None
+        self._state = CaptureState.APPROACH
         self._telemetry = DetectorTelemetry(self.messages, info.run_id)
         self.publish(self._telemetry.begin(scene.detector))
         self._show_criteria(scene.detector, criteria)
@@ -96,6 +98,10 @@ class CaptureDetectorNode(Participant):
         self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
+
+    def trial_result(self) -> str:
+        """Return the verdict."""
+        return f"verdict {self._state.label}" if self._state.is_verdict else "no verdict"
 
     def _declare_criteria(self) -> None:
         """Declare the scene's criteria as parameters, with their units and ranges.
@@ -190,6 +196,7 @@ class CaptureDetectorNode(Participant):
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         for status in statuses:
+            self._state = status.state
             self.publish(*self._telemetry.status(self._own_time(status.t), status))
 
     def _own_time(self, t: float) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from capture_sim.detection.exact import CaptureState
 from capture_sim.launch.bench_watch import BenchWatch, Pose
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.cdr import Numbers
@@ -17,6 +18,7 @@ from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import POSE, STAMP, pose_values
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import (
+    CAPTURE_VERDICT,
     CHASER_ODOMETRY,
     CHASER_POSE,
     CONTACT_STATE,
@@ -102,6 +104,9 @@ class LauncherNode(Participant):
         )
         self._asked = False  # to launch the trial that is begun
         self._now = 0.0  # s since the release, of the last state
+        self._capture = CaptureState.APPROACH  # by the detector
+        if self._scene is not None:
+            self.listen(CAPTURE_VERDICT, self._note_capture)
         self.open(topics_of(LAUNCHER))
         self._hold_output: Any = None
         self._held: bool | None = None  # as last published
@@ -127,6 +132,7 @@ class LauncherNode(Participant):
         self._launcher = launcher = Launcher(scene, self._tolerance, aborts=self._aborts)
         self._watch = BenchWatch(launcher, scene)
         self._used_poses = set()
+        self._capture = CaptureState.APPROACH
         self._telemetry = LauncherTelemetry(self.messages, info.run_id)
         self._parts = {}
         self._touched = False
@@ -149,6 +155,13 @@ class LauncherNode(Participant):
         self.drain(1.0)
         self.publish(self._telemetry.end(complete=not reason, reason=reason))
         return super().end(reason)
+
+    def trial_result(self) -> str:
+        """Return the detector's verdict."""
+        return f"verdict {self._capture.label}" if self._capture.is_verdict else "no verdict"
+
+    def _note_capture(self, status: Any) -> None:
+        self._capture = CaptureState(status.state)
 
     def _hold(self, hold: bool) -> None:
         if self._hold_output is not None and hold != self._held:

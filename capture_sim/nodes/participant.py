@@ -144,6 +144,10 @@ class Participant(BenchNode):
         """
         return [reason] if reason else []
 
+    def trial_result(self) -> str:
+        """Return what the response to ``~/end_trial`` reports of the trial that is on."""
+        return f"{self.role} is ready for the next trial"
+
     def complete(self) -> bool:
         """Return True if all messages that the announcer has reported have arrived."""
         return not self.missing()
@@ -387,8 +391,9 @@ class Participant(BenchNode):
         if self.run is None or self.run.run_id != begun_here:
             response.message = "no trial is on that was begun here"
         else:
+            name, known = self.run.name, self.trial_result()
             self.end_trial()
-            response.success = True
+            response.success, response.message = True, f"{name}: ended, {known}"
         return response
 
 

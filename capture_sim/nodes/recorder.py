@@ -106,6 +106,10 @@ class RecorderNode(Participant):
         if not self._failure:
             self.get_logger().info(f"{info.name}: {RECORDING_IN}{recorder.path}")
 
+    def trial_result(self) -> str:
+        """Return the file, or why there is none."""
+        return self._failure or (f"file {self._recorder.path}" if self._recorder else "no file")
+
     def complete(self) -> bool:
         """Whether all publishers have ended the run and all their messages have come."""
         if self._failure:

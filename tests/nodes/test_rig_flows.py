@@ -103,13 +103,17 @@ class Session:
 
     def end(self, node="launcher"):
         """End the trial; return the live verdict and the recording."""
-        assert self.client.ask(Trigger, f"/{node}/end_trial").success
+        ended = self.client.ask(Trigger, f"/{node}/end_trial")
+        assert ended.success
         self.recorded += 1
         wait_until(lambda: self.recorder.text.count(".mcap: ") >= self.recorded)
         states = self.statuses
         wait_until(lambda: any(s.final or s.state == CaptureState.UNDECIDED for s in states))
         live = CaptureState(next((s for s in states if s.final), states[-1]).state)
-        return live, max(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+        path = max(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+        verdict = f"verdict {live.label}" if live.is_verdict else "no verdict"
+        assert ended.message.endswith(str(path) if node == "recorder" else verdict)
+        return live, path
 
     def try_outcomes(self, capsys, *outcomes):
         """Launch once for each outcome; live and by `detect` it is that one."""
