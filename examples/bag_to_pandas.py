@@ -5,6 +5,8 @@ import sys
 import pandas as pd
 from mcap_ros2.reader import read_ros2_messages
 
+if len(sys.argv) != 2:
+    sys.exit("usage: python bag_to_pandas.py RECORDING.mcap")
 rows = [
     {
         "t": message.ros_msg.header.stamp.sec + 1e-9 * message.ros_msg.header.stamp.nanosec,

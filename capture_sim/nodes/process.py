@@ -88,7 +88,10 @@ def run(
     where DDS does not, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
-        print(_usage(make), flush=True)
+        try:
+            print(_usage(make), flush=True)
+        except BrokenPipeError:  # e.g. head has read what it wanted
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     watch_signals(STOP)
     threading.Thread(target=_limit_shutdown, name="shutdown", daemon=True).start()

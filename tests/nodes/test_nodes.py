@@ -1,5 +1,6 @@
 """The real nodes, in processes of their own, over real DDS."""
 
+import os
 import re
 import signal
 import subprocess
@@ -700,6 +701,16 @@ def test_unknown_parameter_is_named(start):
     node.wait_for("auto_relase is unknown here and has no effect; did you mean auto_release?")
     node.process.send_signal(signal.SIGINT)
     assert node.status() == 0
+
+
+def test_help_into_a_closed_pipe_ends_quietly():
+    command = [sys.executable, "-m", "capture_sim.nodes.capture_detector", "--help"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert done.returncode == 0
+    assert not done.stderr
 
 
 def test_help_shows_the_parameters_and_starts_nothing():
