@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -101,6 +102,17 @@ def why_not_writable(folder: Path) -> str:
             return ""
     except OSError as error:
         return error.strerror or str(error)
+
+
+def why_no_file(path: Path) -> str:
+    """Return why a file cannot be written in a folder that exists, empty if it can."""
+    if path.is_dir():
+        return "it is a folder"
+    if not path.parent.is_dir():
+        return f"{path.parent} is not a folder"
+    if path.exists():
+        return "" if os.access(path, os.W_OK) else os.strerror(errno.EACCES)
+    return why_not_writable(path.parent)
 
 
 def _is_taken(path: Path) -> bool:

@@ -42,15 +42,19 @@ class Answers:
         """How many answers to the first position have come."""
         return len(self._rest)
 
-    def tare(self, max_force: float) -> None:
-        """Take bias and noise from the answers at rest; SafeStopError above ``max_force`` (N)."""
+    def forget_rest(self) -> None:
+        """Begin the answers at rest again."""
+        self._rest.clear()
+
+    def tare(self) -> None:
+        """Take bias and noise from the answers at rest; SafeStopError beyond the bias's limit."""
         rest = np.array(self._rest)
         self.bias = Wrench(*np.median(rest, axis=0).tolist())
         self.noise = float(rest[:, :3].std(axis=0).max())
-        if self.bias.force > max_force:
+        if self.bias.force > self._limits.bias:
             raise SafeStopError(
-                f"force at rest = {self.bias.force:.4g} N: must be <= {max_force:g}; the tip "
-                "is in contact, or the load cell must be tared"
+                f"force at rest = {self.bias.force:.4g} N: must be <= {self._limits.bias:g} "
+                "(bias_limit); the tip is in contact, or the load cell must be tared"
             )
         self.latest = Answer(0.0, NO_WRENCH, None)
 

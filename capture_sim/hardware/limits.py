@@ -27,6 +27,7 @@ class Limits(NamedTuple):
     acceleration: float = 100.0
     latency: float = 0.05  # s, from a position to the use of its wrench
     angular_speed: float = 3.0  # rad/s, of the commanded heading
+    bias: float = 10.0  # N, of the load cell at rest
 
 
 def check_limit(name: str, value: float, unit: str, limit: float) -> None:

@@ -53,6 +53,8 @@ MAX_DISAGREEMENTS = 3
 SOFTENING = 4.0
 #: Answers at rest from which bias and noise are taken.
 N_AT_REST = 100
+#: The rig's tip is at the first position if it is not farther from it, m.
+MAX_START_DISTANCE = 1e-3
 #: A prediction takes over the servo's lag this often, s; settled is a servo of 5 Hz and more.
 LAG_PERIOD = 0.1
 
@@ -106,6 +108,7 @@ class Loop:
         self._disagreements = 0
         self.energy = EnergyLimit(stage, limits.energy)
         self.rig_peak_force = 0.0  # N
+        self.start_distance = 0.0  # m, of the rig's tip from the first position, before the start
         self.touches: list[Touch] = []
         self.notes: list[str] = []
         self.estimate = LawEstimate(law)
@@ -140,11 +143,19 @@ class Loop:
         """From a position to the effect of its wrench, s: latency, servo, cell, half a step."""
         return self.latency + self.servo_lag + max(self.estimate.lag, 0.0) + 0.5 * self.stage.step
 
+    @property
+    def known_lag(self) -> float | None:
+        """The lag as a measurement, s; None beyond the limit of the latency: no answer is so old.
+
+        It is so long e.g. if the rig's tip does not follow the positions.
+        """
+        return self.lag if self.lag <= self._limits.latency else None
+
     # steps
 
     def begin(self) -> None:
         """Take the cell's bias and noise at rest; SafeStopError if it is loaded."""
-        self.answers.tare(0.1 * self._limits.force)
+        self.answers.tare()
         noise = THRESHOLD_DEVIATIONS * self.answers.noise
         self._threshold = self._threshold or max(noise, MIN_THRESHOLD)
 
@@ -154,10 +165,23 @@ class Loop:
         return self._threshold
 
     def receive(self, stamp: float, wrench: Wrench, tip: TipState | None = None) -> None:
-        """Take in an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit."""
+        """Take in an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit.
+
+        Before the first step, only answers of a tip at the first position count as at rest.
+        """
+        if self.stage.t == 0.0 and abs(stamp) < 1e-9 and not self._is_in_place(tip):
+            self.answers.forget_rest()
+            self.answers.reject("tip not at the first position")
+            return
         answer = self.answers.offer(stamp, self.stage.t, wrench, tip)
         if answer is not None:
             self._record(answer)
+
+    def _is_in_place(self, tip: TipState | None) -> bool:
+        """Return whether the rig's tip, where it was last measured, is at the first position."""
+        if tip is not None:
+            self.start_distance = math.hypot(tip.x - self.pose.x, tip.y - self.pose.y)
+        return self.start_distance <= MAX_START_DISTANCE
 
     def advance(self) -> TipState:
         """Go one step; return the position to send.  SafeStopError at a limit."""
@@ -329,7 +353,9 @@ class Loop:
         uncertain = found.restitution_deviation > TOLERANCE * found.restitution
         error = touch.restitution / max(found.restitution, 1e-3) - 1.0
         touch.is_held = None if uncertain else abs(error) <= TOLERANCE
-        if not touch.is_held:
+        if math.isnan(touch.restitution):
+            touch.is_held = None  # that the law was not in contact has been noted
+        elif not touch.is_held:
             self._note(
                 f"restitution {touch.restitution:.3g}, measured on the rig "
                 f"{found.restitution:.3g} +- {found.restitution_deviation:.2g}: not held within "

@@ -88,10 +88,14 @@ class Rig:
     def answer(self, pose: TipState) -> list[Answer]:
         """Take a position; return the answers that come until the next one is sent.
 
-        The first position, repeated, is answered at once: nothing moves.
+        The first position of a loop, at 0 s and repeated, is answered at once: nothing moves.
+        Between two loops the tip was driven back to it.
         """
-        if self._tip is None:
+        if self._tip is None or pose.t <= 0.0:
             self._tip, self._target = pose, np.array(pose[1:4])
+            self._filtered = NO_WRENCH
+            for pending in (self._commands, self._contacts, self._on_the_way):
+                pending.clear()
         if self._tip.t >= pose.t:
             return [self._measured(pose)]
         self._commands.append(pose)

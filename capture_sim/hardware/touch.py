@@ -28,7 +28,12 @@ class Touch:
 
     @property
     def restitution(self) -> float:
-        """Speed after over speed before: of the law that acted, else from the energy."""
+        """Speed after over speed before: of the law that acted, else from the energy.
+
+        NaN if only the rig was in contact, or only the law.
+        """
+        if not (self.peak_force and self.rig_peak_force):
+            return math.nan
         if math.isnan(self.law_restitution):
             return math.sqrt(max(1.0 + self.work / self.energy, 0.0))
         return self.law_restitution

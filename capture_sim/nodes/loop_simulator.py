@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.errors import CaptureSimError, MessageError
+from capture_sim.errors import CaptureSimError, MessageError, RecordingError
+from capture_sim.files import why_no_file
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.limits import Limits
-from capture_sim.hardware.loop import METHODS, N_AT_REST, Loop
+from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
     LOOP_SIMULATOR,
     RIG_TIP,
@@ -28,9 +29,11 @@ from capture_sim.hardware.messages import (
     wrench_of,
 )
 from capture_sim.hardware.stage import LoopStage, SafeStopError
+from capture_sim.hardware.touch import Touch
 from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import FAILED, OK
 
@@ -85,6 +88,7 @@ class LoopSimulatorNode(BenchNode):
                 "angular speed of the commanded position, rad/s",
                 high=1e3,
             ),
+            number("bias_limit", Limits().bias, "bias of the load cell at rest, N", high=1e9),
         )
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
@@ -114,7 +118,12 @@ class LoopSimulatorNode(BenchNode):
         self._start_timeout = self.declare(
             "start_timeout", 60.0, "wait for the answers at rest, s (wall)", low=0.1, high=86400.0
         )
-        self._report = self.declare("report", "", "JSON file of the measured values; empty: none")
+        report = self.declare("report", "", "JSON file of the measured values; empty: none")
+        self._report = Path(report) if report else None
+        if self._report is not None and (reason := why_no_file(self._report)):
+            raise ParameterError(
+                f"parameter report = '{report}': must be a file that can be written: {reason}"
+            )
         scene = load_scene(name, overrides)
         self._stage = LoopStage(scene, 1.0 / rate, max(1, round(1.0 / rate / SUBSTEP)))
         law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset)
@@ -172,6 +181,13 @@ class LoopSimulatorNode(BenchNode):
         deadline = time.monotonic() + self._start_timeout
         while self._loop.answers.n_at_rest < N_AT_REST:
             if time.monotonic() > deadline:
+                away = self._loop.start_distance
+                if away > MAX_START_DISTANCE:
+                    raise CaptureSimError(
+                        f"distance of loop/rig_tip from the first position = {away * 1e3:.3g} mm "
+                        f"after {self._start_timeout:g} s (start_timeout): must be <= "
+                        f"{MAX_START_DISTANCE * 1e3:g}"
+                    )
                 n, rejected = self._loop.answers.n_at_rest, dict(self._loop.answers.rejections)
                 raise CaptureSimError(
                     f"answers at rest = {n} within {self._start_timeout:g} s: must be >= "
@@ -182,6 +198,7 @@ class LoopSimulatorNode(BenchNode):
                 raise KeyboardInterrupt
             self._take_answers()
         self._loop.begin()
+        self._rig_tips.clear()
         bias = ", ".join(f"{value:.3g}" for value in self._loop.answers.bias[:3])
         self.get_logger().info(
             f"the loop is closed; load cell at rest: bias {bias} N, noise "
@@ -219,8 +236,9 @@ class LoopSimulatorNode(BenchNode):
         self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
-        """Log what was measured, and write it where that is asked for."""
+        """Log what was measured and write the report; RecordingError if that fails."""
         loop, ages = self._loop, sorted(self._ages) or [0.0]
+        servo_lag = None if loop.known_lag is None else loop.servo_lag
         rejections = dict(loop.answers.rejections)
         report: dict[str, Any] = {
             "stopped": stopped,
@@ -232,7 +250,7 @@ class LoopSimulatorNode(BenchNode):
             "rejections": rejections,
             "ages": self._ages,
             "round_trips": self._round_trips,
-            "lag": {"servo": loop.servo_lag, "force": loop.estimate.lag, "whole": loop.lag},
+            "lag": {"servo": servo_lag, "force": loop.estimate.lag, "whole": loop.known_lag},
             "load_cell": {
                 "bias": loop.answers.bias,
                 "noise": loop.answers.noise,
@@ -243,24 +261,40 @@ class LoopSimulatorNode(BenchNode):
             "rig_peak_force": loop.rig_peak_force,
             "vehicle_peak_force": max((touch.peak_force for touch in loop.touches), default=0.0),
             "law": loop.estimate.law._asdict(),
-            "touches": [
-                {**asdict(touch), "restitution": touch.restitution} for touch in loop.touches
-            ],
+            "touches": [_entry(touch) for touch in loop.touches],
         }
-        if self._report:
-            text = json.dumps(report, default=np.ndarray.tolist)
-            Path(self._report).write_text(text, encoding="utf-8")
+        whole = f"{loop.lag * 1e3:.1f} ms"
+        if loop.known_lag is None:
+            whole = f"not known: {whole} is above timeout"
         self.get_logger().info(
             f"{report['steps']} steps, latency {ages[len(ages) // 2] * 1e3:.1f} ms (median), "
-            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {loop.lag * 1e3:.1f} ms; peak "
+            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {whole}; peak "
             f"force on the rig {loop.rig_peak_force:.4g} N, energy added to the vehicles "
             f"{loop.energy.excess:.3g} J"
         )
         if rejections:
             self.get_logger().warning(f"wrenches rejected: {rejections}")
         if loop.touches:
-            first = loop.touches[0]
-            self.get_logger().info(f"first touch: restitution {first.restitution:.4f}")
+            value = loop.touches[0].restitution
+            shown = "not known" if math.isnan(value) else f"{value:.4f}"
+            self.get_logger().info(f"first touch: restitution {shown}")
+        if self._report is not None:
+            try:
+                text = json.dumps(report, default=np.ndarray.tolist)
+                self._report.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise RecordingError(
+                    f"report {self._report}: cannot be written: {error.strerror}"
+                ) from None
+
+
+def _entry(touch: Touch) -> dict[str, Any]:
+    """Return a touch as the report has it; null for what is not known."""
+    entry = {**asdict(touch), "restitution": touch.restitution}
+    for name in ("restitution", "law_restitution"):
+        if math.isnan(entry[name]):
+            entry[name] = None
+    return entry
 
 
 main = partial(run, LoopSimulatorNode)

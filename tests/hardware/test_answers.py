@@ -19,7 +19,7 @@ def at_rest(limits=Limits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - a tuple
     answers = Answers(limits)
     for wrench in rest:
         answers.offer(0.0, 0.0, wrench, None)
-    answers.tare(0.1 * limits.force)
+    answers.tare()
     return answers
 
 
@@ -36,8 +36,8 @@ def test_bias_and_noise_are_taken_at_rest():
 
 
 def test_a_cell_that_is_loaded_at_rest_stops_the_loop():
-    with pytest.raises(SafeStopError, match=r"force at rest = 40 N: must be <= 30"):
-        at_rest(rest=[Wrench(0.0, 40.0)] * 100)
+    with pytest.raises(SafeStopError, match=r"force at rest = 18.4 N: must be <= 10 .bias_limit"):
+        at_rest(rest=[Wrench(0.0, -18.4)] * 100)
 
 
 def test_what_cannot_be_used_is_counted_by_its_reason():

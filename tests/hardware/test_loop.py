@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 from plate import (
@@ -289,3 +290,55 @@ def test_energy_given_in_one_touch_is_not_given_again_in_the_next():
 def test_default_limits_stop_nothing_on_a_soft_plate():
     loop = Loop(LoopStage(SCENE, 1e-3, 40), "model", WallLaw(1000.0), Limits(), MASS)
     assert run_in_process(loop, Rig(SCENE, WallLaw(2000.0)), 1.0) == ""
+
+
+def test_a_restitution_that_one_side_alone_has_is_not_known():
+    """The wall is 5 mm farther on the rig than in the scene: only the law is in contact."""
+    law = plate_law(MASS, 0.1)
+    far = Rig(SCENE, law._replace(offset=-5e-3), *IDEAL)
+    loop, _ = close(SCENE, far, "model", law, t_end=0.5)
+    assert loop.touches[0].peak_force > 1.0
+    assert loop.touches[0].rig_peak_force == 0.0
+    assert math.isnan(loop.touches[0].restitution)
+
+
+@pytest.mark.parametrize("t_end", [0.0, 0.28])
+def test_a_rig_that_a_loop_left_in_the_wall_serves_the_next_one(t_end):
+    """Without an earlier loop, and with one that was in contact, the next loop is the same."""
+    law = plate_law(MASS, 0.1)
+    rig = Rig(SCENE, law, FAST, Cell(noise=0.0), Transport(jitter=0.0, drops=0.0, doubles=0.0))
+    left, _ = close(SCENE, rig, t_end=t_end)
+    assert (left.rig_peak_force > 1.0) == (t_end > 0.0)
+    loop, why = close(SCENE, rig, t_end=0.5)
+    assert not why
+    assert loop.answers.bias.fx == pytest.approx(0.5, abs=0.01)
+    assert loop.known_lag == pytest.approx(FAST.lag + 0.0015, abs=1e-3)
+    (touch,) = loop.touches
+    fresh, _ = close(SCENE, replace(rig), t_end=0.5)
+    assert touch.restitution == pytest.approx(fresh.touches[0].restitution, rel=1e-3)
+
+
+def test_answers_count_as_at_rest_only_at_the_first_position():
+    loop = Loop(LoopStage(SCENE, 1e-3, 40))
+    away = loop.pose._replace(x=loop.pose.x + 2e-3)
+    loop.receive(0.0, Wrench(0.5), loop.pose)
+    loop.receive(0.0, Wrench(-18.0), away)
+    loop.receive(0.0, Wrench(-18.0))  # without a tip: where it was measured last
+    assert loop.answers.n_at_rest == 0  # what came before the tip moved does not count either
+    loop.receive(3.0, Wrench(-18.0), loop.pose)  # to a position of an earlier loop
+    assert loop.answers.n_at_rest == 0
+    assert loop.start_distance == pytest.approx(2e-3)
+    loop.receive(0.0, Wrench(0.5), loop.pose)
+    assert loop.answers.n_at_rest == 1
+
+
+def test_a_tip_that_does_not_follow_gives_no_lag():
+    class Stuck:
+        def answer(self, pose):
+            return [Answer(pose.t, Wrench(), first)]
+
+    loop = Loop(LoopStage(SCENE, 1e-3, 40))
+    first = loop.pose
+    assert not run_in_process(loop, Stuck(), 0.15)
+    assert loop.lag > Limits().latency
+    assert loop.known_lag is None

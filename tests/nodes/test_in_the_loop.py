@@ -15,7 +15,13 @@ from capture_sim import load_scene
 from capture_sim.hardware.law import WallLaw, Wrench
 from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import N_AT_REST, Loop
-from capture_sim.hardware.messages import TIP, TIP_WRENCH, wrench_message
+from capture_sim.hardware.messages import (
+    RIG_TIP,
+    TIP,
+    TIP_WRENCH,
+    tip_message,
+    wrench_message,
+)
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.convert import Messages
 from capture_sim.nodes.node import message_class
@@ -146,3 +152,56 @@ def test_why_a_wrench_cannot_be_used_is_reported(start):
         assert loop.status() == 1
         assert "answers at rest = 0 within 3 s: must be >= 100; rejected:" in loop.text
         assert "stamped by a wall clock" in loop.text
+
+
+def test_runs_after_each_other_on_one_rig(start, tmp_path):
+    """The first ends in contact, the second finds the law, the third begins with it."""
+    start("contact_rig", damping=3.0)
+    report = tmp_path / "report.json"
+    wall = {"mass": 11.17, "exponent": 1.0, "compensation": "model", "rtf": 0.2, "report": report}
+    first = start("loop_simulator", overrides="[run.t_end=0.1]", **wall, stiffness=1e3, **PATIENT)
+    assert first.status() == 0, first.text
+    second = start("loop_simulator", **wall, stiffness=1e3, **PATIENT)
+    assert second.status() == 0, second.text
+    found = json.loads(report.read_text())
+    assert found["load_cell"]["bias"][:3] == pytest.approx([0.5] * 3, abs=0.05)
+    assert found["touches"][0]["is_held"] is False
+    law = {"stiffness": found["law"]["stiffness"], "damping": found["law"]["damping"]}
+    third = start("loop_simulator", **wall, **law, wall_offset=found["law"]["offset"], **PATIENT)
+    assert third.status() == 0, third.text
+    found = json.loads(report.read_text())
+    assert found["touches"][0]["is_held"] is True
+
+
+def test_a_report_that_cannot_be_written_at_the_end_loses_no_summary(start, tmp_path):
+    folder = tmp_path / "of_the_report"
+    folder.mkdir()
+    start("contact_rig", ideal="true")
+    limits = {**WIDE, "overrides": "[run.t_end=0.2]", "report": folder / "report.json"}
+    loop = start("loop_simulator", **limits)
+    loop.wait_for("the loop is closed")
+    folder.rmdir()
+    assert loop.status() == 1
+    assert "200 steps, latency" in loop.text
+    assert "report.json: cannot be written: No such file or directory" in loop.text
+    assert "Traceback" not in loop.text
+
+
+def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, plate):
+    """A rig that answers with the tip where an earlier loop has left it."""
+    with Client() as client:
+        make = Messages()
+        left = LoopStage(plate).tip
+        left = left._replace(x=left.x + 0.02)
+        loop = start("loop_simulator", start_timeout=3.0)
+        tips, wrenches = (
+            client.node.create_publisher(message_class(topic.type_name), topic.name, 10)
+            for topic in (RIG_TIP, TIP_WRENCH)
+        )
+        while loop.process.poll() is None:
+            tips.publish(tip_message(make, 0.0, left))
+            wrenches.publish(wrench_message(make, 0.0, Wrench(-18.4)))
+            time.sleep(0.02)
+        assert loop.status() == 1
+        assert "distance of loop/rig_tip from the first position = 20 mm after 3 s" in loop.text
+        assert "Traceback" not in loop.text

@@ -105,6 +105,12 @@ AT_THE_START = {
         {"compensation": "magic"},
         ["compensation = 'magic'", "none, prediction, model"],
     ),
+    "no folder of the report": (
+        "loop_simulator",
+        {"report": "/no/such/r.json"},
+        ["parameter report = '/no/such/r.json'", "/no/such is not a folder"],
+    ),
+    "report is a folder": ("loop_simulator", {"report": "/"}, ["report = '/'", "it is a folder"]),
     "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output"]),
     "no such state": ("simulator", {"initial_state": "gone"}, ["'gone'", "stopped, playing"]),
     "in a file": ("simulator", {"--params-file": "{file}"}, ["consumer_timeout = 5000.0"]),
