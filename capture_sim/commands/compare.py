@@ -22,6 +22,8 @@ DESCRIPTION = (
     "torsion and closest approach cover the whole recording, including the latched phase."
 )
 IDENTICAL = "identical"
+#: Beyond this share of A, a difference is not written in percent.
+_LARGEST_SHARE = 10.0
 #: Number of touches in the printed list.
 SHOWN = 12
 EXAMPLE = "  capture-sim compare runs/tilt_0.mcap measured.mcap --out compared"
@@ -137,13 +139,13 @@ def _print_characteristics(a: Comparable, b: Comparable) -> None:
     for name in [*mine, *(name for name in theirs if name not in mine)]:
         here, there = mine.get(name), theirs.get(name)
         digits = 0 if name == "touches" else 4
-        cells = ["-" if x is None else f"{x.value:.{digits}f}" for x in (here, there)]
+        cells = ["-" if x is None else f"{x.value:z.{digits}f}" for x in (here, there)]
         gap = share = "-"
         if here is not None and there is not None:
             off = there.value - here.value
             gap = IDENTICAL if not off else _difference(off) if digits else f"{off:+.0f}"
-            if off and here.value:
-                share = f"{off / here.value:+z.2%}"
+            if off:
+                share = _percent(here.value, there.value, 10.0**-digits, 2)
         source = _source(*("" if x is None else x.source for x in (here, there)))
         rows.append([name, *cells, gap, share, source])
     print_table(["", "A", "B", "B - A", "%", "source"], rows)
@@ -161,7 +163,7 @@ def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
         return
     echo(
         f"\ntouches within {window:g} s, paired in order, from "
-        f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall):"
+        f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall; blank: not known):"
     )
     rows = []
     for i, pair in enumerate(zip_longest(*map(_touch_rows, tables))):
@@ -173,9 +175,9 @@ def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
                 *(_number(x, 3) for x in (start, other[1])),
                 _number(other[1] - start, 3, "+"),
                 *(_number(x, 2) for x in (peak, other[2])),
-                _percent(peak, other[2]),
+                _percent(peak, other[2], 0.01),
                 *(_number(x, 3) for x in (lasted, other[3], impulse, other[4])),
-                _percent(impulse, other[4]),
+                _percent(impulse, other[4], 0.001),
             ]
         )
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
@@ -211,9 +213,15 @@ def _difference(value: float, sign: str = "+") -> str:
     return f"{value:{sign}.4f}" if abs(value) >= 5e-5 else f"{value:{sign}.0e}"
 
 
-def _percent(mine: float, theirs: float) -> str:
-    share = (theirs - mine) / mine if mine else math.nan
-    return f"{share:+.1%}" if math.isfinite(share) else "-"
+def _percent(mine: float, theirs: float, shown: float, digits: int = 1) -> str:
+    """Return the difference in percent of ``mine``; ``-`` where that says nothing.
+
+    That is where ``mine`` is zero as ``shown`` (its last digit), or is a tenth of the difference.
+    """
+    if not abs(mine) >= 0.5 * shown:  # NaN too
+        return "-"
+    share = (theirs - mine) / abs(mine)
+    return f"{share:+z.{digits}%}" if abs(share) <= _LARGEST_SHARE else "-"
 
 
 def _source(mine: str, theirs: str) -> str:

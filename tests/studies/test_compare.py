@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -9,6 +11,7 @@ from recorded_bags import BENCH_TOPICS, rewritten
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.commands import compare
 from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
 from capture_sim.recording.measured import first_contact
 from capture_sim.recording.offline import write_run
@@ -120,6 +123,21 @@ def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "load_cell/wrench, 1000 Hz" in said
     assert "nan" not in said
+
+
+@pytest.mark.parametrize(
+    "a, b, said",
+    [
+        (2.0, 3.0, "+50.00%"),
+        (-4e-16, 8.0, "-"),  # a stroke of rounding errors
+        (4e-5, 4.4e-5, "-"),  # 0.0000 in the table
+        (0.0008, 1.7150, "-"),  # 2000 times as much
+        (1.0, 1.0 - 1e-9, "+0.00%"),
+        (math.nan, 1.0, "-"),
+    ],
+)
+def test_percentages_are_written_where_they_say_something(a, b, said):
+    assert compare._percent(a, b, 1e-4, 2) == said
 
 
 def test_gaps_of_known_series():
