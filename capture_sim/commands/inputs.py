@@ -257,7 +257,9 @@ def load(source: str, overrides: Sequence[str] = ()) -> Scene:
         return load_scene(source, overrides)
     from capture_sim.recording.read import read_run
 
-    return load_scene_text(read_run(source).scene_text, overrides)
+    run = read_run(source)
+    _refuse_several_runs(run)
+    return load_scene_text(run.scene_text, overrides)
 
 
 def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
@@ -307,13 +309,42 @@ def open_run(
     from capture_sim.recording.read import read_run, remap_of
 
     run = read_run(path, remaps=dict(map(remap_of, remaps)), release=release)
-    if len(run.run_ids) > 1 and not several:
-        raise RecordingError(
-            f"{path}: contains {len(run.run_ids)} runs, whose times overlap: must be one run"
-        )
+    if not several:
+        _refuse_several_runs(run)
     for problem in (*run.left_out, *run.problems):
         warn(f"{path}: {problem}")
     return run
+
+
+def _refuse_several_runs(run: Run) -> None:
+    """Raise RecordingError, with the files to choose from, if a recording contains several runs."""
+    if len(run.run_ids) < 2:
+        return
+    files = _recordings_in(run.path)
+    choice = "must be one run" + (
+        f", one of {', '.join(map(str, files))}" if len(files) > 1 else ""
+    )
+    raise RecordingError(f"{run.path}: contains {len(run.run_ids)} runs: {choice}")
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """Return the files of a folder that is no bag but holds recordings; empty for any other."""
+    from capture_sim.recording.bag_file import FILE_NAME
+    from capture_sim.recording.contents import bag_files
+
+    if not folder.is_dir() or (folder / FILE_NAME).is_file():
+        return []
+    return bag_files(folder)
+
+
+def _one_run_each(source: str) -> list[str]:
+    """Return the files of a folder of several recorded runs; any other source as it is."""
+    from capture_sim.recording.read import read_run
+
+    files = _recordings_in(Path(source)) if is_recording(source) else []
+    if len(files) > 1 and len(read_run(source).run_ids) > 1:
+        return list(map(str, files))
+    return [source]
 
 
 def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
@@ -355,6 +386,7 @@ def open_runs(
     """
     if scene is not None:
         load_scene(scene)  # also where every recording contains its own
+    sources = [file for source in sources for file in _one_run_each(source)]
     opened = [
         _open_recording(source, scene, release, remaps)
         if is_recording(source)

@@ -53,6 +53,8 @@ def run(options: argparse.Namespace) -> int:
         raise RecordingError(f"--window = {window[0]:g} {window[1]:g} s: must be FROM < TO")
     prepare_folder(options.out)
     if options.save is not None:
+        if options.save.suffix != ".rrd":
+            raise RecordingError(f"--save {options.save}: must end in .rrd")
         prepare_folder(options.save.parent)
     opened = open_runs(options.runs, options.scene, options.release, options.remaps)
     if window is not None:

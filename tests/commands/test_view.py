@@ -102,6 +102,31 @@ def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys)
     assert "tilt_p10" in capsys.readouterr().out
 
 
+def test_folder_of_two_trials_is_drawn_and_taken_for_one_by_nothing(recorded, tmp_path, capsys):
+    pytest.importorskip("rerun", reason="needs rerun")
+    trials = tmp_path / "trials"
+    trials.mkdir()
+    for file in recorded:
+        shutil.copy(file, trials)
+    out = tmp_path / "out"
+    assert main(["view", str(trials), "--out", str(out)]) == 0
+    assert {file.stem for file in out.glob("*.png")} == {"tilt_0", "tilt_p10", "overview"}
+    capsys.readouterr()
+    for command in (["detect"], ["show"], ["run", "--no-record", "--out", str(out)]):
+        assert main([*command, str(trials)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        for name in ("tilt_0.mcap", "tilt_p10.mcap"):
+            assert str(trials / name) in error
+
+
+def test_file_for_rerun_must_be_named_so(recorded, tmp_path, capsys):
+    path = tmp_path / "x.txt"
+    assert main(["view", str(recorded[0]), "--save", str(path), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"capture-sim: --save {path}: must end in .rrd\n"
+    assert not any(tmp_path.iterdir())
+
+
 def test_known_scene_comes_before_a_folder_of_its_name(recorded, tmp_path, monkeypatch):
     bag_of(recorded[1], tmp_path / "tilt_0")
     (tmp_path / "empty").mkdir()
