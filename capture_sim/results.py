@@ -165,8 +165,7 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
             loads[f"{load.key}{period}_time"] = t if value or load.least else None
     del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
     loads["touches"] = int(touches.size)
-    impulse = float(first_cluster(touches)["impulse"].sum())
-    loads["first_contact_impulse"] = impulse if math.isfinite(impulse) else None
+    loads["first_contact_impulse"] = _if_measured(first_cluster(touches)["impulse"].sum())
     return loads
 
 
@@ -198,7 +197,8 @@ def sampled_extremes(
             ("tip_distance", part["t"], -part["tip_distance"]),
         ]
         for column, (wall, side) in enumerate((("plus_y", 1), ("minus_y", -1))):
-            of_wall = own[own["wall"] == side]
+            # a measured touch that does not tell its wall (0) may be of either
+            of_wall = own[(own["wall"] == side) | (own["wall"] == 0)]
             times = np.concatenate([part["t"], of_wall["peak_time"]])
             force = np.concatenate([part["normal_force"][:, column], of_wall["peak_force"]])
             series.append((f"normal_force_{wall}", times, force))
@@ -292,8 +292,8 @@ def summarize(
         "first_contact_time": float(first["start"].min()) if met else None,
         "first_contact_duration": float(first["end"].max() - first["start"].min()) if met else None,
         "first_contact_touches": int(first.size),
-        "first_contact_peak_force": float(first["peak_force"].max()) if met else None,
-        "normal_impulse": float(touches["impulse"].sum()),
+        "first_contact_peak_force": _if_measured(first["peak_force"].max()) if met else None,
+        "normal_impulse": _if_measured(touches["impulse"].sum()),
         **loads_of(extremes, touches),
         "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
         "energy_residual": _largest(samples["energy_residual"]),
@@ -308,10 +308,14 @@ def _sample_rate(samples: np.ndarray) -> float:
     return 1.0 / interval if interval > 0.0 else 0.0
 
 
+def _if_measured(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
 def _largest(values: np.ndarray) -> float | None:
     """Return the largest magnitude; None if it was not measured."""
     largest = float(np.abs(values).max(initial=0.0))
-    return largest if math.isfinite(largest) else None
+    return _if_measured(largest)
 
 
 class _Column(NamedTuple):

@@ -67,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
             label = status.label
     verdict = statuses[-1]
     since = _since(verdict, released)
-    nearest = f"closest approach {verdict.nearest_distance * 1e3:.3f} mm"
+    # the detector sees samples; the run itself may have come nearer between them
+    nearest = f"closest approach in the samples {verdict.nearest_distance * 1e3:.3f} mm"
     if not math.isfinite(verdict.nearest_distance):
         nearest = "no position of the tip"
     echo(

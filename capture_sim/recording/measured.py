@@ -108,7 +108,7 @@ def touches_of(run: Run, scene: Scene | None = None) -> tuple[Touches | None, st
             t = run.times(topic)
             touches = in_messages(t, *(columns[n] for n in ("touches", "peak_force", "in_touch")))
         else:
-            t, force = forces_in(run, topic)
+            t, force = forces_on_tip(run, topic)
             if scene is None:
                 touches = in_force(t, force)
             else:
@@ -146,6 +146,12 @@ def forces_in(run: Run, topic: Topic) -> Series:
         return Series(np.zeros(0), np.zeros((0, 2)))
     force = np.stack([columns["wrench.force.x"], columns["wrench.force.y"]], axis=1)
     return run.clock.series(columns, force)
+
+
+def forces_on_tip(run: Run, topic: Topic) -> Series:
+    """Return the force on the tip, (n, 2), N; the load cell reads the opposite."""
+    t, force = forces_in(run, topic)
+    return Series(t, -force if topic is topics.LOAD_CELL else force)
 
 
 def buffers_in(run: Run) -> dict[Topic, Columns]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -25,15 +26,17 @@ from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.recording.detect import detect_again
 from capture_sim.recording.measured import (
     buffers_in,
-    forces_in,
+    forces_on_tip,
     measured_sources,
     poses_of,
     rates_of,
+    touches_of,
 )
 from capture_sim.recording.read import Run
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
 from capture_sim.studies.measurements import Series
+from capture_sim.studies.touches import Touches
 
 _tip_motion, _nearest_on_wall = plain(tip_motion), plain(nearest_on_wall)
 
@@ -59,6 +62,7 @@ class AlignedMeasurements:
     # (n,): bits of the walls in touch, as in ContactState; else by the gaps
     walls: np.ndarray | None = None
     begun: np.ndarray | None = None  # (n,): touches begun since the instant before
+    touches: Touches | None = None  # in the force, if it shows all; else by walls and begun
     peak_force: np.ndarray | None = None  # (n, 1): N, largest since the instant before
     # (n, 4): phase as in StringState, tension N, mass height m, mass speed m/s
     string: np.ndarray | None = None
@@ -106,7 +110,10 @@ def samples_of(scene: Scene, measured: AlignedMeasurements) -> np.ndarray:
     gaps = np.array(distances) - scene.probe.tip_radius
     samples["penetration"] = -gaps
     in_reach = (gaps < scene.detector.max_contact_gap) @ np.array([1, 2])
-    samples["walls"] = in_reach if measured.walls is None else measured.walls
+    if measured.touches is not None:
+        samples["walls"] = _walls_during(measured.touches, measured.t)
+    else:
+        samples["walls"] = in_reach if measured.walls is None else measured.walls
     _fill_forces(samples, measured, gaps)
     if measured.string is not None:
         for i, name in enumerate(("string_tension", "mass_height", "mass_speed"), start=1):
@@ -125,12 +132,15 @@ def measured_run(
     The scene gives the geometry of buffer and cone.
     """
     samples = samples_of(scene, measured)
-    touches = _touches(samples, measured)
+    if measured.touches is None:
+        touches = _touches(samples, measured)
+    else:
+        touches = _touches_in_force(measured.touches)
     events = []
     for touch in touches:
         before = touch["start"] - 0.5 * measured.rate_window
         first, free = np.searchsorted(samples["t"], [touch["start"], before])
-        q, v = samples["q"][first], samples["v"][max(free - 1, 0)]
+        q, v = samples["q"][min(first, len(samples) - 1)], samples["v"][max(free - 1, 0)]
         wall, detail = int(touch["wall"]), "found in the measurements"
         events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, detail))
     return MeasuredRun(_placed(scene, name, samples), samples, touches, events, statuses)
@@ -147,6 +157,10 @@ def _fill_forces(samples: np.ndarray, measured: AlignedMeasurements, gaps: np.nd
         # one sensor for both walls: its force counts for the nearer one
         force = np.linalg.norm(measured.tip_force, axis=1)
         nearer = np.argmin(gaps, axis=1)
+        if measured.touches is not None:
+            # between the touches the sensor reads its bias and noise
+            force = np.where(samples["walls"] != 0, force, 0.0)
+            nearer = (samples["walls"] == 2).astype(int)  # of one that is not known, the first
         samples["normal_force"] = 0.0
         samples["normal_force"][np.arange(len(samples)), nearer] = force
 
@@ -160,8 +174,29 @@ def _phases(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
     return phase
 
 
+def _walls_during(touches: Touches, t: np.ndarray) -> np.ndarray:
+    """Return the walls in touch at times (n,), as bits; both where a touch does not tell which."""
+    walls = np.zeros(len(t), dtype=int)
+    for start, lasted, wall in zip(touches.start, touches.lasted, touches.wall, strict=True):
+        walls[(t >= start) & (t <= start + lasted)] = {1: 1, -1: 2}.get(int(wall), 3)
+    return walls
+
+
+def _touches_in_force(found: Touches) -> np.ndarray:
+    """Return the touches found in a force, (m,) of dtype TOUCH; a wall that is not known is 0."""
+    touches = np.zeros(len(found.start), dtype=TOUCH)
+    touches["start"], touches["end"] = found.start, found.start + found.lasted
+    touches["peak_force"], touches["peak_time"] = found.peak, found.peak_time
+    touches["impulse"], touches["wall"] = found.impulse, found.wall
+    touches["approach_speed"] = touches["dissipated"] = np.nan
+    return touches
+
+
 def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
-    """Return the intervals of samples in touch, (m,) of dtype TOUCH."""
+    """Return the intervals of samples in touch, (m,) of dtype TOUCH.
+
+    Without a measured force their peaks and impulses are NaN.
+    """
     near = (samples["walls"] != 0).astype(np.int8)
     if measured.begun is not None:
         # touches that were over before the next instant
@@ -169,6 +204,7 @@ def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
         near[:-1] |= measured.begun[1:] > 0
     ends = np.flatnonzero(np.diff(np.concatenate([[0], near, [0]])))
     t = samples["t"]
+    has_force = measured.peak_force is not None or np.isfinite(samples["normal_force"]).any()
     force = np.nan_to_num(samples["normal_force"].sum(axis=1))
     if measured.peak_force is not None:
         force = np.maximum(force, np.nan_to_num(measured.peak_force[:, 0]))
@@ -183,6 +219,8 @@ def _touches(samples: np.ndarray, measured: AlignedMeasurements) -> np.ndarray:
         touch["peak_force"], touch["peak_time"] = force[peak], t[peak]
         touch["impulse"] = trapezoid(force[first : last + 1], t[first : last + 1])
         touch["approach_speed"] = touch["dissipated"] = np.nan
+        if not has_force:
+            touch["peak_force"] = touch["impulse"] = np.nan
     return touches
 
 
@@ -259,9 +297,21 @@ def _aligned(run: Run) -> AlignedMeasurements:
         before = np.searchsorted(source.t, t, side="right") - 1
         return np.asarray(source.values[np.maximum(before, 0), 0].astype(int))
 
-    optional: dict[str, np.ndarray] = {}
+    stroke_and_torsion = interpolated(series(topic, buffer["stroke"], buffer["torsion"]))
+    target_poses = interpolated(target)
+    optional: dict[str, Any] = {}
     if run.columns(topics.CONTACT_WRENCH):
-        optional["tip_force"] = interpolated(forces_in(run, topics.CONTACT_WRENCH))
+        optional["tip_force"] = interpolated(forces_on_tip(run, topics.CONTACT_WRENCH))
+    elif run.columns(topics.LOAD_CELL):
+        # from the target's axes to the tip's
+        attitude = chaser.values[:, 2] + stroke_and_torsion[:, 1] - target_poses[:, 2]
+        c, s = np.cos(attitude), np.sin(attitude)
+        x, y = interpolated(forces_on_tip(run, topics.LOAD_CELL)).T
+        optional["tip_force"] = np.stack([c * x + s * y, c * y - s * x], axis=-1)
+    if not run.columns(topics.CONTACT_STATE):
+        touches, _ = touches_of(run)
+        if touches is not None and touches.all_found:
+            optional["touches"] = touches
     if contact := run.columns(topics.CONTACT_STATE):
         for name in ("normal_force", "peak_force"):
             optional[name] = interpolated(series(topics.CONTACT_STATE, contact[name]))
@@ -276,9 +326,9 @@ def _aligned(run: Run) -> AlignedMeasurements:
         t=t,
         chaser=chaser.values,
         chaser_rate=interpolated(chaser_rate),
-        target=interpolated(target),
+        target=target_poses,
         target_rate=interpolated(target_rate),
-        buffer=interpolated(series(topic, buffer["stroke"], buffer["torsion"])),
+        buffer=stroke_and_torsion,
         buffer_rate=interpolated(series(topic, buffer["stroke_rate"], buffer["torsion_rate"])),
         rate_window=0.0 if has_twist else RATE_WINDOW,
         **optional,

@@ -24,6 +24,8 @@ _QUIET = 50
 _FALSE_ALARM = 1e-3
 #: Where a sensor has no noise at all, this part of the largest force is none.
 _NOTHING = 1e-3
+#: Part of a touch's force that must be across the tip's axis to tell the wall.
+_ACROSS = 0.1
 #: Sample times are decimal fractions: a window may end a rounding short of one, s.
 TICK = 1e-9
 _COLUMNS = ("start", "peak", "lasted", "peak_time", "impulse", "wall")
@@ -43,6 +45,7 @@ class Touches:
     peak_noise: float = 0.0  # standard deviation, N
     threshold: float = 0.0  # N; touches whose peak is below it were not seen
     spacing: float = 0.0  # s between the samples they were found in; 0 where none can be missed
+    all_found: bool = True  # False if the force shows further ones, too short for its samples
 
     def of(self, kept: np.ndarray | slice) -> Touches:
         """Return some of the touches."""
@@ -156,17 +159,21 @@ def in_force(
     net = force - quiet.bias
     size = np.hypot(*net.T)
     values = size if attitude is None or cone is None else normal_force(net, attitude, cone)
-    rows, spacing = [], [0.0]
+    rows, spacing, all_found = [], [0.0], True
     for part in above(size, quiet.threshold):
         first, end = part.start, part.stop
         if end - first < RESOLVED or first == 0:
+            all_found = False
             break
         top = first + int(np.argmax(values[part]))
         impulse = float(0.5 * (values[part][1:] + values[part][:-1]) @ np.diff(t[part]))
         start = 0.5 * (t[first - 1] + t[first])
         spacing.append(t[first] - t[first - 1])
         lasted = t[end - 1] - t[first]
-        rows.append((start, _vertex(values, top), lasted, t[top], impulse, 0.0))
+        across = float(net[part, 1].sum())
+        # a force along the tip's axis may come from either wall, or from both
+        wall = -np.sign(across) if abs(across) > _ACROSS * size[part].sum() else 0.0
+        rows.append((start, _vertex(values, top), lasted, t[top], impulse, wall))
     if not rows:
         return None
     late = max(spacing) / math.sqrt(12.0)  # the touch began anywhere between two samples
@@ -176,6 +183,7 @@ def in_force(
         peak_noise=quiet.sigma,
         threshold=quiet.threshold,
         spacing=max(spacing),
+        all_found=all_found,
     )
 
 

@@ -168,8 +168,12 @@ def _draw_over_time(
     """Draw the contact force, quantities, and over all of them when the tip touches."""
     run, window = plotted.run, source.time_window(plotted.run)
     loads = source.summary_of(run, None)
-    titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
-    _draw_force(all_axes[0], plotted)
+    if source.has_force(run):
+        titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
+        _draw_force(all_axes[0], plotted)
+    else:
+        titles = ["Contact force: not measured"]
+        all_axes[0].set_yticks([])
     for axes, quantity in zip(all_axes[1:], quantities, strict=True):
         # when it touches is shaded here: dashes in the flights between would hide them
         draw_quantity(
@@ -213,14 +217,16 @@ def _draw_over_time(
 def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
     """Draw the force of each wall, with each touch's peak, on a logarithmic axis."""
     run, colour = plotted.run, plotted.colour
-    for column, (side, (marker, _, name)) in enumerate(style.WALLS.items()):
-        force = run.samples["normal_force"][:, column]
+    for force in run.samples["normal_force"].T:
         axes.plot(plotted.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
-        touches = source.every_touch(run)
-        touches = touches[touches["wall"] == side]
+    every_touch = source.every_touch(run)
+    for side, (marker, _, name) in {**style.WALLS, 0: style.NO_WALL}.items():
+        touches = every_touch[every_touch["wall"] == side]
+        if not touches.size and (side == 0 or np.any(every_touch["wall"] == 0)):
+            continue
         when, peak = touches["peak_time"], touches["peak_force"]
         axes.vlines(when, _SMALLEST_FORCE, peak, color=colour, lw=1.0)
-        label = f"{name}: {len(touches)} touches"
+        label = f"{name}: {len(touches)} touch{'' if len(touches) == 1 else 'es'}"
         look: dict[str, Any] = {"color": colour, "mfc": colour if side > 0 else "white", "ms": 6}
         axes.plot(when, peak, marker, label=label, **look)
     axes.set_yscale("log")

@@ -25,7 +25,7 @@ from capture_sim.samples import ENERGIES, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
-from capture_sim.viewing import figures, report_figures
+from capture_sim.viewing import figures, report_figures, style
 from capture_sim.viewing.curves import PlottedRun, has_ledger, plotted_runs
 from capture_sim.viewing.source import (
     Opened,
@@ -165,8 +165,10 @@ def _about(opened: Opened) -> dict[str, Any]:
     run = opened.run
     lines = []
     for event in run.events:
-        wall = "+y wall" if event.wall > 0 else "-y wall"
-        detail = event.detail or (wall if event.kind is EventKind.TOUCH else "")
+        *_, wall = style.WALLS.get(event.wall, style.NO_WALL)
+        detail = wall if event.kind is EventKind.TOUCH else ""
+        if event.detail:
+            detail = f"{detail}, {event.detail}" if detail else event.detail
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
     course = f"{headline(run, opened.label)}."
     decided = decided_at(run)

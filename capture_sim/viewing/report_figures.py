@@ -62,7 +62,7 @@ def over_time(name: str, shown: Sequence[PlottedRun]) -> Drawn:
     _add_over_time(figure, [quantity], shown)
     if quantity is FORCE:
         for plotted in shown:
-            for side, (_, marker, wall) in style.WALLS.items():
+            for side, (_, marker, wall) in {**style.WALLS, 0: style.NO_WALL}.items():
                 touches = plotted.run.touches[plotted.run.touches["wall"] == side]
                 figure.add_scatter(
                     x=touches["peak_time"] - plotted.origin,

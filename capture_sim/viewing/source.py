@@ -133,8 +133,9 @@ def every_touch(run: ViewableRun) -> np.ndarray:
 
 
 def strongest(run: ViewableRun) -> tuple[float, float]:
-    """Return time, s, and peak force, N, of the strongest touch; NaN and 0 without touches."""
+    """Return time, s, and peak force, N, of the strongest touch; NaN and 0 if none is known."""
     touches = every_touch(run)
+    touches = touches[np.isfinite(touches["peak_force"])]
     if not touches.size:
         return math.nan, 0.0
     touch = touches[touches["peak_force"].argmax()]
@@ -180,6 +181,11 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     force = np.concatenate([*sampled, zeros, touches["peak_force"], zeros])
     t, first = np.unique(t, return_index=True)
     return t, force[first]
+
+
+def has_force(run: ViewableRun) -> bool:
+    """Return False if no contact force was measured, or no sensor of it is used."""
+    return bool(np.isfinite(run.samples["normal_force"]).any())
 
 
 def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:

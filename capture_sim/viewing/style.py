@@ -56,6 +56,8 @@ CONTACT = YELLOW
 ZONE = GREEN
 #: Walls by their side: marker of matplotlib, of plotly, name.
 WALLS = {1: ("^", "triangle-up", "+y wall"), -1: ("v", "triangle-down", "-y wall")}
+#: The same of a measured touch that does not tell its wall.
+NO_WALL = ("D", "diamond", "wall not known")
 
 
 class Look(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from bags import STANDARD, copied, later, of_a_bench
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.recording.comparing import comparable
 from capture_sim.recording.export import table
 from capture_sim.recording.measured_run import run_from_bag
 from capture_sim.recording.offline import write_run
@@ -19,7 +21,16 @@ from capture_sim.recording.read import read_run
 from capture_sim.results import impact_speed
 from capture_sim.viewing import plots
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.source import decided_at, first_touch, verdict
+from capture_sim.viewing.source import (
+    decided_at,
+    every_touch,
+    first_touch,
+    has_force,
+    in_contact,
+    strongest,
+    summary_of,
+    verdict,
+)
 
 
 @pytest.fixture(scope="module")
@@ -114,8 +125,54 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
     assert decided_at(seen) == pytest.approx(decided_at(run), abs=1e-6)
     assert main(["detect", str(path), "--scene", "tilt_p10"]) == 0
     told = capsys.readouterr().out
-    assert f"verdict: captured since {decided_at(run):.3f} s" in told
+    assert (
+        f"verdict: captured since {decided_at(run):.3f} s; closest approach in the samples" in told
+    )
     assert told.rstrip().endswith("the same")
+
+
+@pytest.mark.parametrize("wall", [1, -1, 0])
+def test_touches_are_those_that_the_load_cell_shows_everywhere(recorded, tmp_path, wall):
+    """A push of 0.1 s on the cone; the tip stays near the wall long after it."""
+    begin, lasted, peak = 2.85, 0.1, 50.0
+
+    def pushed(topic, data):
+        if topic == "/contact/wrench":
+            seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+            phase = (seconds - 1 + nanoseconds * 1e-9 - begin) / lasted
+            size = peak * math.sin(math.pi * phase) if 0.0 < phase < 1.0 else 0.0
+            force = struct.pack("<6d", 0.8 * size, 0.6 * wall * size, 0.0, 0.0, 0.0, 0.0)
+            topic, data = "/load_cell/wrench", data[:-48] + force
+        yield topic, "cdr", data
+
+    path = copied(recorded, tmp_path / "rig.mcap", topics=STANDARD, change=pushed)
+    bag = read_run(path)
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_p10"))
+    [touch] = every_touch(seen)
+    assert touch["start"] == pytest.approx(begin, abs=0.011)
+    assert touch["end"] - touch["start"] == pytest.approx(lasted, abs=0.021)
+    assert touch["wall"] == first_touch(seen).wall == wall
+    assert strongest(seen)[1] == pytest.approx(peak * math.hypot(0.8, 0.6 * wall), rel=0.01)
+    touching = seen.samples["t"][in_contact(seen)]
+    assert begin - 0.011 < touching[0] < touching[-1] < begin + lasted + 0.011
+    compared, _ = comparable(bag, bag)
+    of_both = compared.touches
+    assert [of_both.start[0], of_both.lasted[0], of_both.peak[0], of_both.wall[0]] == pytest.approx(
+        [touch["start"], touch["end"] - touch["start"], touch["peak_force"], wall]
+    )
+
+
+def test_force_without_a_sensor_is_not_measured(recorded, tmp_path):
+    topics = [topic for topic in STANDARD if topic != "/contact/wrench"]
+    bag = read_run(of_a_bench(recorded, tmp_path / "rig.mcap", topics))
+    seen = run_from_bag(bag, capture_sim.load_scene("tilt_p10"))
+    summary = summary_of(seen, None)
+    assert summary["touches"] > 0
+    assert not has_force(seen)
+    for name in ("first_contact_peak_force", "max_normal_force", "normal_impulse"):
+        assert summary[name] is None, name
+    titles = [axes.get_title() for axes in plots.draw_run(seen).axes]
+    assert "Contact force: not measured" in titles
 
 
 def test_poses_of_another_type_do_not_hinder_the_export_of_what_else_is_there(recorded, tmp_path):
