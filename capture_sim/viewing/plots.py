@@ -209,8 +209,10 @@ def _draw_over_time(
         )
         axes.set_xlim(window)
         axes.tick_params(labelbottom=axes is all_axes[-1])
+    near = f"the tip within {run.scene.detector.max_contact_gap * _MM:g} mm of a wall"
+    shaded = "in contact" if source.has_force(run) else near
     all_axes[-1].set_xlabel(
-        f"time since the {source.start_word(run.scene)}  [s]   (shaded: in contact)"
+        f"time since the {source.start_word(run.scene)}  [s]   (shaded: {shaded})"
     )
 
 
