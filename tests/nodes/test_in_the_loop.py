@@ -2,8 +2,12 @@
 
 import json
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -205,3 +209,26 @@ def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, plate):
         assert loop.status() == 1
         assert "distance of loop/rig_tip from the first position = 20 mm after 3 s" in loop.text
         assert "Traceback" not in loop.text
+
+
+def test_a_restitution_without_contact_on_the_rig_is_reported_as_not_known(start, tmp_path):
+    start("contact_rig", ideal="true", wall_offset=-0.005)
+    report = tmp_path / "report.json"
+    law = {"compensation": "model", "stiffness": 1e4, "exponent": 1.0}
+    loop = start("loop_simulator", report=report, rtf=0.5, **law, **PATIENT)
+    assert loop.status() == 0, loop.text
+    assert "first touch: restitution not known" in loop.text
+    touch = json.loads(report.read_text())["touches"][0]
+    assert touch["restitution"] is None
+    assert touch["is_held"] is None
+
+
+def test_the_rig_of_the_page_serves_a_loop_and_ends_quietly(start):
+    page = Path(__file__).parents[2] / "docs" / "hardware_in_the_loop.md"
+    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", page.read_text(), re.DOTALL)
+    rig = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    loop = start("loop_simulator", overrides="[run.t_end=0.04]", rtf=0.2, **WIDE)
+    assert loop.status() == 0, loop.text
+    rig.send_signal(signal.SIGINT)
+    assert rig.communicate(timeout=30.0) == (None, "")
+    assert rig.returncode == 0

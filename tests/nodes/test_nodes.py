@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from bench_processes import Client, Simulation, Started, fresh, wait_until
+from capture_sim.srv import BeginTrial
 from rcl_interfaces.srv import ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -563,6 +564,17 @@ def test_launch_pressed_twice_begins_one_trial(start):
         launcher.process.send_signal(signal.SIGINT)
         assert launcher.status() == 0, launcher.text
         assert launcher.text.count("armed") == 1
+
+
+def test_end_trial_of_a_recorder_names_its_file(start, tmp_path):
+    with Client() as client:
+        recorder = start("recorder", out=tmp_path, exit_when_done="false")
+        recorder.wait_for("ready")
+        assert client.ask(BeginTrial, "/recorder/begin_trial", scene="tilt_0").success
+        recorder.wait_for("recording in")
+        ended = client.ask(Trigger, "/recorder/end_trial")
+        assert ended.message == f"tilt_0: ended, file {tmp_path / 'tilt_0.mcap'}"
+        recorder.wait_for("tilt_0.mcap: ")
 
 
 def test_missing_reader_is_named_and_delays_no_callback(start):
