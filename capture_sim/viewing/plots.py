@@ -92,9 +92,9 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     [plotted] = plotted_runs(run)
     title = source.headline(run, label)
     # titles have y=1.0, or matplotlib measures all ticks to place them
-    figure = new_figure(15.5, 10.0, arranged=False)
-    figure.suptitle(title, fontsize=19, fontweight="bold", y=0.993)
     top = 0.42 + 0.33 * len(title.splitlines())
+    figure = new_figure(15.5, 9.25 + top, arranged=False)
+    figure.suptitle(title, fontsize=19, fontweight="bold", y=0.993)
     bench, cone = rows_of_axes(figure, (1.05, 6.85), top, [(1.65, 0.95), (6.0, 0.0)])
     several = [(2.5, 0.43), (1.6, 0.43), (1.6, 0.43), (1.6, 0.0)]
     over_time = rows_of_axes(figure, (8.4, 15.38), top, several)

@@ -162,6 +162,15 @@ def test_touches_are_those_that_the_load_cell_shows_everywhere(recorded, tmp_pat
     )
 
 
+def test_long_title_takes_no_room_from_the_axes_below(run):
+    margins = []
+    for label in ("short", "long " * 40):
+        figure = plots.draw_run(run, label)
+        bottom = figure.axes[-1].get_position().y0
+        margins.append(bottom * figure.get_figheight())  # inches
+    assert margins[1] == pytest.approx(margins[0])
+
+
 def test_force_without_a_sensor_is_not_measured(recorded, tmp_path):
     topics = [topic for topic in STANDARD if topic != "/contact/wrench"]
     bag = read_run(of_a_bench(recorded, tmp_path / "rig.mcap", topics))
