@@ -389,19 +389,22 @@ def drive(
     ...     if piece.samples["tip_distance"].min() < 0.01:
     ...         break
     """
-    served = seen = traced = 0
+    n_samples = n_events = n_trace = 0
     while not bench.done:
         size = block if isinstance(block, int) else block()
-        wanted = bench.times(served, size) if times is None else times[served : served + size]
+        wanted = (
+            bench.times(n_samples, size) if times is None else times[n_samples : n_samples + size]
+        )
         failure = None
         try:
             samples = bench.advance(wanted)
         except SimulationError as error:
             samples, failure = error.partial, error
-        served += size
-        first, seen = seen, bench.event_count
-        trace, traced = bench.trace_since(traced), bench.trace_pieces
-        yield Block(samples, trace, failure, bench, slice(first, seen))
+        n_samples += size
+        events = slice(n_events, bench.event_count)
+        n_events = bench.event_count
+        trace, n_trace = bench.trace_since(n_trace), bench.trace_pieces
+        yield Block(samples, trace, failure, bench, events)
         if failure is not None:
             return
 

@@ -132,10 +132,10 @@ class _LoadCell:
         self._last = (t, v, rolling, at_rest)
         c, s = math.cos(theta), math.sin(theta)
         felt = (c * mean[0] + s * mean[1], c * mean[1] - s * mean[0], mean[2])
-        seen = [a_filter(value) for a_filter, value in zip(self._filters, felt, strict=True)]
+        filtered = [a_filter(value) for a_filter, value in zip(self._filters, felt, strict=True)]
         if not due:
             return None
-        x, y, m = (np.array(seen) + self._scatter * self._rng.standard_normal(3)).tolist()
+        x, y, m = (np.array(filtered) + self._scatter * self._rng.standard_normal(3)).tolist()
         return x, y, m
 
 

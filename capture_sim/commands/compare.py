@@ -134,19 +134,19 @@ def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
 
 def _print_characteristics(a: Comparable, b: Comparable) -> None:
     sampled = a.touches is None or b.touches is None
-    mine, theirs = (characteristics(of, sampled=sampled) for of in (a, b))
+    of_a, of_b = (characteristics(recording, sampled=sampled) for recording in (a, b))
     rows = []
-    for name in [*mine, *(name for name in theirs if name not in mine)]:
-        here, there = mine.get(name), theirs.get(name)
+    for name in [*of_a, *(name for name in of_b if name not in of_a)]:
+        in_a, in_b = of_a.get(name), of_b.get(name)
         digits = 0 if name == "touches" else 4
-        cells = ["-" if x is None else f"{x.value:z.{digits}f}" for x in (here, there)]
+        cells = ["-" if x is None else f"{x.value:z.{digits}f}" for x in (in_a, in_b)]
         gap = share = "-"
-        if here is not None and there is not None:
-            off = there.value - here.value
+        if in_a is not None and in_b is not None:
+            off = in_b.value - in_a.value
             gap = IDENTICAL if not off else _difference(off) if digits else f"{off:+.0f}"
             if off:
-                share = _percent(here.value, there.value, 10.0**-digits, 2)
-        source = _source(*("" if x is None else x.source for x in (here, there)))
+                share = _percent(in_a.value, in_b.value, 10.0**-digits, 2)
+        source = _source(*("" if x is None else x.source for x in (in_a, in_b)))
         rows.append([name, *cells, gap, share, source])
     print_table(["", "A", "B", "B - A", "%", "source"], rows)
 

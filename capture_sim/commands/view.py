@@ -58,9 +58,9 @@ def run(options: argparse.Namespace) -> int:
         prepare_folder(options.save.parent)
     opened = open_runs(options.runs, options.scene, options.release, options.remaps)
     if window is not None:
-        opened = [_within(one, window) for one in opened]
-    runs = [one.run for one in opened]
-    labels = [one.label for one in opened]
+        opened = [_within(run, window) for run in opened]
+    runs = [item.run for item in opened]
+    labels = [item.label for item in opened]
     draw(runs, labels, options.out, options.save, pictures=window is None)
     if options.figures:
         _draw_figures(runs, labels, options.out / "figures", window)

@@ -119,8 +119,10 @@ def urdf(scene: Scene) -> str:
 
     _joint(robot, "chaser", "planar", WORLD, CHASER_FRAME, axis="0 0 1")
     _joint(robot, "target", "planar", WORLD, TARGET_FRAME, axis="0 0 1")
-    at = scene.buffer.hinge_offset
-    hinge = _joint(robot, HINGE_JOINT, "revolute", CHASER_FRAME, CYLINDER_FRAME, at, "0 0 1")
+    hinge = _joint(
+        *(robot, HINGE_JOINT, "revolute", CHASER_FRAME, CYLINDER_FRAME),
+        *(scene.buffer.hinge_offset, "0 0 1"),
+    )
     _limit(hinge, -math.pi, math.pi)
     slide = _joint(robot, SLIDE_JOINT, "prismatic", CYLINDER_FRAME, PROBE_FRAME, axis="1 0 0")
     # the probe may go in up to its tip
@@ -189,16 +191,16 @@ def _plates(link: _Element, scene: Scene) -> None:
     cone = scene.cone
     lip = cone.R_c + cone.L_c * math.sin(cone.half_angle)
     width = 2.0 * lip * math.tan(math.pi / _PLATES)
-    ahead = -0.5 * cone.L_c * math.cos(cone.half_angle)
+    middle_x = -0.5 * cone.L_c * math.cos(cone.half_angle)
     # the plates' inner faces are the walls: the boxes lie outside of them
     radius = 0.5 * (cone.R_c + lip) + 0.5 * _PLATE * math.cos(cone.half_angle)
-    ahead += 0.5 * _PLATE * math.sin(cone.half_angle)
+    middle_x += 0.5 * _PLATE * math.sin(cone.half_angle)
     for i in range(_PLATES):
         angle = 2.0 * math.pi * i / _PLATES + math.pi / 2
-        at = (ahead, radius * math.cos(angle), radius * math.sin(angle))
+        middle = (middle_x, radius * math.cos(angle), radius * math.sin(angle))
         # x along the generatrix, y round the axis: pitched by the half-angle, rolled into place
         rpy = _roll_after_yaw(angle, math.pi - cone.half_angle)
-        _box(link, "cone", (cone.L_c, _PLATE, width), at, rpy)
+        _box(link, "cone", (cone.L_c, _PLATE, width), middle, rpy)
 
 
 def _roll_after_yaw(roll: float, yaw: float) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.measurements import Measurements, Series
 from capture_sim.studies.touches import (
-    RESOLVED,
+    MIN_SAMPLES,
     Touches,
     first_above,
     in_force,
@@ -116,7 +116,7 @@ def touches_of(run: Run, scene: Scene | None = None) -> tuple[Touches | None, st
         interval = Series(t, t).interval
         limit = "as long as each message counts one"
         if topic is not topics.CONTACT_STATE:
-            limit = f"which may miss those below {RESOLVED * interval * 1e3:.3g} ms"
+            limit = f"which may miss those below {MIN_SAMPLES * interval * 1e3:.3g} ms"
         source = f"{topic.name}, {1.0 / interval:.4g} Hz" if interval else topic.name
         if touches is not None:
             return touches, f"{source}, {limit}"

@@ -70,6 +70,6 @@ def gaps(
                 difference -= offset
             worst = int(np.argmax(np.abs(difference)))
             rms = float(np.sqrt(np.mean(difference**2)))
-            largest, at = float(difference[worst]), float(t[worst])
-            found.append(Gap(name, part, rms, largest, at, float(t[0]), float(t[-1])))
+            extreme = float(difference[worst]), float(t[worst])
+            found.append(Gap(name, part, rms, *extreme, float(t[0]), float(t[-1])))
     return found

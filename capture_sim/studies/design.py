@@ -56,7 +56,7 @@ _GRID = (np.geomspace(20.0, 2e4, 7), np.geomspace(5.0, 2e4, 7))
 _RESTARTS = 4  # from the best of the grid
 _MOST_HYBRID, _MOST_SIMPLEX = 25, 120  # runs
 _FIRST_STEP = 0.2  # of the springs' logarithms, see MINPACK's `factor`
-_EDGE = 0.01  # relative, of the interval of dampers that capture
+_BOUND_TOLERANCE = 0.01  # relative, of the interval of dampers that capture
 _PROMISING, _PARTS = 6, 12  # where no damper is good: those to search next to, parts between
 _COARSER = 3  # of the dampers tried first, where each takes springs of its own
 _SIDE = 3  # dampers on each side of the middle whose margin is computed
@@ -465,7 +465,7 @@ class _Flow:
 
     def edge(self, inside: _Damper, outside: float) -> _Damper:
         """Bisect to the last good damper between a good one and a bad one (N s/m)."""
-        while abs(outside - inside.c_A) > _EDGE * max(inside.c_A, outside):
+        while abs(outside - inside.c_A) > _BOUND_TOLERANCE * max(inside.c_A, outside):
             middle = 0.5 * (inside.c_A + outside)
             tried = self.damper(middle, inside.springs)
             if tried is not None and self.good(tried):

@@ -46,7 +46,7 @@ _STEP = 3e-3
 #: Longest step that the errors are taken over.
 _LONGEST_STEP = 0.3
 #: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
-_FAR = 1e3
+_FAILED = 1e3
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class _Problem:
             value = get(scene, paths[0])  # of which zero has no scale of its own
             rows.append((value, abs(value) or usual_size(name), *range_of(scene, paths[0])))
         begin, self._scale, low, high = np.array(rows).T
-        self.begin, self._low, self._high = (of / self._scale for of in (begin, low, high))
+        self.begin, self._low, self._high = (x / self._scale for x in (begin, low, high))
 
     def scene_at(self, x: np.ndarray) -> Scene:
         """Return the scene with these scaled parameters."""
@@ -251,23 +251,23 @@ class _Problem:
             simulated, touched = self.simulate(x)
         except (SimulationError, SceneError):  # that far off the bench does not work
             size = sum(series.values.size for _, series, _ in self._series)
-            return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAR)
+            return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAILED)
         parts = []
         for name, series, sigma in self._series:
             own: Series = getattr(simulated, name)
             # where the run ended before, it stays where it is
-            at = np.searchsorted(own.t, self._since_release(series.t, x), side="right") - 1
-            values = own.values[np.maximum(at, 0)]
+            last = np.searchsorted(own.t, self._since_release(series.t, x), side="right") - 1
+            values = own.values[np.maximum(last, 0)]
             parts.append(((series.values - values) / sigma).ravel())
         if touches is not None:
             touched = touched[touched["peak_force"] >= touches.threshold]
             touched = touched[np.argsort(touched["start"], kind="stable")]
             n = min(touches.start.size, touched.size)
-            far = np.full(touches.start.size - n, _FAR)
+            missing = np.full(touches.start.size - n, _FAILED)
             began = touches.start[:n] - self._released(x)
             start = (began - touched["start"][:n]) / touches.start_noise
             peak = (touches.peak[:n] - touched["peak_force"][:n]) / touches.peak_noise
-            parts += [start, far, peak, far]
+            parts += [start, missing, peak, missing]
         return np.concatenate(parts)
 
     def jacobian(

@@ -72,8 +72,8 @@ def agreement(
     cut = end < again["t"].max(initial=-np.inf)
     until = end if cut else np.inf
     kept = [
-        [(event.kind, event.t, event.wall) for event in of if event.t <= until]
-        for of in (recorded_events, events)
+        [(event.kind, event.t, event.wall) for event in log if event.t <= until]
+        for log in (recorded_events, events)
     ]
     distinct = np.unique(index[shared]).size
     return Agreement(

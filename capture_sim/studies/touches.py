@@ -17,7 +17,7 @@ from scipy import ndimage
 from capture_sim.scene.parts import Cone
 
 #: Samples that a touch must have above the threshold for its peak to be known to 1 %.
-RESOLVED = 4
+MIN_SAMPLES = 4
 #: Samples before the contact that the noise is known from at least.
 _QUIET = 50
 #: Chance that noise alone passes the threshold anywhere in the recording.
@@ -68,7 +68,7 @@ class Touches:
     def may_miss(self, lasted: np.ndarray | float) -> bool:
         """Whether touches that last so long, s, could have too few samples to be found."""
         shortest = float(np.min(lasted, initial=math.inf))
-        return RESOLVED * self.spacing > shortest
+        return MIN_SAMPLES * self.spacing > shortest
 
 
 def located(touches: np.ndarray) -> Touches:
@@ -104,7 +104,7 @@ def quiet_before_contact(force: np.ndarray) -> Quiet | None:
         size = np.hypot(*(force - bias).T)
         threshold = max(k * sigma, _NOTHING * float(size.max()))
         above = np.flatnonzero(size > threshold)
-        until = max(until, int(above[0]) - RESOLVED if above.size else n)
+        until = max(until, int(above[0]) - MIN_SAMPLES if above.size else n)
     return Quiet(bias, sigma, threshold)
 
 
@@ -145,7 +145,7 @@ def in_force(
 ) -> Touches | None:
     """Find the touches in a sampled force; None where it shows none, or is too slow for it.
 
-    The first touch with fewer than :data:`RESOLVED` samples ends the search: behind it others
+    The first touch with fewer than :data:`MIN_SAMPLES` samples ends the search: behind it others
     may have been missed.  A touch starts between two samples, its peak is that of the parabola
     through the largest sample and its neighbours.
 
@@ -162,7 +162,7 @@ def in_force(
     rows, spacing, all_found = [], [0.0], True
     for part in above(size, quiet.threshold):
         first, end = part.start, part.stop
-        if end - first < RESOLVED or first == 0:
+        if end - first < MIN_SAMPLES or first == 0:
             all_found = False
             break
         top = first + int(np.argmax(values[part]))

@@ -22,6 +22,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
     assert set(rows[0]) == {
         "name",
         "verdict",
+        "left_again",
         "problems",
         "impact_speed",
         "first_contact_time",
