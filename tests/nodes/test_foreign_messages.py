@@ -132,11 +132,13 @@ def bench(tmp_path_factory):
             "viewer": start("viewer", port=free_port(), **never),
             CONTACT_RIG: start(CONTACT_RIG),
             LOOP_SIMULATOR: start(LOOP_SIMULATOR, start_timeout=3600.0, __ns="/loop"),
-            "player": start("player", bag=bag, topics="[bench/state]", paused="true"),
         }
         for name in READY:
             nodes[name].wait_for("ready")
         nodes[LOOP_SIMULATOR].wait_for("waiting")
+        # last: one that starts with the simulator would be its rival
+        nodes["player"] = start("player", bag=bag, topics="[bench/state]", paused="true")
+        wait_until(lambda: client.node.count_publishers("/bench/state") == 2)
         yield nodes, client, out
 
 

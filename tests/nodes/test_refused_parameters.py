@@ -39,7 +39,8 @@ WRONG = {
     "capture_detector": {
         field.name: [-1.0, float("inf"), "small", *([5.0] if field.metadata["unit"] == "m" else [])]
         for field in fields(Detector)
-    },
+    }
+    | {"scene_criteria": [["no_such"], ["capture_radius", "no_such"], "min_dwell", 3]},
     "recorder": {},
 }
 # name of the case: node, its parameters or remappings, words of the refusal
