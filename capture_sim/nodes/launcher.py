@@ -161,7 +161,9 @@ class LauncherNode(Participant):
         return f"verdict {self._capture.label}" if self._capture.is_verdict else "no verdict"
 
     def _note_capture(self, status: Any) -> None:
-        self._capture = CaptureState(status.state)
+        before, self._capture = self._capture, CaptureState(status.state)
+        if self.is_on and self._capture.is_verdict and self._capture is not before:
+            self.get_logger().info(f"{self.run.name}: {self.trial_result()}")
 
     def _hold(self, hold: bool) -> None:
         if self._hold_output is not None and hold != self._held:

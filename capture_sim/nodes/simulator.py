@@ -279,7 +279,8 @@ class SimulatorNode(BenchNode):
         time.sleep(1.0)
         silent = [name for name, answer in answers.items() if not answer.done()]
         for client in clients.values():
-            self.destroy_client(client)
+            # in the thread that waits for it, or that wait may fail
+            self.executor.create_task(self.destroy_client, client)
         return silent or list(clients)
 
     def _check_only_simulator(self) -> None:

@@ -42,7 +42,7 @@ BACK = 2.0
 #: Time between two trials of a session, s of the bench.
 IDLE = 10.0
 #: The launcher has found a bench that begins to publish within this long, s (wall).
-DISCOVERY = 1.5
+DISCOVERY = 3.0
 #: The topics of a driver that publishes Odometry, by the bench's names.
 ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}
 
@@ -96,10 +96,15 @@ class Session:
     def launch(self, after=BACK):
         self.wait(after)
         self.statuses.clear()
+        self.launched = len(self.launcher.lines)
         assert self.client.ask(Trigger, "/launcher/launch").success
 
     def await_verdict(self):
+        """Wait until the verdict is known here and to the launcher."""
         wait_until(lambda: any(status.final for status in self.statuses))
+        if self.launcher is not None:
+            state = next(status.state for status in self.statuses if status.final)
+            self.launcher.wait_for(f"verdict {CaptureState(state).label}", since=self.launched)
 
     def end(self, node="launcher"):
         """End the trial; return the live verdict and the recording."""
