@@ -174,7 +174,8 @@ class Bench:
 
     def trace_since(self, piece: int) -> np.ndarray:
         """Return the trace from a piece on, (n,) of dtype SAMPLE; see :attr:`trace_pieces`."""
-        return joined([np.zeros(0, SAMPLE), *self._traced[piece:]])
+        pieces = self._traced[piece:]
+        return joined(pieces) if pieces else np.zeros(0, SAMPLE)
 
     @property
     def trace_pieces(self) -> int:
@@ -260,7 +261,7 @@ class Bench:
             served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
             happened, traced = int(progress["n_log"]), int(progress["n_trace"])
             if happened:
-                self._unread.append(self._record["log"][:happened].copy())
+                self._unread.append(joined([self._record["log"][:happened]]))
             if traced:
                 self._traced.append(self._trace_room[:traced].copy())
             if progress["status"] == Status.SERVED:
@@ -303,7 +304,7 @@ class Bench:
 
 
 def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return arrays of records of one type, one after the other."""
+    """Return a copy of arrays of records of one type, one after the other."""
     # as bytes: field by field NumPy takes eight times as long
     raw = [np.ascontiguousarray(part).view(f"V{part.itemsize}") for part in parts]
     return np.concatenate(raw).view(parts[0].dtype)

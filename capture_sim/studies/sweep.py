@@ -28,7 +28,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.axes import APPROACH, Approach, make_axis
 from capture_sim.studies.executors import answers, open_executor
-from capture_sim.studies.outcome import Outcome, run_to_end
+from capture_sim.studies.outcome import Outcome, StudyRun
 from capture_sim.studies.sampling import PLAIN, Samples, make_samples
 
 if TYPE_CHECKING:
@@ -291,26 +291,35 @@ class Recipe:
 def _run_rows(
     recipe: Recipe, check: bool, rows: Sequence[tuple[Any, ...]]
 ) -> list[tuple[Any, ...]]:
-    return [_run_row(recipe, row, check=check) for row in rows]
+    """Return the results of some runs, each in the order of :func:`_result_columns`."""
+    prepared = [_prepared(recipe, row, check=check) for row in rows]
+    for runs in prepared:
+        if not isinstance(runs, SceneError):
+            for run in runs:
+                run.integrate()
+    columns = _result_columns(check=check)
+    results = map(_results, prepared)
+    return [tuple([of_row.get(name, math.nan) for name in columns]) for of_row in results]
 
 
-def _run_row(recipe: Recipe, row: tuple[Any, ...], *, check: bool) -> tuple[Any, ...]:
-    """Return the results of a run in the order of :func:`_result_columns`."""
-    results: dict[str, Any]
+def _prepared(
+    recipe: Recipe, row: tuple[Any, ...], *, check: bool
+) -> tuple[StudyRun, ...] | SceneError:
+    """Return a row's run, with ``check`` also that at half the tolerance, or why it has none."""
     try:
-        start = recipe.scene_of(row)
-        results = _results(run_to_end(start))
-        if check:
-            again = run_to_end(_at_half_tolerance(start))
-            results["verdict_at_half_tolerance"] = _verdict(again)
+        scene = recipe.scene_of(row)
+        scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)
+        return tuple(map(StudyRun, scenes))
     except SceneError as error:
-        results = {"verdict": FAILED, "verdict_at_half_tolerance": FAILED, "failure": str(error)}
-        results |= {"left_again": False, "touches": 0}
-    return tuple([results.get(name, math.nan) for name in _result_columns(check=check)])
+        return error
 
 
-def _results(outcome: Outcome) -> dict[str, Any]:
-    """Return what a row of the table holds of a run."""
+def _results(runs: tuple[StudyRun, ...] | SceneError) -> dict[str, Any]:
+    """Return the results of a row by the names of their columns."""
+    if isinstance(runs, SceneError):
+        results: dict[str, Any] = dict.fromkeys(("verdict", "verdict_at_half_tolerance"), FAILED)
+        return {**results, "left_again": False, "touches": 0, "failure": str(runs)}
+    outcome, *finer = (run.outcome() for run in runs)
     loads = {name: math.nan if x is None else x for name, x in outcome.loads.items()}
     return {
         "verdict": _verdict(outcome),
@@ -319,6 +328,7 @@ def _results(outcome: Outcome) -> dict[str, Any]:
         "first_touch_time": outcome.first_touch,
         "energy_residual": outcome.energy_residual,
         **loads,
+        "verdict_at_half_tolerance": _verdict(finer[0]) if finer else None,
         "failure": outcome.failure,
     }
 

@@ -51,7 +51,7 @@ def scenes_run(monkeypatch):
         scenes.append(scene)
         raise SceneError("not run")
 
-    monkeypatch.setattr(module, "run_to_end", note)
+    monkeypatch.setattr(module, "StudyRun", note)
     return scenes
 
 
