@@ -522,12 +522,10 @@ def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, mon
         for topic, data in sent:
             recorder.take(topic, data)
     monkeypatch.setattr(live_module, "STALL_LIMIT", 60.0)
-    began = time.monotonic()
     for call in (lambda: recorder.take(*sent[1500]), recorder.close):
         with pytest.raises(RecordingError) as later:
             call()
         assert later.value is first.value
-    assert time.monotonic() - began < 10.0
     assert sum(read_run(tmp_path / f"{NAME}.mcap").topics.values()) == 1000
     stalled.set()
 
@@ -564,12 +562,10 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
 
     monkeypatch.setattr(RunWriter, "write", write_or_stall)
     recorder = record(tmp_path, sent)
-    began = time.monotonic()
     with pytest.raises(
         RecordingError, match=r"written nothing for 0.3 s: the recording ends there"
     ):
         recorder.close()
-    assert time.monotonic() - began < 10.0
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
     stalled.set()
