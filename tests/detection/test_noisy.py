@@ -405,6 +405,18 @@ def test_clocks_that_differ_are_named_and_nothing_is_evaluated(source, noise):
     assert (last.label, last.reason) == ("undecided", "clocks of the sources differ by 400 ms")
 
 
+def test_clocks_that_differ_do_so_when_the_machine_halts_too():
+    """What was sent in the meantime arrives at once: for a second no rate of arrivals is right."""
+    detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
+    stream = list(approach(offset=-0.4, source=Source.BUFFER, hold=1.0))
+    halt = stream[-1][3] - 0.5
+    for source, t, values, arrival in stream:
+        late = halt + 0.4 if halt < arrival < halt + 0.4 else arrival
+        detector.measure(source, 1.2e9 + t, values, late)
+        assert arrival < 1.0 or detector.clocks_differ
+    assert detector.finish()[-1].reason == "clocks of the sources differ by 400 ms"
+
+
 def test_latency_of_a_driver_is_no_clock_that_differs():
     detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
     rng = np.random.default_rng(3)
