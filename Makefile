@@ -14,7 +14,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests"
-	@echo "make test-numpy1 the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
+	@echo "make test-numpy1 run the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
 	@echo "make setup       only set up .venv for runs; leaves .venv/bin/capture-sim"
 	@echo "make develop     ... and for the tests and the docs"
@@ -22,11 +22,11 @@ help:
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min);"
 	@echo "                 other engines where the extra benchmark is installed"
-	@echo "make reproduction put the paper's results next to ours; writes docs/reproduction.md (2 min)"
-	@echo "make faults      make deliberate faults in a copy; say which no test catches (1 h)"
+	@echo "make reproduction compare the paper's results with ours; writes docs/reproduction.md (2 min)"
+	@echo "make faults      insert faults into a copy; list those that no test detects (1 h)"
 	@echo "make picture     remake the pictures in README.md and docs/"
-	@echo "make format      lay out the Python files as lint wants them"
-	@echo "make lock        pin the packages again after a change of pyproject.toml"
+	@echo "make format      format the Python files as lint requires"
+	@echo "make lock        pin the packages again after pyproject.toml has changed"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
 
 setup develop:
@@ -38,12 +38,13 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# What compiles comes before the nodes, which wait for each other; what they share stands in a file.
+# Tests that compile run before those of the nodes, which wait for each other; a file of those shares
+# its nodes, so one process runs it.
 test: lint
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto
 	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile
 
-# Of what is committed, in a clone with an environment of its own
+# The committed files, in a clone with an environment of its own
 test-numpy1:
 	rm -rf build/numpy1
 	git clone -q . build/numpy1

@@ -40,7 +40,7 @@ COMPILE = ("-c", "from capture_sim.bench import compile_kernels; compile_kernels
 
 
 def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:
-    """Run a Python of a checkout; return processor time and time on the clock (s), and GB."""
+    """Run a Python of a checkout; return CPU time and wall time (s), and GB."""
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as output:
         out = [f"--out={folder}/{WRITTEN[name]}" for name in arguments if name in WRITTEN]
         process = subprocess.Popen(
@@ -75,12 +75,12 @@ def environment(checkout: Path) -> dict[str, str]:
 def compiling(checkout: Path) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as empty:
         cpu, _, memory = spent(checkout, COMPILE, CAPTURE_SIM_CACHE=empty)
-    return {"compiling the kernels, processor s": cpu, "... memory, GB": memory}
+    return {"compiling the kernels, CPU time, s": cpu, "... memory, GB": memory}
 
 
 def running(name: str, command: tuple[str, ...], checkout: Path) -> dict[str, float]:
     cpu, clock, _ = spent(checkout, command)
-    return {f"{name}, processor s": cpu, f"{name}, on the clock, s": clock}
+    return {f"{name}, CPU time, s": cpu, f"{name}, wall time, s": clock}
 
 
 def starting(checkout: Path) -> dict[str, float]:
@@ -93,14 +93,14 @@ def starting(checkout: Path) -> dict[str, float]:
             next(line for line in process.stdout if "released" in line)
             took = time.monotonic() - began
             process.stdout.read()
-    return {"from the command `bench` to the release, on the clock, s": took}
+    return {"from the command `bench` to the release, wall time, s": took}
 
 
 def same_work(times: int, checkout: Path) -> dict[str, float]:
     command = [python(checkout), str(ROOT / "benchmarks" / "same_work.py"), str(times)]
     given = {"env": environment(checkout), "capture_output": True, "text": True}
     parts = json.loads(subprocess.run(command, check=True, **given).stdout)
-    return {f"{name}, processor ms": value for name, value in parts.items()}
+    return {f"{name}, CPU time, ms": value for name, value in parts.items()}
 
 
 def set_up(checkout: Path) -> dict[str, float]:
@@ -115,8 +115,8 @@ def set_up(checkout: Path) -> dict[str, float]:
             subprocess.run(["make", "run"], cwd=clone, check=True, capture_output=True, env=given)
             took.append(time.monotonic() - began)
     return {
-        "fresh clone to three results, on the clock, s": took[0],
-        "`make run` again, on the clock, s": took[1],
+        "fresh clone to three results, wall time, s": took[0],
+        "`make run` again, wall time, s": took[1],
     }
 
 

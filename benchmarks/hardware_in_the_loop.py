@@ -1,4 +1,4 @@
-"""Restitution, energy and load of a rig in the loop; writes docs/hardware_in_the_loop.md.
+"""Restitution, energy and load of a rig in the loop; writes docs/hardware_checked.md.
 
 .venv/bin/python -m benchmarks.hardware_in_the_loop    # ten minutes, in one process
 """
@@ -63,7 +63,7 @@ def methods(_, __):
     return [
         f"A plate against {MASS:.2f} kg at 0.1 m/s, in one process at 1 kHz. Soft and hard: an",
         "elastic touch lasts T = 200 ms and 20 ms; dissipative: e = 0.5. Rig: load cell and",
-        "transport of the table above, wall 20 um nearer than the scene's, servo of 100 Hz and of",
+        "transport with their defaults, wall 20 um nearer than the scene's, servo of 100 Hz and of",
         "10 Hz; the delay is the servo's. `model` starts with half the stiffness, and its row is",
         "the second touch; the others' is the first. Energy: the most that vehicles, buffer and",
         "law had above their energy at the touch; energy_limit 1 J, force_limit 2000 N.",
@@ -150,4 +150,4 @@ def closed_forms(_, __):
 
 if __name__ == "__main__":
     parts = {"methods": methods, "map": map_of_methods, "closed_forms": closed_forms}
-    write_parts("hardware_in_the_loop", __doc__, parts)
+    write_parts("hardware_checked", __doc__, parts, untimed=parts)

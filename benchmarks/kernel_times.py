@@ -93,7 +93,7 @@ def kernels(asked: Namespace, _: Path) -> list[str]:
         for k, name in enumerate(CASES)
     ]
     judged = statistics.median(ratios[list(CASES).index(name)] for name in JUDGED)
-    head = ["run, ms of a processor", *(["before", "now"] if len(states) > 1 else ["now"])]
+    head = ["run, CPU time, ms", *(["before", "now"] if len(states) > 1 else ["now"])]
     return [
         table([*head, "now / before"], rows),
         "",

@@ -56,11 +56,14 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def stamp(others: float) -> str:
-    """Return what a reader must know of a measurement: no names of hosts, users or folders."""
+def stamp(others: float, *, timed: bool = True) -> str:
+    """Return what a reader must know of a measurement: no names of hosts, users or folders.
+
+    ``timed``: it contains times, on which a busy machine has an effect.
+    """
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
     line = (
         f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
         f"capture_sim {__version__}, kernels {source_hash()}; background load {others:.2f} cores.*"
     )
-    return f"**{BUSY}**\n\n{line}" if is_busy(others) else line
+    return f"**{BUSY}**\n\n{line}" if timed and is_busy(others) else line

@@ -175,11 +175,12 @@ def parts(results: Results) -> str:
     def shown(difference: Difference) -> str:
         if not difference.is_told_from_zero:
             return "-"
-        low, high = sorted((difference.low, difference.high), key=abs)
-        sign = "+" if difference.median > 0.0 else "-"
         return (
-            f"{sign}{seconds(abs(difference.median))} ({seconds(abs(low))} to {seconds(abs(high))})"
+            f"{signed(difference.median)} ({signed(difference.low)} to {signed(difference.high)})"
         )
+
+    def signed(value: float) -> str:
+        return f"{'+' if value > 0.0 else '-'}{seconds(abs(value))}"
 
     rows = [
         [

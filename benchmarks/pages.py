@@ -12,7 +12,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,14 @@ _BEGIN, _END = "<!-- measured: {} -->", "<!-- end of measured -->"
 Part = Callable[[argparse.Namespace, Path], Sequence[str]]
 
 
-def write_parts(page: str, doc: str | None, parts: Mapping[str, Part], **options: Any) -> None:
+def write_parts(
+    page: str,
+    doc: str | None,
+    parts: Mapping[str, Part],
+    *,
+    untimed: Container[str] = (),
+    **options: Any,
+) -> None:
     """Run a benchmark as its command line asks: the parts that are named, or all.
 
     Parameters
@@ -41,6 +48,8 @@ def write_parts(page: str, doc: str | None, parts: Mapping[str, Part], **options
         What ``--help`` shows.
     parts
         What measures them, by name.
+    untimed
+        Names of those without times: on a busy machine they are as good.
     options
         Default and help by name; None as default stands for a path.
     """
@@ -66,7 +75,7 @@ def write_parts(page: str, doc: str | None, parts: Mapping[str, Part], **options
             lines = parts[name](asked, Path(folder))
         if not lines:
             continue
-        text = "\n".join([*lines, "", stamp(others.cores())])
+        text = "\n".join([*lines, "", stamp(others.cores(), timed=name not in untimed)])
         print(f"== {name}\n\n{text}\n", flush=True)
         if not asked.dry:
             whole = filled(path.read_text(encoding="utf-8"), {name: text})

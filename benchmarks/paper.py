@@ -46,7 +46,7 @@ FIRST_CONTACT = 0.2734
 RESTITUTIONS = (0.2, 0.4, 0.5)
 #: How the damping of a touch follows from its speed, by name: overrides of the scene.
 DAMPING = {
-    "by the touch's first approach (as taken)": (),
+    "by the touch's first approach (the model's)": (),
     "the same, with the factor that returns e exactly": ("contact.law=exact",),
     "without memory: of the first impact for every touch": ("contact.min_approach_speed=0.1",),
 }
@@ -421,7 +421,7 @@ def impact(clamped: Result, undamped: Result) -> Iterator[Claim]:
     yield Claim("Fig. 5", says, here, "-", "nothing to compare with in the text", None)
     says = "the buffer considerably reduces the impact force"
     here = f"{soft_force:.0f} N: {force / soft_force:.2f} times less"
-    why = "the buffer frees the tip's own mass; its first touch is what is left"
+    why = "the buffer decouples the tip's own mass, so only its first touch remains"
     yield Claim("Fig. 5, 6", says, here, "-", why, force / soft_force >= 2.0)
     says = "and remarkably increases the contact time"
     here = f"{soft_lasts * 1e3:.1f} ms: {soft_lasts / lasts:.1f} times longer"
@@ -484,7 +484,7 @@ def velocities(engine: SecondEngine) -> Iterator[Claim]:
         bool(off[vehicles].max() <= 1e-5),
     )
     here = f"stroke rate within {off[4]:.1e} m/s, probe within {off[3]:.1e} rad/s"
-    why = "as above; the probe is the lightest part, and feels each touch most"
+    why = "as above; the probe is the lightest part, so each touch affects it most"
     largest = off[3:5].max()
     yield Claim("Fig. 11", says, here, f"{largest:.0e}", why, bool(largest <= 1e-5))
 

@@ -73,8 +73,10 @@ FIGURES = {
         "Figure 8, c: the tip in the cone, designed buffer",
         lambda e: figures.trajectory(e.run("paper_designed")),
     ),
-    "figure_10": PaperFigure("Figure 10: velocities, beside a second engine", _velocities),
-    "figure_11": PaperFigure("Figure 11: the buffer, beside a second engine", _axial_performance),
+    "figure_10": PaperFigure("Figure 10: velocities, compared with a second engine", _velocities),
+    "figure_11": PaperFigure(
+        "Figure 11: the buffer, compared with a second engine", _axial_performance
+    ),
     "figure_12": PaperFigure(
         "Figure 12: docking from one metre away", lambda e: snapshots(e.run(DOCKING))
     ),

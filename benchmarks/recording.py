@@ -74,7 +74,7 @@ def write(_: Namespace, folder: Path) -> list[str]:
         f"{len(stream)} messages, {path.stat().st_size / 1e6:.1f} MB: 20 s with every topic at "
         f"1 kHz; medians of {REPEATS}.",
         "",
-        table(["", "messages", "processor s", "least to most"], rows),
+        table(["", "messages", "CPU time, s", "minimum to maximum"], rows),
     ]
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from docutils.utils.math.latex2mathml import tex2mathml
 from mkdocs.structure.files import File, Files
 
-from capture_sim.scene.parts import Scene
+from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
+from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.scene.quantities import Declared, declared
 
 FENCE = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -18,10 +19,43 @@ INLINE = re.compile(r"(?<![\\$\w])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![$\w])")
 MARK = re.compile(r"formula([bi])((?:[0-9a-f]{2})+)end")
 HEAD = """# Scenes
 
-Every field of a scene file, made from the declarations in `capture_sim/scene/parts.py`. A part that
-is absent costs nothing: `null` takes it off the bench. A plain number is in the unit given here; a
-text may have another one, as `'0.5 N/mm'` or `'45 deg'`.
+A scene is a YAML file that describes a bench. This page lists every field; it is made from the
+declarations in `capture_sim/scene/parts.py`. `capture-sim show tilt_0` prints a complete scene.
 
+A plain number is in the unit given here. A text may have another unit. `extends` names the scene
+whose values apply to all fields that the file does not contain; `null` removes an optional part
+from the bench.
+
+```yaml
+extends: tilt_p10
+title: "A softer buffer, no latch"
+buffer: {k_A: '0.4 N/mm', c_A: 20.0}
+cone: {half_angle: '45 deg'}
+latch: null
+```
+
+An invalid value is reported in one line: `buffer.k_A = -5 N/m: must be >= 0`.
+
+"""
+RULES = """
+## Rules between fields
+
+| field | rule |
+|---|---|
+| `string` | exactly two of `impact_speed`, `hanging_mass`, `drop_height`; the third is computed |
+| `string` | needs a `rail`, and a chaser that starts from rest |
+| `string.hanging_mass` | overcomes the rolling resistance |
+| `string.drop_height` | at most `rail.length`: the mass lands before the rail ends |
+| `rail.length` | less than the chaser's travel to the first touch |
+| `initial.chaser` | on the rail: no rotation, velocity forwards along the heading |
+| `initial.target` | at rest while the scene has a rail |
+| `supports.*.balls` | a triangle around the vehicle's centre of mass |
+| `cone.R_c`, `buffer.rest_length` | greater than the tip's radius; `R_c` may be equal to it |
+| `latch.radius` | less than the depth of the cone, `L_c` times the cosine of `half_angle` |
+| `stops.extension` | null with a `buffer.preload` |
+| `contact.restitution` | > 0 with the laws {positive} |
+| `friction.mu_s` | at least `friction.mu` |
+| `run.rate`, `sensors.*.rate` | `run.state_rate` divided by a whole number |
 """
 
 
@@ -30,7 +64,9 @@ def default_of(field: Field[Any]) -> str:
     value = field.default
     if value is MISSING:
         return ""
-    return "not set" if value is None else f"`{value}`"
+    if value is None:
+        return "not set"
+    return f"`{value}`".lower() if isinstance(value, bool) else f"`{value}`"
 
 
 def range_of(what: Declared) -> str:
@@ -39,30 +75,38 @@ def range_of(what: Declared) -> str:
     return str(what.allowed or ", ".join(what.options) or kinds[what.kind])
 
 
-def tables(part: type, path: str) -> list[str]:
-    """Return one table a part, its own numbers first, the parts in it after."""
+def description(part: type, *, is_optional: bool) -> str:
+    """Return what a part is, from its docstring, and whether a bench may be without it."""
+    text = " ".join((part.__doc__ or "").partition("    Attributes\n")[0].split())
+    return f"{text} Optional." if is_optional else text
+
+
+def tables(part: type, path: str, *, is_optional: bool = False) -> list[str]:
+    """Return one section for each part: its own fields first, then the parts in it."""
     rows, inner = [], []
     for field in fields(part):
         name = f"{path}.{field.name}" if path else field.name
         what = declared(part)[field.name]
         if is_dataclass(what.kind):
-            inner += tables(what.kind, name)
+            inner += tables(what.kind, name, is_optional=what.optional)
         else:
             cells = (f"`{name}`", what.unit, range_of(what), default_of(field), what.doc)
             rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
-    head = [
-        "",
-        f"## {path or 'scene'}",
-        "",
-        "| field | unit | range | default | meaning |",
-        "|---|---|---|---|---|",
-    ]
-    return (head + rows if rows else []) + inner
+    section = ["", f"## {path or 'scene'}", "", description(part, is_optional=is_optional)]
+    if rows:
+        section += [
+            "",
+            "| field | unit | range | default | meaning |",
+            "|---|---|---|---|---|",
+            *rows,
+        ]
+    return section + inner
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated page."""
-    text = HEAD + "\n".join(tables(Scene, "")) + "\n"
+    laws = ", ".join(f"`{law}`" for law in CONTACT_LAWS if law in NEED_POSITIVE_RESTITUTION)
+    text = HEAD + "\n".join(tables(Scene, "")) + "\n" + RULES.format(positive=laws)
     files.append(File.generated(config, "scene_reference.md", content=text))
     return files
 

@@ -1,4 +1,4 @@
-"""A contact law of your own, in the two ways that there are.
+"""Two ways to add a contact law of your own.
 
 1. A law of the form F = K delta^1.5 (1 + a(e) delta' / v_0), as most in the literature are, is its
    hysteresis factor a(e) alone.  Whatever a is, the law `exact` with the restitution that a really
@@ -6,7 +6,7 @@
 2. Any other force is computed here, step by step, and given to vehicles and buffer as a wrench on
    the tip.  Its limits: no supports, of a rail only its end (docs/hardware_in_the_loop.md), touches
    are not located, and the wrench is held over a step, which acts as a delay of half a step and
-   makes energy: halve the step and see what changes.
+   generates energy: halve the step and compare.
 """
 
 import math
@@ -33,7 +33,7 @@ def lining(delta, rate):
 
 
 def first_peak(scene, law, step):
-    """Return the largest force (N) of the first touch by a law, with steps of so many s."""
+    """Return the largest force (N) of the first touch by a law, with steps of ``step`` s."""
     stage, walls = LoopStage(scene, step, substeps=1), Walls(scene)
     peak = 0.0
     while stage.t < scene.run.t_end:

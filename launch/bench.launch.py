@@ -28,22 +28,22 @@ TEXTS = List[str]  # noqa: UP006  # by which launch knows a list
 SWITCH = ("true", "false")
 #: Name, default, description and choices; `ros2 launch -s capture_sim bench.launch.py` shows them.
 ARGUMENTS = (
-    ("experiment", "tilt_0", "scenes, in turn: names in config/scenes or files, with commas", None),
-    ("overrides", "", "changes of the scenes in SI units, e.g. buffer.c_A=13, with commas", None),
+    ("experiment", "tilt_0", "scenes in turn, separated by commas: names or files", None),
+    ("overrides", "", "changes of the scenes, SI units, e.g. buffer.c_A=13,buffer.k_A=500", None),
     ("rtf", "1.0", "real-time factor, 0 to 1000; 0 runs without pacing", None),
-    ("state", "playing", "state of the simulation at first", ("playing", "paused", "stopped")),
+    ("state", "playing", "initial state of the simulation", ("playing", "paused", "stopped")),
     ("out", str(Path.home() / "capture_sim_runs"), "folder of the recordings", None),
     (
         "scene",
         "",
         "scene of a bench without simulator: the launcher begins its trials and drives the real "
-        "release; without launcher the detector judges by it from the start",
+        "release; without launcher, the detector evaluates by it from the start",
         None,
     ),
     (
         "params",
         str(config_dir() / "nodes.yaml"),
-        "YAML file of further parameters, e.g. of the detector's criteria; the arguments win",
+        "YAML file of further parameters, e.g. criteria; arguments take precedence",
         None,
     ),
     ("namespace", "/", "namespace of all nodes and topics", None),

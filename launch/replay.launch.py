@@ -17,7 +17,7 @@ SWITCH = ("true", "false")
 ARGUMENTS = (
     ("bag", None, "an .mcap file, or a bag's folder", None),
     ("rtf", "1.0", "real-time factor, 0 to 1000; 0 plays without pacing", None),
-    ("start", "0.0", "begin so many seconds after the recording's start", None),
+    ("start", "0.0", "time after the recording's start at which to begin, s", None),
     ("paused", "false", "start paused", SWITCH),
     ("detect", "false", "evaluate the run again; the recorded verdict is not played", SWITCH),
 )

@@ -203,7 +203,7 @@ class Contact(Checked):
     tip: Material
     wall: Material
     restitution: float = quantity(
-        "1", Range(0.0, 1.0), doc="coefficient of restitution e that the law is given"
+        "1", Range(0.0, 1.0), doc="coefficient of restitution e, the argument of the law"
     )
     law: str = choice(
         CONTACT_LAWS, default="lankarani_nikravesh", doc="law of the hysteresis damping factor"
@@ -282,13 +282,16 @@ class String(Checked):
     """
 
     impact_speed: float | None = quantity(
-        "m/s", POSITIVE, default=None, doc="speed of the chaser at the first contact"
+        "m/s",
+        POSITIVE,
+        default=None,
+        doc="speed of the chaser at the first contact; null: computed",
     )
     hanging_mass: float | None = quantity(
-        "kg", POSITIVE, default=None, doc="mass on the string, m_h"
+        "kg", POSITIVE, default=None, doc="mass on the string, m_h; null: computed"
     )
     drop_height: float | None = quantity(
-        "m", POSITIVE, default=None, doc="height of the mass above its landing"
+        "m", POSITIVE, default=None, doc="height of the mass above its landing; null: computed"
     )
     pulley_inertia: float = quantity(
         "kg m^2", NOT_NEGATIVE, default=0.0, doc="moment of inertia of the pulley, I_p"
@@ -305,7 +308,9 @@ class Latch(Checked):
     """
 
     radius: float = quantity(
-        "m", POSITIVE, doc="distance of the tip's centre from that of BE at which the latches close"
+        "m",
+        POSITIVE,
+        doc="distance from the tip's centre to the centre of BE at which the latches close",
     )
     stiffness: float = quantity("N/m", POSITIVE, doc="stiffness of the latched tip's spring")
     damping: float = quantity(
@@ -390,7 +395,7 @@ class Run(Checked):
         "1",
         Range(100, 10**12),
         default=5_000_000,
-        doc="largest number of steps, including rejected ones, before the run is stopped",
+        doc="maximum number of steps, including rejected ones; the run stops there with an error",
     )
 
 
