@@ -126,7 +126,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "experiments",
         nargs="+",
-        metavar="EXPERIMENT",
+        metavar="SCENE",
         help="names of scenes, paths of YAML files, or recordings (.mcap, or a bag's folder)",
     )
     parser.add_argument(

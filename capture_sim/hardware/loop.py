@@ -370,8 +370,8 @@ class Loop:
             self._note("the run ended within a touch: its restitution is not known")
         if self._fitted is not None:
             self._note(
-                "the run ended before the touch was fitted: whether the restitution was held is "
-                "not known"
+                "the run ended before the touch was fitted: its restitution is not compared "
+                "with the rig's"
             )
 
     def _is_clear(self, law: WallLaw) -> bool:

@@ -56,7 +56,7 @@ def travel_to_touch(scene: Scene) -> float:
     """Return the chaser's travel to the first touch of a resting target, m.
 
     The chaser moves straight along its heading with the buffer at rest; ``inf`` if the
-    tip passes the cone by.
+    tip misses the cone.
     """
     px, py, ux, uy = tip_at_release(scene)
     cone = scene.cone
@@ -114,8 +114,8 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     travel = travel_to_touch(scene)
     if not math.isfinite(travel):
         raise SceneError(
-            "string.impact_speed: the chaser's straight path passes the cone by, "
-            "so there is no impact to launch for"
+            "string.impact_speed: the chaser's straight path misses the cone, "
+            "so no speed of the launch gives an impact"
         )
     coast = friction / m
     v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height

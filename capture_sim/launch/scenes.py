@@ -157,7 +157,7 @@ def _supports(scene: Scene) -> None:
             allowed = "three points that do not lie in one line"
         elif min(load) < 0.0:
             allowed = (
-                "a triangle round the centre of mass; as it is, ball "
+                "a triangle around the centre of mass; with these, ball "
                 f"{load.index(min(load))} would lift off"
             )
         if allowed:

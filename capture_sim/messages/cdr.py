@@ -89,7 +89,7 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
             try:
                 layout = Layout(store, type_name, messages[rows[0]])
             except KeyError as error:
-                raise MessageError(f"{type_name}: {error} is no known type") from None
+                raise MessageError(f"{type_name}: {error} is not a known type") from None
             raw = np.frombuffer(b"".join([messages[i] for i in rows]), dtype=np.uint8)
             raw = raw.reshape(len(rows), -1)
             fits = (raw[:, layout.fixed] == raw[0, layout.fixed]).all(axis=1)

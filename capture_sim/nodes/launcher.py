@@ -81,7 +81,7 @@ class LauncherNode(Participant):
         self._tolerance = self.declare(
             "speed_tolerance",
             0.2,
-            "share of the wanted impact speed by which the chaser's speed may deviate, 1",
+            "share of the planned impact speed by which the chaser's speed may deviate, 1",
             low=0.01,
             high=10.0,
             read_only=False,

@@ -279,7 +279,7 @@ def from_bytes(topic: Topic, data: bytes) -> Any:
     try:
         return deserialize_message(data, message_class(topic.type_name))
     except RuntimeError:  # rclpy's RMWError, of several lines
-        raise MessageError(f"{len(data)} bytes are no {topic.type_name}") from None
+        raise MessageError(f"{len(data)} bytes are not a {topic.type_name}") from None
 
 
 def full_name(end: Any) -> str:

@@ -139,7 +139,9 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
     node = make()
     log = node.get_logger()
     if hidden:
-        log.info(f"seen on this machine only; {dds.RANGE}=SUBNET lets others take part")
+        log.info(
+            f"discoverable on this machine only; {dds.RANGE}=SUBNET lets other machines take part"
+        )
     callbacks = None
     status = FAILED
     interrupted = False
@@ -187,6 +189,6 @@ def _usage(make: Callable[..., object]) -> str:
     ]
     for section in sections:
         if section.startswith(f"{name}:"):
-            lines += [f"Parameters, as they are unless changed ({file}):", "", section.rstrip(), ""]
-    lines.append(f"While it runs, `ros2 param describe /{name} PARAMETER` shows what is allowed.")
+            lines += [f"Parameters and their defaults ({file}):", "", section.rstrip(), ""]
+    lines.append(f"`ros2 param describe /{name} PARAMETER` prints the range while the node runs.")
     return "\n".join(lines)

@@ -91,7 +91,7 @@ class RecorderNode(Participant):
         """Open the file: the run's description, then what others sent before it came here."""
         del scene
         for name in sorted(self._sought):
-            self.get_logger().warning(f"{info.name}: {name} is not recorded: nobody publishes it")
+            self.get_logger().warning(f"{info.name}: {name} is not recorded: it has no publisher")
         recorder = LiveRecorder(self._out, topics=self._topics, remaps=self._remaps)
         recorder.paused = self._paused
         self._recorder, self._failure = recorder, ""

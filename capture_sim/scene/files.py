@@ -58,7 +58,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise SceneError(f"{_line(key_node)}: {shown(key)} is no name of a field")
+                raise SceneError(f"{_line(key_node)}: {shown(key)} is not a field name")
             if key in found:
                 raise SceneError(f"{shown(key)}: given twice ({_line(key_node)})")
             found[key] = self.construct_object(value_node, deep=True)
@@ -196,7 +196,7 @@ def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
     """
     place = path.resolve()
     if place in readers:
-        raise SceneError(f"{path.name}: extends itself by way of {readers[-1].name}")
+        raise SceneError(f"{path.name}: extends itself through {readers[-1].name}")
     if len(readers) >= MAX_FILES:
         raise SceneError(f"{readers[0].name}: more than {MAX_FILES} files extend each other")
     try:

@@ -16,7 +16,7 @@ from dataclasses import MISSING, dataclass, field
 from typing import Any, NamedTuple
 
 from capture_sim.errors import SceneError
-from capture_sim.scene.units import in_si
+from capture_sim.scene.units import in_si, split
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,10 @@ def accept(value: Any, what: Declared, where: str) -> Any:
 
 
 def _number(value: Any, what: Declared, where: str) -> float | int:
+    is_plain = True
     if isinstance(value, str) and what.kind is float:
-        value = _text_in_si(value, what, where)
+        text, value = value, _text_in_si(value, what, where)
+        is_plain = not split(text)[1]
     number: float | int = value
     try:
         if type(value) is not what.kind:
@@ -162,7 +164,7 @@ def _number(value: Any, what: Declared, where: str) -> float | int:
         wanted = kind if what.allowed in (None, ANY) else f"{kind}, {what.allowed}"
         raise refuse(where, value, what.unit, wanted) from None
     if what.allowed is not None and number not in what.allowed:
-        in_degrees = what.unit == "rad" and math.radians(number) in what.allowed
+        in_degrees = is_plain and what.unit == "rad" and math.radians(number) in what.allowed
         hint = f"; did you mean {number:g} deg?" if in_degrees else ""
         raise refuse(where, value, what.unit, f"{what.allowed}{hint}")
     return number

@@ -22,7 +22,7 @@ def split(text: str) -> tuple[str, str]:
     """Return the number in a text and its unit, empty where it has none; ValueError if neither."""
     found = _NUMBER.fullmatch(text) if len(text) <= _MAX_LENGTH else None
     if found is None:
-        raise ValueError(f"{text!r} is no number with a unit")
+        raise ValueError(f"{text!r} is not a number with a unit")
     return found[1], found[2] or ""
 
 
@@ -45,7 +45,7 @@ def in_si(text: str, unit: str) -> float:
     if not given:
         return float(number)
     if not _UNIT.fullmatch(given):
-        raise ValueError(f"{given!r} is no unit")
+        raise ValueError(f"{given!r} is not a unit")
     factor, dimension = _root(given)
     si_factor, si_dimension = _root(unit or "1")
     if dimension != si_dimension:
@@ -65,7 +65,7 @@ def _root(unit: str) -> tuple[Fraction, Any]:
     try:
         factor, base = registry.get_root_units(registry.parse_units("" if unit == "1" else unit))
     except (PintError, AttributeError, ValueError, TypeError) as error:
-        raise ValueError(f"{unit!r} is no unit") from error
+        raise ValueError(f"{unit!r} is not a unit") from error
     return Fraction(factor), base
 
 

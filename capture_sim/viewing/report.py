@@ -80,8 +80,8 @@ def error_statement(run: ViewableRun) -> str:
 
 
 _MEASURED = (
-    "measured. Its errors are those of the sensors, which the recording does not hold; between two "
-    "messages lies what was not seen, and the length of a touch is known to one message."
+    "measured. Its errors are those of the sensors, which the recording does not contain. Nothing "
+    "is known between two messages, so the length of a touch is known to one message period."
 )
 
 

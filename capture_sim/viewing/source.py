@@ -261,8 +261,8 @@ def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Res
         again = error.result
     if not _are_equal(again.touches, touches):
         raise CaptureSimError(
-            f"{run.scene.name}: this version of the simulator gives other touches than the run "
-            "has; it can only be drawn as it was sampled"
+            f"{run.scene.name}: this version of the simulator computes other touches than the run "
+            "has; only its samples can be drawn"
         )
     return again
 

@@ -41,7 +41,7 @@ BAD = [
     ("latch.radius=0.2", ["latch.radius = 0.2 m", "< 0.05"]),
     ("initial.target.x=0.45", ["initial: the tip starts", "m inside", "initial.target.x"]),
     ("initial.target.vx=-0.1", ["initial.target.vx = -0.1 m/s", "0 while the scene has a rail"]),
-    ("initial.target.y=0.5", ["passes the cone by"]),
+    ("initial.target.y=0.5", ["misses the cone"]),
     ("initial.chaser.omega=0.1", ["initial.chaser.omega = 0.1 rad/s", "0 on the rail"]),
     ("initial.target.theta=10", ["initial.target.theta = 10 rad", "<= 3.14159"]),
     ("run.rate=300", ["run.rate = 300", "Hz", "whole number"]),

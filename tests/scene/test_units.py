@@ -93,6 +93,11 @@ def test_angle_in_degrees_gets_a_hint(value):
     assert load_scene("tilt_0", [f"cone.half_angle={value} deg"])
 
 
+def test_an_angle_with_a_unit_is_not_taken_for_degrees():
+    with pytest.raises(SceneError, match=r"must be > 0 and < 1\.5708$"):
+        load_scene("tilt_0", ["cone.half_angle='100 deg'"])
+
+
 def test_three_mistakes_are_named_together(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(
