@@ -3,6 +3,10 @@
 Between two poses 0.1 s apart, noise of 1 mm makes a speed error of 14 mm/s.  So speed and travel
 are those of a straight line fitted to many poses; the scatter of the poses around it gives the
 uncertainty of the speed.
+
+The stamps of the poses are those of the bench's clock, and a busy node evaluates poses late and in
+clumps.  So the moment of the release is known only roughly, and the time to the contact counts from
+the beginning of the motion.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.launch.plan import travel_to_touch
-from capture_sim.launch.watch import Launcher, LauncherStatus
+from capture_sim.launch.watch import Launcher, LauncherStatus, expected_time
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: A fit goes over this time, s, and over this many poses at least.
@@ -26,13 +30,18 @@ WINDOW, ENOUGH = 0.3, 12
 PERIOD = 0.1
 #: After a longer gap, or a step back of the stamps by more, a fit starts again, s.
 MAX_GAP = 0.5
-#: Poses before the release that give the start; without them, those just after it.
+#: Poses before the release that give the start; without them, the first ones after it.
 START, FIRST = 50, 5
+#: Poses that arrive within this time after the release have waited for the node, s (wall): the
+#: chaser was still at rest, or has moved by less than 0.1 mm.
+SETTLE = 0.05
 #: Poses that begin later than this after the release do not show where it was, s.
 LATEST_START = 0.5
+#: A chaser that has travelled this far has begun to move, m.
+MOVED = 0.01
 #: The tip has met the cone when the median of this many travels is this close, m, as a bench's
-#: poses are no better.  A fit that goes over the contact shows a speed that is too low, and of a
-#: rebound it may never come that far.
+#: poses are no better, or comes this close at the last speed in a gap between two poses.  A fit
+#: that goes over the contact shows a speed that is too low.
 LATEST, REACH = 5, 0.005
 #: The travel to the cone is predicted until the tip is this close to it, m.
 CLOSE = 0.02
@@ -88,24 +97,25 @@ class BenchWatch:
     def __init__(self, launcher: Launcher, scene: Scene) -> None:
         self._launcher, self._scene = launcher, scene
         self._at_rest: deque[Pose] = deque(maxlen=START)
-        self._stamps: deque[float] = deque(maxlen=FIRST)  # s, of the poses before the fit
+        self._stamps: deque[float] = deque(maxlen=FIRST)  # s, of the last of these
         self._start: Pose | None = None
         self._is_late = False
         self._target: Pose | None = None
         self._zero = math.nan  # s, stamp of the release
         self._released = math.inf  # s, its arrival
+        self._delay = 0.0  # s, from the release to the beginning of the motion
+        self._has_moved = False
         self._last = 0.0  # s, the latest pose,
         self._observed = 0.0  # ... and when the launch was last evaluated
         self._fit = TravelFit()
         self._travels: deque[float] = deque(maxlen=LATEST)
         self._furthest = 0.0  # m, largest median of these
         self._contact_travel = launcher.plan.travel
+        self._has_touched = False
 
     def release(self, arrival: float) -> None:
         """Note that the chaser was let go; ``arrival``: s by the clock of :meth:`add_chaser`."""
         self._released = arrival
-        if len(self._stamps) == FIRST:
-            self._begin()
 
     def add_target(self, pose: Pose) -> None:
         """Note the target's latest pose; one that is not finite is left out."""
@@ -121,41 +131,62 @@ class BenchWatch:
         if not all(map(math.isfinite, pose)):
             return None
         if self._start is None:
-            self._at_rest.append(pose)
-            self._stamps.append(stamp)
-            if arrival > self._released and len(self._stamps) == FIRST:
-                self._begin()
-                self._is_late = arrival > self._released + LATEST_START
+            self._find_start(stamp, pose, arrival)
+        if self._start is None:
             return None
         x, y, heading = self._start
         t = stamp - self._zero
         travel = (pose[0] - x) * math.cos(heading) + (pose[1] - y) * math.sin(heading)
+        estimate = self._fit.add(t, travel)
+        if estimate is not None:
+            self._predict_contact(pose, travel)
+        follows = 0.0 <= t - self._last <= MAX_GAP
+        had_touched = self._has_touched
+        self._note_travel(travel, t - self._last if follows else 0.0)
+        self._last = t
+        is_overdue = follows and t - self._observed >= MAX_GAP
+        if estimate is None and not is_overdue and self._has_touched is had_touched:
+            return None
+        self._observed = t
+        if estimate is not None:
+            return self._observe(estimate)
+        # a chaser at rest gives no estimates, nor does a source that has lost its view
+        speed = self._launcher.status.measured_speed
+        return self._launcher.observe(speed, False, self._has_touched, t=t - self._delay)
+
+    def _find_start(self, stamp: float, pose: Pose, arrival: float) -> None:
+        """Collect poses of the start; the first one after the release ends that."""
+        if len(self._stamps) == FIRST and arrival > self._released + SETTLE:
+            self._start, self._zero = _median(self._at_rest), median(self._stamps)
+            return
+        self._at_rest.append(pose)
+        self._stamps.append(stamp)
+        self._is_late = arrival > self._released + LATEST_START
+
+    def _note_travel(self, travel: float, since_last: float) -> None:
+        """Note whether the tip has met the cone by now, or since the last pose, s before."""
         self._travels.append(travel)
         if len(self._travels) == LATEST:
             self._furthest = max(self._furthest, median(self._travels))
-        estimate = self._fit.add(t, travel)
-        follows, self._last = 0.0 <= t - self._last <= MAX_GAP, t
-        if estimate is None:
-            if follows and t - self._observed >= MAX_GAP:
-                # a chaser that does not move, or a source that lost its view: only the time counts
-                self._observed = t
-                speed = self._launcher.status.measured_speed
-                return self._launcher.observe(speed, False, False, t=t)
-            return None
-        self._observed = t
-        self._predict_contact(pose, travel)
+        unseen = max(self._launcher.status.measured_speed, 0.0) * since_last
+        if self._furthest + unseen > self._contact_travel - REACH:
+            self._has_touched = True
+
+    def _observe(self, estimate: TravelEstimate) -> LauncherStatus:
+        """Let the launcher evaluate an estimate."""
+        plan = self._launcher.plan
+        if estimate.travel > MOVED and not self._has_moved:
+            self._has_moved = True
+            self._delay = max(0.0, estimate.t - expected_time(plan, estimate.travel))
+        t = estimate.t - self._delay
         return self._launcher.observe(
             estimate.speed,
-            estimate.t > self._launcher.plan.landing_time,
-            self._furthest > self._contact_travel - REACH,
-            t=estimate.t,
+            t > plan.landing_time,
+            self._has_touched,
+            t=t,
             travel=None if self._is_late else estimate.travel,
             speed_deviation=estimate.speed_deviation,
         )
-
-    def _begin(self) -> None:
-        """Take the poses so far for those of the start."""
-        self._start, self._zero = _median(self._at_rest), median(self._stamps)
 
     def _predict_contact(self, pose: Pose, travel: float) -> None:
         """Update the travel at which the tip meets the cone; infinite if it will miss it."""

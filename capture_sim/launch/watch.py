@@ -28,6 +28,19 @@ def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     return math.sqrt(max(left, 0.0))
 
 
+def expected_time(plan: LaunchPlan, travel: float) -> float:
+    """Return when (s after the release) the chaser has this travel (m), if it then coasts freely.
+
+    ``inf`` if it never moves.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if landing == 0.0:
+        return math.inf
+    if travel < height:
+        return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
+    return plan.landing_time + (travel - height) / landing
+
+
 class LauncherPhase(Named):
     """State of the launcher, as in msg/LauncherState.msg."""
 
@@ -137,7 +150,7 @@ class Launcher:
         latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
         if t is not None and t > latest:
             return (
-                f"no contact {t:.4g} s after the release: expected at {plan.contact_time:.4g}, "
+                f"no contact after {t:.4g} s: expected after {plan.contact_time:.4g}, "
                 f"must be at most {latest:.4g}"
             )
         if travel is None:
