@@ -12,6 +12,7 @@ from typing import List  # noqa: UP035
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
+    OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
 )
@@ -22,7 +23,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from capture_sim.resources import config_dir
-from launch import LaunchDescription
+from launch import LaunchDescription, Substitution
 
 TEXTS = List[str]  # noqa: UP006  # by which launch knows a list
 SWITCH = ("true", "false")
@@ -69,13 +70,22 @@ MIXES = (
 )
 
 
+class Quoted(Substitution):
+    """The text of an argument as Python writes it, whatever quotes it contains."""
+
+    def __init__(self, name):
+        super().__init__()
+        self._name = name
+
+    def perform(self, context):
+        return repr(context.launch_configurations[self._name])
+
+
 def python(*parts, **kind):
     """Return the value of a Python expression of texts and, as `$name`, of arguments."""
-    pieces = [
-        ["'", LaunchConfiguration(part[1:]), "'"] if part.startswith("$") else [part]
-        for part in parts
-    ]
-    expression = PythonExpression([piece for three in pieces for piece in three])
+    expression = PythonExpression(
+        [Quoted(part[1:]) if part.startswith("$") else part for part in parts]
+    )
     return ParameterValue(expression, value_type=kind["kind"]) if kind else expression
 
 
@@ -96,6 +106,13 @@ def fail_with(event, context):
     """End the launch, with a status that is not zero, because of a node that has failed."""
     if event.returncode != 0:
         raise RuntimeError(f"{event.process_name}: exit status {event.returncode}")
+
+
+def check_params(context):
+    """Reject a file of parameters that is missing: launch_ros would only warn of it."""
+    path = LaunchConfiguration("params").perform(context)
+    if not Path(path).is_file():
+        raise RuntimeError(f"params = {path}: must be a file")
 
 
 def generate_launch_description():
@@ -166,4 +183,5 @@ def generate_launch_description():
     handlers = [
         RegisterEventHandler(OnProcessExit(target_action=node, on_exit=fail_with)) for node in nodes
     ]
-    return LaunchDescription([*arguments, *handlers, *nodes, viewer, rviz])
+    check = OpaqueFunction(function=check_params)
+    return LaunchDescription([*arguments, check, *handlers, *nodes, viewer, rviz])

@@ -59,8 +59,5 @@ def generate_launch_description():
         condition=IfCondition(detect),
         output="screen",
     )
-    nodes = [player, detector]
-    handlers = [
-        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=fail_with)) for node in nodes
-    ]
-    return LaunchDescription([*arguments, *handlers, *nodes])
+    ends = RegisterEventHandler(OnProcessExit(on_exit=fail_with))
+    return LaunchDescription([*arguments, ends, player, detector])

@@ -51,6 +51,8 @@ def test_bench_is_launched_and_its_recording_replayed(tmp_path):
         ("rtf:=-1", "error: parameter rtf = -1.0: must be a number"),
         ("state:=gone", "'playing', 'paused', 'stopped'"),
         ("experiment:=tilt_1", "tilt_1"),
+        ("experiment:=the crew's.yaml", "the crew's.yaml"),
+        ("params:=nowhere.yaml", "params = nowhere.yaml: must be a file"),
     ],
 )
 def test_wrong_argument_is_named(argument, said):
