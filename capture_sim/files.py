@@ -100,6 +100,8 @@ def why_not_writable(folder: Path) -> str:
             return "it is a file" if nearest == folder else f"{nearest} is a file"
         with tempfile.TemporaryFile(dir=nearest):
             return ""
+    except FileNotFoundError:
+        return f"{nearest} takes no new files"  # as /proc
     except OSError as error:
         return error.strerror or str(error)
 

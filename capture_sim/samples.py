@@ -171,6 +171,32 @@ TOUCH = np.dtype(
     ]
 )
 
+#: Fields of samples, touches and events by their unit, as in the definitions of the messages.
+_FIELDS_OF_UNIT = {
+    "s": ("t", "start", "end", "peak_time"),
+    "m": ("axial_stroke", "tip_axial", "tip_lateral", "tip_distance", "penetration", "mass_height"),
+    "m/s": ("penetration_rate", "mass_speed", "approach_speed"),
+    "rad": ("torsion",),
+    "N": (
+        *("axial_force", "normal_force", "friction_force", "contact_force", "latch_force"),
+        *("string_tension", "peak_force"),
+    ),
+    "N m": ("torsion_torque", "contact_torque"),
+    "N s": ("impulse",),
+    "J": (*ENERGIES, "dissipated"),
+}
+_UNITS = {name: unit for unit, names in _FIELDS_OF_UNIT.items() for name in names}
+
+
+def unit_of_column(column: str) -> str:
+    """Return the unit of a column of :func:`columns_of`, e.g. ``v.theta_P``; empty without one."""
+    field, _, member = column.partition(".")
+    if field in ("q", "v"):
+        unit = "rad" if member.startswith("theta") else "m"
+        return unit if field == "q" else f"{unit}/s"
+    return _UNITS.get(field, "")
+
+
 #: Extremes of a run.  Magnitudes: strokes inwards and outwards (m), torsion (rad), force of the
 #: axial buffer with its damper, stops and seat (N), torque of the torsional one (N m), normal force
 #: of each wall (N), force of the latch (N), penetration (m).  And the smallest distance of the

@@ -24,7 +24,15 @@ from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import change_scene, load_scene
 from capture_sim.results import heads, loads_of, summarize
 from capture_sim.results import rows as rows_of
-from capture_sim.samples import ENERGIES, SAMPLE, Event, EventKind, Extremes, columns_of
+from capture_sim.samples import (
+    ENERGIES,
+    SAMPLE,
+    Event,
+    EventKind,
+    Extremes,
+    columns_of,
+    unit_of_column,
+)
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.parts import Run, Scene
 from capture_sim.sensors import SimulatedSensors
@@ -215,10 +223,15 @@ class Result:
         ----------
         table
             ``samples``: one column for each number, indexed by time ``t``; the name of a component
-            contains that of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``; units as
-            in msg/BenchState.msg.  ``touches``: numbered from 0, units as in
-            :data:`capture_sim.samples.TOUCH`.  ``events``: kind, wall, detail and state, indexed
-            by ``t``.
+            contains that of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``.
+            ``touches``: numbered from 0.  ``events``: kind, wall, detail and state, indexed by
+            ``t``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table; ``attrs["units"]`` has the unit of each column and of the index, empty
+            without one.
 
         Raises
         ------
@@ -236,19 +249,26 @@ class Result:
             raise MissingPackageError(
                 "to_dataframe() needs pandas: pip install 'capture_sim[study]'"
             ) from None
+        columns: dict[str, Any]
         if table == "touches":
-            return pandas.DataFrame(columns_of(self.touches)).rename_axis("touch")
-        if table == "samples":
-            return pandas.DataFrame(columns_of(self.samples)).set_index("t")
-        events = self.events
-        columns: dict[str, Any] = {
-            "t": [event.t for event in events],
-            "kind": [event.kind.label for event in events],
-            "wall": [event.wall for event in events],
-            "detail": [event.detail for event in events],
-        }
-        state = {name: np.array([getattr(event, name) for event in events]) for name in "qv"}
-        return pandas.DataFrame({**columns, **columns_of(state)}).set_index("t")
+            columns = columns_of(self.touches)
+            frame = pandas.DataFrame(columns).rename_axis("touch")
+        elif table == "samples":
+            columns = columns_of(self.samples)
+            frame = pandas.DataFrame(columns).set_index("t")
+        else:
+            events = self.events
+            state = {name: np.array([getattr(event, name) for event in events]) for name in "qv"}
+            columns = {
+                "t": [event.t for event in events],
+                "kind": [event.kind.label for event in events],
+                "wall": [event.wall for event in events],
+                "detail": [event.detail for event in events],
+                **columns_of(state),
+            }
+            frame = pandas.DataFrame(columns).set_index("t")
+        frame.attrs["units"] = {name: unit_of_column(name) for name in columns}
+        return frame
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the run; see :func:`capture_sim.plot`.

@@ -20,7 +20,7 @@ from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
-from capture_sim.scene.units import in_si, split
+from capture_sim.scene.units import comma_hint, in_si, split
 from capture_sim.viewing.source import Opened, distinct_names
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def reader(read: Callable[[str], Read], allowed: str) -> Callable[[str], Read]:
         try:
             return read(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r}: must be {allowed}") from None
+            hint = comma_hint(text)
+            raise argparse.ArgumentTypeError(f"{text!r}: must be {allowed}{hint}") from None
 
     return read_allowed
 

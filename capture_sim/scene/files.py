@@ -14,7 +14,7 @@ import dataclasses
 import difflib
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ import yaml
 from capture_sim.errors import SceneError
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import Declared, accept, declared, refuse, shown
+from capture_sim.scene.paths import alike, did_you_mean
+from capture_sim.scene.quantities import Checked, Declared, accept, declared, refuse, shown
 
 #: Longest text of a scene, characters: the package's own are 3000 at most.
 MAX_TEXT = 100_000
@@ -311,10 +312,22 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
 
 
 def _unknown(key: object, fields: Mapping[str, Declared], prefix: str) -> str:
-    by_lower = {name.lower(): name for name in fields}
-    near = difflib.get_close_matches(str(key)[:100].lower(), by_lower, n=1, cutoff=0.5)
-    if near:
-        hint = f"did you mean {prefix}{by_lower[near[0]]}?"
-    else:
-        hint = f"available: {', '.join(fields)}"
+    name = str(key)[:100].lower()
+    by_lower = {field.lower(): field for field in fields}
+    inner = [f"{prefix}{field}" for field in alike(list(_inner_names(fields)), name, cutoff=0.6)]
+    near = [prefix + by_lower[n] for n in difflib.get_close_matches(name, by_lower, 1, cutoff=0.5)]
+    # a bare k_A means the buffer's, even if a field is similar to it
+    if inner and inner[0].lower().endswith(f".{name}"):
+        near = inner
+    likely = near or inner
+    hint = did_you_mean(likely) if likely else f"available: {', '.join(fields)}"
     return f"{prefix}{shown(key)[1:-1]}: unknown field; {hint}"
+
+
+def _inner_names(fields: Mapping[str, Declared], prefix: str = "") -> Iterator[str]:
+    """Yield the dotted names of the fields of the parts in a part."""
+    for name, what in fields.items():
+        if isinstance(what.kind, type) and issubclass(what.kind, Checked):
+            parts_fields = declared(what.kind)
+            yield from (f"{prefix}{name}.{field}" for field in parts_fields)
+            yield from _inner_names(parts_fields, f"{prefix}{name}.")

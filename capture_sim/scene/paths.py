@@ -23,6 +23,9 @@ NO_PHYSICS = ("run", "detector", "sensors")
 #: How the chaser was launched, which is known.
 LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
 
+#: Fields of one name that a hint lists.
+_MOST_ALIKE = 5
+
 
 def value_of(scene: Scene, name: str) -> float:
     """Return the value of a parameter in a scene.
@@ -76,9 +79,26 @@ def field_names(part: Any, prefix: str = "") -> list[str]:
     return names
 
 
-def nearest(names: Sequence[str], name: str) -> str:
-    """Return the one of several names that is most like a name."""
-    return difflib.get_close_matches(name[:100], names, n=1, cutoff=0.0)[0]
+def alike(names: Sequence[str], name: str, cutoff: float = 0.0) -> list[str]:
+    """Return the fields that an unknown name may mean, at most five; none below the cutoff.
+
+    They are the fields of the part of that name, or those whose last part is most like the name's,
+    in the same part if there is one.
+    """
+    owner, _, field = name.rpartition(".")
+    inside = [each for each in names if each.startswith(f"{name}.")]
+    siblings = [each for each in names if owner and each.startswith(f"{owner}.")]
+    last_parts: dict[str, list[str]] = {}
+    for each in siblings or names:
+        last_parts.setdefault(each.rpartition(".")[2].lower(), []).append(each)
+    near = difflib.get_close_matches(field[:100].lower(), last_parts, n=1, cutoff=cutoff)
+    return (inside or (last_parts[near[0]] if near else []))[:_MOST_ALIKE]
+
+
+def did_you_mean(names: Sequence[str]) -> str:
+    """Return the hint with the names that were found alike."""
+    *others, final = names
+    return f"did you mean {', '.join(others)} or {final}?" if others else f"did you mean {final}?"
 
 
 def changed(part: Any, path: str, value: Any) -> Any:

@@ -16,7 +16,7 @@ from dataclasses import MISSING, dataclass, field
 from typing import Any, NamedTuple
 
 from capture_sim.errors import SceneError
-from capture_sim.scene.units import in_si, split
+from capture_sim.scene.units import comma_hint, in_si, split
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _text_in_si(text: str, what: Declared, where: str) -> float:
     except ValueError:
         unit = "" if what.unit in ("", "1") else f" in {what.unit}"
         allowed = "" if what.allowed in (None, ANY) else f", {what.allowed}"
-        raise refuse(where, text, "", f"a number{unit}{allowed}") from None
+        raise refuse(where, text, "", f"a number{unit}{allowed}{comma_hint(text)}") from None
 
 
 def _three_points(value: Any, what: Declared, where: str) -> tuple[tuple[float, float], ...]:

@@ -56,6 +56,12 @@ def in_si(text: str, unit: str) -> float:
         return math.copysign(math.inf, float(number))
 
 
+def comma_hint(text: str) -> str:
+    """Return a hint for a text that is a number with a decimal comma, otherwise nothing."""
+    is_number = _NUMBER.fullmatch(text[:_MAX_LENGTH].replace(",", ".", 1))
+    return "; decimals need a point, not a comma" if "," in text and is_number else ""
+
+
 @functools.cache
 def _root(unit: str) -> tuple[Fraction, Any]:
     """Return a unit as a factor and base units, of which the radian is one."""

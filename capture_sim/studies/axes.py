@@ -15,7 +15,7 @@ from capture_sim.scene import paths
 from capture_sim.scene.files import parse
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Checked, Declared, Range, accept, declared, quantity, shown
-from capture_sim.scene.units import in_si, split
+from capture_sim.scene.units import comma_hint, in_si, split
 
 #: Most values of one axis.
 MAX_VALUES = 1_000_000
@@ -65,8 +65,8 @@ def declaration_of(scene: Scene, name: str) -> Declared:
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
     if what is None or what.kind not in (float, int, str, bool):
-        near = paths.nearest([*paths.field_names(scene), *APPROACH], name)
-        raise SceneError(f"{name}: no number of {scene.name}; did you mean {near}?")
+        near = paths.alike([*paths.field_names(scene), *APPROACH], name)
+        raise SceneError(f"{name}: no number of {scene.name}; {paths.did_you_mean(near)}")
     return what
 
 
@@ -112,7 +112,10 @@ def _span(what: Declared, name: str, text: str) -> list[Any]:
         ends = in_si(low, what.unit), in_si(high, what.unit)
         number = int(count)
     except ValueError:
-        raise SceneError(f"{name} = {text}: must be LOW:HIGH:COUNT in {what.unit or '1'}") from None
+        hint = max(map(comma_hint, (low, high)), key=len)
+        raise SceneError(
+            f"{name} = {text}: must be LOW:HIGH:COUNT in {what.unit or '1'}{hint}"
+        ) from None
     if not 1 <= number <= MAX_VALUES:
         raise SceneError(f"{name} = {text}: COUNT must be 1 to {MAX_VALUES}")
     values: list[Any] = np.linspace(*ends, number).tolist()

@@ -182,8 +182,8 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
     columns = [str(name) for name in table.columns if str(name) not in result_units()]
     for name in columns:
         if name not in inputs:
-            near = paths.nearest(sorted(inputs), name)
-            raise SceneError(f"column {name}: no field of {scene.name}; did you mean {near}?")
+            hint = paths.did_you_mean(paths.alike(sorted(inputs), name))
+            raise SceneError(f"column {name}: no field of {scene.name}; {hint}")
     if not columns or table.empty:
         raise SceneError("table: must have one row and one column of a field or more")
     for name in columns:

@@ -1,6 +1,7 @@
 """Where commands read and write: nothing into a bag, nothing left by a rejected command."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,7 @@ def test_why_a_folder_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     assert why_not_writable(tmp_path / "file") == "it is a file"
     assert "is a file" in why_not_writable(tmp_path / "file" / "b")
+    assert why_not_writable(Path("/proc/x")) == "/proc takes no new files"
     assert why_not_writable(tmp_path / ("n" * 300))
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
 

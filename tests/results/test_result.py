@@ -9,6 +9,7 @@ import pytest
 
 import capture_sim
 from capture_sim import MissingPackageError, SceneError, SimulationError, load_scene, simulate
+from capture_sim.messages.units import unit_of
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.results import (
@@ -74,6 +75,20 @@ def test_touches_and_events_are_tables(run):
     lifted = events[events["kind"] == "lift_off"]
     assert lifted.index.tolist() == run.touches["end"].tolist()[: len(lifted)]
     assert np.array_equal(events["v.theta_P"], [event.v[3] for event in run.events])
+
+
+@pytest.mark.parametrize(
+    "table, message",
+    [("samples", "BenchState"), ("touches", "BenchEvent"), ("events", "BenchEvent")],
+)
+def test_the_units_of_a_dataframe_are_those_of_the_messages(run, table, message):
+    frame = run.to_dataframe(table)
+    units = frame.attrs["units"]
+    indexed = {"t"} if table != "touches" else set()
+    assert units.keys() == {*frame.columns} | indexed
+    for name, unit in units.items():
+        recorded = {"start": "touch_start", "end": "touch_start"}.get(name, name)
+        assert unit == unit_of(f"capture_sim/msg/{message}", recorded), name
 
 
 @pytest.mark.parametrize("table", ["touch", "loads", "", None])

@@ -173,6 +173,10 @@ def test_inertia_of_probe_and_cylinder_are_those_of_the_shared_figures():
         ("cone.half_angel", "cone.half_angle"),
         ("detector.radius", "detector.capture_radius"),
         ("contact.v_0_floor", None),
+        ("k_A", "buffer.k_A"),
+        ("kA", "buffer.k_A"),
+        ("mass", "chaser.mass, target.mass or cylinder.mass"),
+        ("supports.c_rr", "supports.chaser.c_rr or supports.target.c_rr"),
     ],
 )
 def test_an_unknown_field_is_rejected_with_the_nearest_name(name, nearest):

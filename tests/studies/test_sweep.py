@@ -335,10 +335,14 @@ def test_an_experiment_is_the_approach_that_it_is(name):
 
 BAD = [
     ({"buffer.cA": "1:2:3"}, r"buffer.cA: no number of tilt_0; did you mean buffer.c_A\?"),
+    ({"k_A": "1:2:3"}, r"k_A: no number of tilt_0; did you mean buffer.k_A\?"),
+    ({"mass": "1"}, "did you mean chaser.mass, target.mass or cylinder.mass"),
+    ({"buffer": "1"}, "did you mean buffer.hinge_offset, "),
     ({"rail": "1"}, "rail: no number"),
     ({"approach.angel": "1"}, r"did you mean approach.angle\?"),
     ({"buffer.c_A": "5:30"}, "buffer.c_A = '5:30': must be a number in N s/m, >= 0"),
     ({"buffer.c_A": "5:30:x"}, "must be LOW:HIGH:COUNT in N s/m"),
+    ({"buffer.c_A": "0,5:30:3"}, "must be LOW:HIGH:COUNT in N s/m; decimals need a point"),
     ({"buffer.c_A": "5:30:0"}, "COUNT must be 1 to"),
     ({"buffer.c_A": "-5:30:3"}, "buffer.c_A = -5.0 N s/m: must be >= 0"),
     ({"buffer.c_A": "5 mm:30 mm:3"}, "must be LOW:HIGH:COUNT in N s/m"),
