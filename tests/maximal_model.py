@@ -461,6 +461,7 @@ def accelerations(
     return acc, held, friction, b[seated]
 
 
+@compiled
 def motion(
     z: np.ndarray,
     c: Constants,
@@ -471,8 +472,9 @@ def motion(
 ) -> np.ndarray:
     """Rate of change of the state: 12 coordinates, 12 velocities, normal impulse of each wall."""
     rate = np.zeros(26)
-    rate[:12] = z[12:24]
-    rate[12:24] = accelerations(z, c, touching, chi, sliding, resting)[0]
+    acc = accelerations(z, c, touching, chi, sliding, resting)[0]
+    for j in range(12):
+        rate[j], rate[12 + j] = z[12 + j], acc[j]
     for wall in range(2):
         if touching[wall]:
             rate[24 + wall] = contact_force(z, c, wall, chi[wall], sliding[wall])[0]
