@@ -36,6 +36,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
 
+#: Files of a few long tests: begun last, one runs on while the other workers have nothing left.
+LONG = ("test_other_numba.py", "test_install.py", "test_nodes.py", "test_rig_flows.py")
+
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()
 _log_dir = tempfile.mkdtemp(prefix="capture_sim_ros_log_")
@@ -46,6 +49,11 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
     Path(__file__).resolve().parent.parent / "config" / "fast_dds_loopback.xml"
 )
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with what takes longest."""
+    items.sort(key=lambda item: item.path.name not in LONG)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -59,10 +59,15 @@ def installed(request, wheel, tmp_path_factory):
     return folder / "env" / "bin", request.param
 
 
-def call(installed, *arguments, folder):
-    """Run capture-sim as installed, away from the sources; return status, output and errors."""
-    command = [installed[0] / "capture-sim", *arguments]
-    done = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True)
+def call(installed, program, *arguments, folder):
+    """Run a program as installed, away from the sources; return status, output and errors."""
+    done = subprocess.run(
+        [installed[0] / program, *arguments],
+        cwd=folder,
+        env=environment() | {"CAPTURE_SIM_CACHE": str(folder / "cache")},
+        capture_output=True,
+        text=True,
+    )
     return done.returncode, done.stdout, done.stderr
 
 
@@ -78,30 +83,21 @@ for command in COMMANDS:
 
 
 def test_every_command_shows_its_help(installed, tmp_path):
-    done = subprocess.run(
-        [installed[0] / "python", "-c", HELP],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert call(installed, "python", "-c", HELP, folder=tmp_path) == (0, "", "")
 
 
 def test_commands_that_need_more_name_it(installed, tmp_path):
-    status, _, errors = call(installed, "bench", "tilt_0", folder=tmp_path)
+    status, _, errors = call(installed, "capture-sim", "bench", "tilt_0", folder=tmp_path)
     assert (status, errors.count("\n")) == (1, 1)
     lacking = "ROS 2 is not installed: source an installation"
     if installed[1] == SETS["ros"]:
         lacking = "the ROS messages are not compiled: run 'make setup'"
     assert errors.startswith(f"capture-sim: {lacking}")
-    node = subprocess.run(
-        [installed[0] / "capture-sim-recorder"], env=environment(), capture_output=True, text=True
-    )
-    assert (node.returncode, node.stderr.count("\n")) == (1, 1), node.stderr
-    assert node.stderr.startswith(f"error: {lacking}")
+    status, _, errors = call(installed, "capture-sim-recorder", folder=tmp_path)
+    assert (status, errors.count("\n")) == (1, 1), errors
+    assert errors.startswith(f"error: {lacking}")
     if installed[1] != "[view]":
-        status, _, errors = call(installed, "report", "tilt_0", folder=tmp_path)
+        status, _, errors = call(installed, "capture-sim", "report", "tilt_0", folder=tmp_path)
         assert (status, errors.count("\n")) == (1, 1)
         assert re.search(r"pip install 'capture_sim\[view\]'", errors)
 
@@ -125,24 +121,38 @@ except ExecutorError as error:
 
 
 def test_a_cluster_works_where_its_extra_is_installed_and_is_named_elsewhere(installed, tmp_path):
-    python = [installed[0] / "python", "-c", CLUSTER]
-    printed = subprocess.check_output(python, cwd=tmp_path, env=environment(), text=True)
+    status, printed, _ = call(installed, "python", "-c", CLUSTER, folder=tmp_path)
     expected = "--scheduler: Dask is not installed; pip install 'capture_sim[cluster]'"
     if installed[1] == SETS["cluster"]:
         expected = "[2.0, 3.0]"
-    assert printed.strip() == expected
+    assert (status, printed.strip()) == (0, expected)
 
 
-def test_a_run_is_recorded_drawn_and_read_again(installed, tmp_path):
+FIRST_CALL = """
+import numpy, capture_sim
+assert numpy.__version__ == "1.26.4"
+capture_sim.simulate("tilt_0")
+"""
+
+
+def test_the_first_call_says_that_it_compiles_and_a_run_is_recorded_drawn_and_read_again(
+    installed, tmp_path
+):
     if installed[1]:
         pytest.skip("compiles the kernels: once is enough")
-    versions = [installed[0] / "python", "-c", "import numpy; print(numpy.__version__)"]
-    assert subprocess.check_output(versions, text=True) == "1.26.4\n"
-    status, out, _ = call(installed, "run", "tilt_p10", folder=tmp_path)
+    calls = [call(installed, "python", "-c", FIRST_CALL, folder=tmp_path) for _ in range(2)]
+    assert [status for status, *_ in calls] == [0, 0]
+    compiling, compiled = calls[0][2].splitlines()
+    assert compiling.startswith("capture_sim: compiling the kernels, once for this version")
+    assert re.fullmatch(r"capture_sim: compiled in \d+ s", compiled)
+    assert calls[1][2] == ""
+    status, out, _ = call(installed, "capture-sim", "run", "tilt_p10", folder=tmp_path)
     assert status == 0
     assert "captured" in out
     runs = tmp_path / "runs"
     assert (runs / "tilt_p10.png").stat().st_size > 20_000
-    status, out, _ = call(installed, "detect", runs / "tilt_p10.mcap", folder=tmp_path)
+    status, out, _ = call(
+        installed, "capture-sim", "detect", runs / "tilt_p10.mcap", folder=tmp_path
+    )
     assert status == 0
     assert "captured" in out

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
-import subprocess
-import sys
 from types import SimpleNamespace
 
 from capture_sim.commands import output
@@ -39,18 +35,3 @@ def test_a_pipe_gets_lines_with_an_estimate(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "compiling: 20 of 90 kernels, 1 kernels/s, about 70 s left"
     assert lines[-1] == "compiling: 80 of 90 kernels, 1 kernels/s, about 10 s left"
-
-
-def test_the_first_call_from_python_reports_that_it_compiles(tmp_path):
-    script = "import capture_sim; capture_sim.simulate('tilt_0')"
-    environment = {**os.environ, "CAPTURE_SIM_CACHE": str(tmp_path)}
-    first, second = (
-        subprocess.run(
-            [sys.executable, "-c", script], env=environment, capture_output=True, text=True
-        )
-        for _ in range(2)
-    )
-    lines = first.stderr.splitlines()
-    assert lines[0].startswith("capture_sim: compiling the kernels, once for this version")
-    assert re.fullmatch(r"capture_sim: compiled in \d+ s", lines[1])
-    assert (len(lines), second.stderr) == (2, "")

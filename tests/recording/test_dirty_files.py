@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import resource
 import zipfile
 from collections import Counter
 
 import numpy as np
 import pytest
 from bags import copied, of_a_bench
+from full_disk import file_size_limit
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -147,18 +147,24 @@ def test_bag_of_another_robot_is_named_with_what_is_missing(path, tmp_path, caps
             assert "robot_chaser_odom.csv" in printed
 
 
-def test_poses_that_are_no_numbers_are_left_out(path, tmp_path, capsys):
+def with_x(x_of, source, path):
+    """Copy a recording as a bench's, with the chaser's x changed."""
     store = typestore()
 
-    def lost(topic, data):
+    def change(topic, data):
         if topic == "/chaser/odom":
             message = store.deserialize_cdr(data, CHASER_ODOMETRY.type_name)
-            message.pose.pose.position.x = np.nan
+            position = message.pose.pose.position
+            position.x = x_of(position.x)
             data = bytes(store.serialize_cdr(message, CHASER_ODOMETRY.type_name))
         yield topic, "cdr", data
 
-    bare = of_a_bench(path, tmp_path / "bare.mcap")
-    file = copied(bare, tmp_path / "nan.mcap", change=lost)
+    bare = of_a_bench(source, path.with_stem("bare"))
+    return copied(bare, path, change=change)
+
+
+def test_poses_that_are_no_numbers_are_left_out(path, tmp_path, capsys):
+    file = with_x(lambda x: np.nan, path, tmp_path / "nan.mcap")
     ((_, status, errors, printed),) = answers(file, tmp_path, capsys, ("detect",))
     assert (status, errors) == (0, [])
     assert "verdict: undecided" in printed
@@ -197,17 +203,7 @@ def test_poses_of_one_instant_decide_and_fit_nothing(path, tmp_path, capsys):
 
 def test_poses_far_from_the_origin_of_their_frame_end_no_fit_in_an_error(path, tmp_path, capsys):
     """As of a map's grid: the model explains nothing, which is what is printed."""
-    store = typestore()
-
-    def far(topic, data):
-        if topic == "/chaser/odom":
-            message = store.deserialize_cdr(data, CHASER_ODOMETRY.type_name)
-            message.pose.pose.position.x += 1e4
-            data = bytes(store.serialize_cdr(message, CHASER_ODOMETRY.type_name))
-        yield topic, "cdr", data
-
-    bare = of_a_bench(path, tmp_path / "bare.mcap")
-    file = copied(bare, tmp_path / "far.mcap", change=far)
+    file = with_x(lambda x: x + 1e4, path, tmp_path / "far.mcap")
     ((_, status, errors, printed),) = answers(file, tmp_path, capsys, ("identify",))
     assert (status, errors) == (1, [])
     assert "the model does not explain the measurements" in printed
@@ -276,14 +272,10 @@ def test_full_disk_is_reported_of_the_new_file(path, tmp_path):
     folder.mkdir()
     for part in range(2):
         (folder / f"bag_{part}.mcap").write_bytes(path.read_bytes())
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))  # Python ignores SIGXFSZ
-    try:
+    with file_size_limit(50_000):
         for source in (path, folder):
             with pytest.raises(RecordingError, match=r"out.mcap: cannot write: File too large"):
                 recover(source, tmp_path / "out.mcap")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not (tmp_path / "out.mcap").exists()
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import re
-import resource
 import sys
 import threading
 import time
@@ -19,6 +17,7 @@ import pytest
 import yaml
 from bags import copied, in_two_files
 from damage import cuts, expected
+from full_disk import file_size_limit
 from mcap.reader import make_reader
 from mcap.records import Channel, DataEnd, Message
 from mcap.stream_reader import StreamReader
@@ -325,16 +324,6 @@ def test_unwritable_folder_is_refused_in_one_line(run, tmp_path):
     assert "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match="cannot write"):
         RunWriter(tmp_path, run)  # a folder
-
-
-@contextlib.contextmanager
-def file_size_limit(size):
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_file_that_did_not_become_whole_has_no_name(result, tmp_path):

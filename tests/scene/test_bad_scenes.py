@@ -210,7 +210,9 @@ def test_a_chain_of_files_is_bounded(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", ["x" * 300 + ".yaml", "x/" * 3000 + "a.yaml", "a\0b.yaml", "/", "/dev/null/a.yaml", ""]
+    "path",
+    ["x" * 300 + ".yaml", "x/" * 3000 + "a.yaml", "a\0b.yaml", "/", "/dev/null/a.yaml", ""],
+    ids=lambda path: path[:20],
 )
 def test_odd_paths_are_no_files(path):
     with pytest.raises(SceneError) as caught:

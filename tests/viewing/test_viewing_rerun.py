@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ctypes.util
 import io
-import resource
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import file_size_limit
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
@@ -306,11 +306,9 @@ def hue_area(image, colour):
 
 
 def test_full_disk_is_a_line_and_leaves_no_file(runs, tmp_path):
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))  # Python ignores SIGXFSZ
-    try:
-        with pytest.raises(RecordingError, match=r"runs\.rrd: cannot write"):
-            save_rrd(runs, tmp_path / "runs.rrd")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with (
+        file_size_limit(20_000),
+        pytest.raises(RecordingError, match=r"runs\.rrd: cannot write"),
+    ):
+        save_rrd(runs, tmp_path / "runs.rrd")
     assert list(tmp_path.iterdir()) == []
