@@ -40,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return status
     except SystemExit as leaving:  # argparse, after --help or a bad argument
         return _flushed(leaving.code if isinstance(leaving.code, int) else BAD_INPUT)
-    except KeyboardInterrupt:
-        return _interrupted()
+    except KeyboardInterrupt as interrupt:
+        return _interrupted(str(interrupt))
     except BrokenPipeError:
         _give_up_stdout()  # its reader has gone
         return FAILED
@@ -159,10 +159,10 @@ def _complain(text: str) -> None:
         sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
 
 
-def _interrupted() -> int:
+def _interrupted(state: str = "") -> int:
     from capture_sim.interrupts import leave_if_busy
 
-    _complain("interrupted")
+    _complain(f"interrupted: {state}" if state else "interrupted")
     leave_if_busy(INTERRUPTED)
     return INTERRUPTED
 

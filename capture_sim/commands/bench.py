@@ -8,7 +8,7 @@ import re
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
-from capture_sim.commands.output import draw, report, warn
+from capture_sim.commands.output import IMAGES_MISSING, draw, report, reported_if_interrupted, warn
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import check_ros, run_suite
 from capture_sim.recording.read import read_run
@@ -51,12 +51,14 @@ def run(options: argparse.Namespace) -> int:
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
     compile_first()
-    status, recordings = run_suite(
-        scenes, options.out, rtf=options.rtf, namespace=options.namespace or ""
-    )
+    with reported_if_interrupted(f"only recordings are written to {options.out}"):
+        status, recordings = run_suite(
+            scenes, options.out, rtf=options.rtf, namespace=options.namespace or ""
+        )
     runs = [run for run in map(read_run, recordings) if run.samples.size]
     report([summary_of(run, run.wall_time) for run in runs], options.out)
-    draw(runs, [run.path.stem for run in runs], options.out)
+    with reported_if_interrupted(IMAGES_MISSING):
+        draw(runs, [run.path.stem for run in runs], options.out)
     missing = {scene.name for scene in scenes} - {run.name for run in runs}
     if missing:
         warn(f"no result for {', '.join(sorted(missing))}")

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 OVERVIEW = "overview.png"
 #: All runs for rerun.
 RRD = "runs.rrd"
+#: State of a command that was interrupted while it drew.
+IMAGES_MISSING = "the files named above are complete, other images and rerun files are missing"
 #: Time between two lines of progress without a terminal, s.
 _PAUSE = 10.0
 
@@ -132,6 +134,15 @@ def write_json(path: Path, data: Any) -> Path:
         return values.tolist()
 
     return write_text(path, json.dumps(data, indent=2, allow_nan=False, default=plain) + "\n")
+
+
+@contextmanager
+def reported_if_interrupted(state: str) -> Iterator[None]:
+    """After Ctrl-C, let the command's last line say what is written and what is not."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(state) from None
 
 
 @contextmanager

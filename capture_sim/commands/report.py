@@ -8,7 +8,7 @@ from pathlib import Path
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
-from capture_sim.commands.output import Progress, echo
+from capture_sim.commands.output import Progress, echo, reported_if_interrupted
 
 DESCRIPTION = (
     "Write one self-contained HTML page about runs: results, plots, energy, errors, parameters. "
@@ -36,8 +36,9 @@ def run(options: argparse.Namespace) -> int:
     is_folder = options.out.is_dir() or not options.out.suffix
     page = options.out / "report.html" if is_folder else options.out
     prepare_folder(page.parent)
-    opened = open_runs(options.runs, options.scene, options.release, options.remaps)
-    with Progress("steps") as progress:
-        saved = save_report(opened, page, partial(progress.at, "report"))
+    with reported_if_interrupted(f"{page} is not written"):
+        opened = open_runs(options.runs, options.scene, options.release, options.remaps)
+        with Progress("steps") as progress:
+            saved = save_report(opened, page, partial(progress.at, "report"))
     echo(f"report in {saved}")
     return OK

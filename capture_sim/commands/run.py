@@ -8,7 +8,17 @@ from pathlib import Path
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
-from capture_sim.commands.output import OVERVIEW, RRD, draw, echo, remove_earlier, report, warn
+from capture_sim.commands.output import (
+    IMAGES_MISSING,
+    OVERVIEW,
+    RRD,
+    draw,
+    echo,
+    remove_earlier,
+    report,
+    reported_if_interrupted,
+    warn,
+)
 from capture_sim.errors import SimulationError
 from capture_sim.simulation import Result, simulate
 
@@ -38,25 +48,27 @@ def run(options: argparse.Namespace) -> int:
     results: list[Result] = []
     recordings: list[str] = []
     status = OK
-    for scene in scenes:
-        try:
-            result = simulate(scene)
-        except SimulationError as error:
-            warn(str(error))
-            status = FAILED
-            if error.result is None or error.result.samples.size == 0:
-                continue
-            result = error.result
-        results.append(result)
-        if not options.no_record:
-            path = write_run(result, options.out / f"{scene.name}.mcap")
-            recordings.append(path.stem)
-            echo(f"{scene.name}: recorded in {path}")
+    with reported_if_interrupted("only the recordings named above are written"):
+        for scene in scenes:
+            try:
+                result = simulate(scene)
+            except SimulationError as error:
+                warn(str(error))
+                status = FAILED
+                if error.result is None or error.result.samples.size == 0:
+                    continue
+                result = error.result
+            results.append(result)
+            if not options.no_record:
+                path = write_run(result, options.out / f"{scene.name}.mcap")
+                recordings.append(path.stem)
+                echo(f"{scene.name}: recorded in {path}")
     report([result.summary for result in results], options.out)
     if options.no_record:
         _remove_replaced([result.scene.name for result in results], options.out)
     else:
-        draw(results, recordings, options.out)
+        with reported_if_interrupted(IMAGES_MISSING):
+            draw(results, recordings, options.out)
     return status
 
 

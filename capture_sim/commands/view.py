@@ -9,7 +9,13 @@ from typing import Any
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
-from capture_sim.commands.output import Progress, draw, echo
+from capture_sim.commands.output import (
+    IMAGES_MISSING,
+    Progress,
+    draw,
+    echo,
+    reported_if_interrupted,
+)
 from capture_sim.errors import RecordingError
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
@@ -56,14 +62,16 @@ def run(options: argparse.Namespace) -> int:
         if options.save.suffix != ".rrd":
             raise RecordingError(f"--save {options.save}: must end in .rrd")
         prepare_folder(options.save.parent)
-    opened = open_runs(options.runs, options.scene, options.release, options.remaps)
-    if window is not None:
-        opened = [_within(run, window) for run in opened]
+    with reported_if_interrupted("nothing is written"):
+        opened = open_runs(options.runs, options.scene, options.release, options.remaps)
+        if window is not None:
+            opened = [_within(run, window) for run in opened]
     runs = [item.run for item in opened]
     labels = [item.label for item in opened]
-    draw(runs, labels, options.out, options.save, pictures=window is None)
-    if options.figures:
-        _draw_figures(runs, labels, options.out / "figures", window)
+    with reported_if_interrupted(IMAGES_MISSING):
+        draw(runs, labels, options.out, options.save, pictures=window is None)
+        if options.figures:
+            _draw_figures(runs, labels, options.out / "figures", window)
     return OK
 
 

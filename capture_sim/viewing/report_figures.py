@@ -108,7 +108,7 @@ def load_stroke(shown: Sequence[PlottedRun]) -> Drawn:
     figure = go.Figure()
     for number, plotted in enumerate(shown):
         stroke, force = STROKE.of(plotted.run.samples), plotted.run.samples["axial_force"]
-        extent = float(np.ptp(stroke)) or 1.0, float(np.ptp(force)) or 1.0
+        extent = float(np.ptp(stroke)), float(np.ptp(force))
         look = {"name": plotted.label, "legendgroup": plotted.label}
         x, y, _ = simplified(stroke, force, extent)
         _add_line(figure, (x, y), (plotted.colour, "solid", 1.5), **look)
@@ -150,7 +150,7 @@ def energies(known: Sequence[PlottedRun]) -> tuple[list[Drawn], dict[str, str]]:
             values = layer[few].astype(np.float32)
             _add_line(figure, (t[few].astype(np.float32), values), (colour, "solid", 0), **look)
             colours[name] = colour
-        x, y, _ = simplified(t, put_in, (float(np.ptp(t)) or 1.0, highest))
+        x, y, _ = simplified(t, put_in, (float(np.ptp(t)), highest))
         _add_line(figure, (x, y), (style.GREY, "dash", 2), name="put in")
         label = time_label([plotted._replace(origin=0.0)])
         figure.update_xaxes(title=f"{label}  [s]")
@@ -165,10 +165,11 @@ def simplified(
     """Return a curve without the points that lie on the line through their neighbours.
 
     No point (x, y), (n,) each, is farther from the new curve than ``_TOLERANCE`` of the axes,
-    whose width and height are ``extent``.  Pieces are separated by NaN, before and after.  The
-    values ``also``, (n,), go with their points.  All are returned in single precision, (k,).
+    whose width and height are ``extent``, or 1 for a curve without any.  Pieces are separated by
+    NaN, before and after.  The values ``also``, (n,), go with their points.  All are returned in
+    single precision, (k,).
     """
-    points = np.stack([x / extent[0], y / extent[1]], axis=-1)
+    points = np.stack([x / (extent[0] or 1.0), y / (extent[1] or 1.0)], axis=-1)
     finite = np.isfinite(points).all(axis=1)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
     pieces = [np.zeros(0, int)]
@@ -235,7 +236,7 @@ def _add_over_time(
             curves.append((t[inside], values[inside], holds))
         low = min((np.nanmin(values, initial=0.0) for _, values, _ in curves), default=0.0)
         high = max((np.nanmax(values, initial=0.0) for _, values, _ in curves), default=0.0)
-        extent = window[1] - window[0], float(high - low) or 1.0
+        extent = window[1] - window[0], float(high - low)
         for number, (plotted, (t, values, holds)) in enumerate(zip(shown, curves, strict=True)):
             parts = {"in contact": values} if holds is None else split(values, holds)
             for word, part in parts.items():

@@ -1,8 +1,10 @@
 """The command line as a user calls it."""
 
 import json
+from importlib import import_module
 from importlib.util import find_spec
 
+import pytest
 from bags import of_a_bench
 
 from capture_sim import load_scene, simulate
@@ -103,3 +105,41 @@ def test_scenes_and_show(capsys):
     assert "tilt_p10" in capsys.readouterr().out
     assert main(["show", "tilt_0", "--set", "buffer.c_A=20"]) == 0
     assert "c_A: 20.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "command, step, message",
+    [
+        (["run", "tilt_0", "paper_undamped"], "run.simulate", "only the recordings named above"),
+        (["run", "paper_undamped"], "run.draw", "named above are complete, other images"),
+        (["report", "tilt_0", "--out", "x.html"], "report.save_report", "x.html is not written"),
+        (["view", "tilt_0"], "view.open_runs", "nothing is written"),
+        (["view", "paper_undamped"], "view.draw", "named above are complete, other images"),
+    ],
+)
+def test_ctrl_c_says_what_is_written(command, step, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    module, name = step.split(".")
+    owner = import_module(
+        f"capture_sim.{'viewing' if name == 'save_report' else 'commands'}.{module}"
+    )
+    original, calls = getattr(owner, name), []
+
+    def interrupted(*arguments, **options):
+        calls.append(name)
+        # the second run is interrupted, or what is done once
+        if name == "simulate" and len(calls) == 1:
+            return original(*arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(owner, name, interrupted)
+    assert main(command) == 130
+    out, errors = capsys.readouterr()
+    assert errors.splitlines()[-1].startswith("capture-sim: interrupted: ")
+    assert message in errors
+    written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert written == {
+        "run.simulate": {"tilt_0.mcap"},
+        "run.draw": {"paper_undamped.mcap", "results.txt", "results.json"},
+    }.get(step, set())
+    assert all(name in out for name in written)

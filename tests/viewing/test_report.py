@@ -171,6 +171,21 @@ def test_a_run_without_a_touch_and_a_title_that_is_a_script(tmp_path):
     assert Page(text).open == []
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(
+    "scene, changes",
+    [
+        ("paper_designed", {"initial.chaser.vx": 0, "run.t_end": 0.5}),
+        ("tilt_0", {"run.t_end": 5e-4}),
+    ],
+    ids=["at rest", "one sample"],
+)
+def test_a_run_in_which_nothing_moves_is_drawn_without_a_warning(scene, changes, tmp_path):
+    run = capture_sim.simulate(scene, changes)
+    path = write_run(run, tmp_path / "still.mcap")
+    assert main(["report", str(path), "--out", str(tmp_path / "x.html")]) == 0
+
+
 def test_experiments_given_by_name_are_run(tmp_path, capsys):
     assert main(["report", "paper_designed", "--out", str(tmp_path / "x.html")]) == 0
     assert "captured" in (tmp_path / "x.html").read_text(encoding="utf-8")
