@@ -82,7 +82,6 @@ faults: develop
 
 picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
-	cp build/picture/overview.png docs/experiments.png
 	$(BIN)/python -m tools.explain docs
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
