@@ -128,7 +128,9 @@ LOADS = (
     ),
     Load("max_latch_force", "force of the latch", "N", "N", 1.0, ("latch_force",)),
     Load("max_penetration", "penetration", "m", "um", 1e6, ("penetration",)),
-    Load("nearest_distance", "nearest to BE", "m", "mm", 1e3, ("tip_distance",), least=True),
+    Load(
+        "nearest_distance", "closest approach to BE", "m", "mm", 1e3, ("tip_distance",), least=True
+    ),
 )
 
 

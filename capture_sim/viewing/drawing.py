@@ -32,7 +32,7 @@ def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
     several, scenes = len(shown) > 1, [plotted.run.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
-    axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="bound of the centre")
+    axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="limit of the centre")
     axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
     for number, plotted in enumerate(shown):
         draw_path(axes, plotted.run.scene, plotted.run.samples, plotted.holds, plotted.colour)

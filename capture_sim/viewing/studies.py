@@ -79,7 +79,7 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
         axes.axvline(c_A, color=style.BLACK, lw=2.0, label=f"chosen: {c_A:.3g} N s/m")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("axial damping  [N s/m]")
-    axes.set_ylabel("nearest to the centre of BE  [mm]")
+    axes.set_ylabel("closest approach to BE  [mm]")
     title = "Damper by the verdict" if design.met else "No damper meets the target"
     axes.set_title(title, fontsize=15)
     if trials:

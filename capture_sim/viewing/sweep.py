@@ -1,4 +1,4 @@
-"""Sweeps in pictures: a curve over one axis, a map over two, loads of draws, what matters most."""
+"""Sweeps in pictures: curve over one axis, map over two, loads of draws, effect of the inputs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.path import Path
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
@@ -38,6 +40,7 @@ _UNCOMPUTED = style.LIGHT
 _MAX_PANELS = 9
 _FEWEST_RANKED = 3
 _MOST_LEVELS = 5  # of the contours
+_SHORTEST_CONTOUR = 2.5  # cells
 
 
 class _Shown(NamedTuple):
@@ -193,10 +196,12 @@ def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) 
     panel.pcolormesh(
         *places, grid.to_numpy(), cmap=colours, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest"
     )
+    force = force.where(force > 0.0)  # none around the runs without a touch
     if min(force.shape) > 1 and force.notna().to_numpy().any():
         lines = panel.contour(
             *places, force.to_numpy(), _MOST_LEVELS, colors=style.BLACK, linewidths=0.8
         )
+        _drop_short_contours(lines, [_SHORTEST_CONTOUR * np.diff(at).min() for at in places])
         # read on dark colours too
         halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]
         lines.set_path_effects(halo)
@@ -204,6 +209,16 @@ def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) 
             text.set_path_effects(halo)
     panel.set_xlabel(x.label)
     panel.set_ylabel(y.label)
+
+
+def _drop_short_contours(lines: QuadContourSet, least: Sequence[float]) -> None:
+    """Keep the contours that are at least this wide or high: others circle a single run."""
+    paths = []
+    for path in lines.get_paths():
+        pieces = path.to_polygons(closed_only=False)
+        kept = [Path(piece) for piece in pieces if (np.ptp(piece, axis=0) >= least).any()]
+        paths.append(Path.make_compound_path(*kept))
+    lines.set_paths(paths)
 
 
 def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
@@ -237,10 +252,10 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
         panel.yaxis.set_major_locator(MaxNLocator(integer=True))
     panels[0, 0].legend(fontsize=11)
     p = capture_probability(table)
+    interval = f"95 % interval {p.low:.1%} to {p.high:.1%}"
+    note = f", {p.failed} could not be computed" if p.failed else ""
     figure.suptitle(
-        f"{title}: captured {p.captured} of {p.computed} runs "
-        f"({p.low:.1%} to {p.high:.1%}), {p.failed} could not be computed",
-        fontsize=14,
+        f"{title}: captured {p.captured} of {p.computed} runs ({interval}){note}", fontsize=14
     )
     return figure
 
@@ -265,7 +280,7 @@ def draw_tornado(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> F
     panels[0, 0].set_yticks(range(len(order)), list(order))
     figure.supxlabel("rank correlation (Spearman)", fontsize=12)
     runs = len(plain_rows(computed_rows(table)))
-    figure.suptitle(f"{title}: what matters, {runs} runs", fontsize=14)
+    figure.suptitle(f"{title}: effect of the inputs, {runs} runs", fontsize=14)
     return figure
 
 
@@ -292,5 +307,5 @@ def draw_indices(indices: Sequence[Indices], inputs: Sequence[str], title: str) 
     panels[0, 0].set_yticks(at, list(inputs))
     panels[0, -1].legend(fontsize=11)
     figure.supxlabel("Sobol index: share of the variance, 95 % interval", fontsize=12)
-    figure.suptitle(f"{title}: what matters, {indices[0].used} base samples", fontsize=14)
+    figure.suptitle(f"{title}: effect of the inputs, {indices[0].used} base samples", fontsize=14)
     return figure

@@ -30,7 +30,7 @@ def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):
         ("torsion, mrad", loads["max_torsion"] * 1e3),
         ("stroke inwards, mm", loads["max_axial_stroke_in"] * 1e3),
         ("stroke inwards, mm, until the latch", loads["max_axial_stroke_in_before_latch"] * 1e3),
-        ("nearest to BE, mm", loads["nearest_distance"] * 1e3),
+        ("closest approach to BE, mm", loads["nearest_distance"] * 1e3),
         ("peak normal force, N", touches["peak_force"].max()),
         ("normal impulse, N s", touches["impulse"].sum()),
     ):
@@ -93,7 +93,9 @@ def test_with_motion_capture_the_true_path_is_taken_where_both_hold_it(path, tmp
     scene = capture_sim.load_scene("tilt_0", ["sensors.motion_capture.rate=100"])
     seen = capture_sim.simulate(scene)
     noisy = write_run(seen, tmp_path / "noisy.mcap")
-    found = characteristics(comparable(read_run(noisy), read_run(path))[0])["nearest to BE, mm"]
+    found = characteristics(comparable(read_run(noisy), read_run(path))[0])[
+        "closest approach to BE, mm"
+    ]
     assert found == (seen.loads["nearest_distance"] * 1e3, "integration")
     # a bench knows it by its detector alone, and so it is taken of both
     topics = [*BENCH_TOPICS, ("/capture/status", "capture_sim/msg/CaptureStatus")]

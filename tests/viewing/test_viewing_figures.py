@@ -8,20 +8,24 @@ import itertools
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_rgba
+from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
 
 import capture_sim
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import EventKind
+from capture_sim.studies.axes import Axis
 from capture_sim.viewing import figures, report_figures, style
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.curves import PANELS, Trace, plotted_runs
 from capture_sim.viewing.figures import snapshot_times, snapshots
 from capture_sim.viewing.shapes import tip_in_world
 from capture_sim.viewing.source import resolved, resolved_or_not
+from capture_sim.viewing.sweep import draw_map
 
 
 def curves(axes, colour):
@@ -319,3 +323,19 @@ def test_labels_must_fit_the_runs(runs, tmp_path):
     with pytest.raises(ValueError, match="no run"):
         figures.distance([])
     assert save(figures.distance(runs, labels=["a", "b", "c"]), tmp_path / "x.png").is_file()
+
+
+def test_a_map_has_no_contours_around_single_runs():
+    """A plane of forces with a spike and a corner without touches: only lines across the plane."""
+    at = np.arange(12.0)
+    table = pd.DataFrame([{"a": a, "b": b} for a in at for b in at])
+    table["max_normal_force"] = 100.0 + 10.0 * table["a"]
+    table.loc[(table["a"] == 5.0) & (table["b"] == 5.0), "max_normal_force"] = 500.0
+    table.loc[(table["a"] > 8.0) & (table["b"] > 8.0), "max_normal_force"] = 0.0
+    table["verdict"] = "captured"
+    axes = [Axis(name, "1", tuple(at)) for name in ("a", "b")]
+    [panel] = draw_map(table, axes, "plane").axes
+    [lines] = [drawn for drawn in panel.collections if isinstance(drawn, QuadContourSet)]
+    pieces = [piece for path in lines.get_paths() for piece in path.to_polygons(closed_only=False)]
+    assert pieces
+    assert all(np.ptp(piece, axis=0).max() > 2.0 for piece in pieces)
