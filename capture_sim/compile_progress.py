@@ -1,4 +1,4 @@
-"""How far the compilation of the kernels is."""
+"""Progress of the compilation of the kernels."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numba.core import event
 
 @contextmanager
 def watch_compilation(report: Callable[[int, int], None]) -> Iterator[None]:
-    """Call ``report`` with the kernels that are compiled and their number, while in the context."""
-    with event.install_listener("numba:compile", _Compiling(report)):
+    """Call ``report`` with the numbers of compiled and of all kernels while in the context."""
+    with event.install_listener("numba:compile", _CompilationCounter(report)):
         yield
 
 
-class _Compiling(event.Listener):
-    """Counts the kernels that are compiled; the outermost is the last and takes longest."""
+class _CompilationCounter(event.Listener):
+    """Counts the compiled kernels; the outermost is the last and needs most of the time."""
 
     def __init__(self, report: Callable[[int, int], None]) -> None:
         self._report = report
@@ -31,11 +31,11 @@ class _Compiling(event.Listener):
         )
 
     def on_start(self, event: Any) -> None:
-        """Report what is under way."""
+        """Report the count at the start of a kernel."""
         self._report(len(self._done), self._all)
 
     def on_end(self, event: Any) -> None:
-        """Count what is done."""
+        """Count a compiled kernel and report."""
         function = event.data["dispatcher"].py_func
         if function.__module__.startswith("capture_sim."):
             self._done.add(function)

@@ -1,4 +1,4 @@
-"""Files that are complete when they get their name, and names that stay in their folder."""
+"""Files that are complete when they get their name, and safe file names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from capture_sim.errors import RecordingError
 
-#: Bytes of a name, so that a number, a suffix and a mark for unfinished files fit after it.
+#: Largest length of a stem, bytes: a number, a suffix and a mark for unfinished files still fit.
 NAME_BYTES = 180
 
 _UNSAFE = re.compile(r"[^\w.+=,@-]+")
@@ -84,30 +84,30 @@ def _link_new(part: Path, path: Path) -> None:
         os.link(part, path)
     except FileExistsError:
         raise
-    except OSError:  # a file system without links: the name is claimed first
+    except OSError:  # a file system without links: create the name first
         path.open("xb").close()
         part.replace(path)
 
 
 def why_not_writable(folder: Path) -> str:
-    """Return why no file can be written into a folder, empty if one can.
+    """Return the reason why no file can be written into a folder, empty if one can.
 
-    A folder that does not exist is not made: a command that is rejected later leaves nothing.
+    A missing folder is not created, so a command that is rejected later leaves nothing.
     """
     try:
-        nearest = next(each for each in (folder, *folder.parents) if _is_taken(each))
-        if not nearest.is_dir():
-            return "it is a file" if nearest == folder else f"{nearest} is a file"
-        with tempfile.TemporaryFile(dir=nearest):
+        existing = next(path for path in (folder, *folder.parents) if _is_taken(path))
+        if not existing.is_dir():
+            return "it is a file" if existing == folder else f"{existing} is a file"
+        with tempfile.TemporaryFile(dir=existing):
             return ""
     except FileNotFoundError:
-        return f"{nearest} takes no new files"  # as /proc
+        return f"{existing} takes no new files"  # as /proc
     except OSError as error:
         return error.strerror or str(error)
 
 
 def why_no_file(path: Path) -> str:
-    """Return why a file cannot be written in a folder that exists, empty if it can."""
+    """Return the reason why a file cannot be written into an existing folder, empty if it can."""
     if path.is_dir():
         return "it is a folder"
     if not path.parent.is_dir():
@@ -118,7 +118,7 @@ def why_no_file(path: Path) -> str:
 
 
 def _is_taken(path: Path) -> bool:
-    """Return True if a path exists, be it a link to nowhere; OSError if no file can have it."""
+    """Return True if a path exists, also as a broken link; OSError if it is not a valid path."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

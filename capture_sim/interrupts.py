@@ -1,10 +1,10 @@
-"""Ctrl-C that is neither lost nor raised at a bad moment.
+"""Handling of Ctrl-C in commands and nodes.
 
-A command is ended by KeyboardInterrupt, as any Python program.  In a compiler's callback, a
-destructor or a module's import, Python loses it or prints a traceback.  Compiling and loading the
-kernels consists of these, so it is done in a thread of its own.
+KeyboardInterrupt ends a command, as in any Python program.  In a compiler's callback, a destructor
+or a module's import, Python loses it or prints a traceback, so the kernels are compiled and loaded
+in a separate thread.
 
-A node is ended by an event, :data:`STOP`, which its main thread checks wherever it waits.
+The event :data:`STOP` ends a node; its main thread checks it wherever it waits.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: Set when a node's process is asked to end.
+#: Set when a node's process shall end.
 STOP = threading.Event()
-_NAME = "worker"
+_WORKER_NAME = "worker"
 #: A thread that waits for another event checks :data:`STOP` with this period, s.
 _POLL_PERIOD = 0.05
 
@@ -33,10 +33,10 @@ _POLL_PERIOD = 0.05
 def watch_signals(
     stop: threading.Event, signals: Collection[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
 ) -> Callable[[], None]:
-    """Set an event when one of the signals comes; return a function that restores the handlers.
+    """Set an event when a signal arrives; return a function that restores the handlers.
 
     Nothing is raised, so no cleanup is interrupted and no signal is lost in a destructor.  Outside
-    of the main thread, where Python allows no handlers, nothing is done.
+    the main thread, where Python does not allow handlers, nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         return lambda: None
@@ -75,7 +75,7 @@ def in_worker(work: Callable[[], T]) -> T:
     :func:`leave_if_busy`.
     """
     if threading.current_thread() is not threading.main_thread():
-        return work()  # signals are not for this thread
+        return work()  # only the main thread receives signals
     results: list[T] = []
     failures: list[BaseException] = []
     done = threading.Event()
@@ -87,7 +87,7 @@ def in_worker(work: Callable[[], T]) -> T:
             failures.append(failure)
         done.set()
 
-    thread = threading.Thread(target=run, name=_NAME, daemon=True)
+    thread = threading.Thread(target=run, name=_WORKER_NAME, daemon=True)
     thread.start()
     wait_for(done)
     thread.join()
@@ -97,35 +97,35 @@ def in_worker(work: Callable[[], T]) -> T:
 
 
 def leave_if_busy(status: int, *names: str) -> None:
-    """End the process at once, with this exit status, if a thread is at work outside of Python.
+    """End the process at once, with this exit status, if a worker thread is still running.
 
-    Only ``os._exit`` can: LLVM cannot be interrupted, and Python's own end would wait for the
-    thread, or, where it does not, abort when that returns (before Python 3.14).  The threads are
-    those of :func:`in_worker` and those of the given names.
+    Workers are the threads of :func:`in_worker` and those of the given names.  LLVM cannot be
+    interrupted, and a normal exit would wait for the thread, or abort when it returns (before
+    Python 3.14), so ``os._exit`` is used.
     """
-    if any(thread.name in (_NAME, *names) for thread in threading.enumerate()):
+    if any(thread.name in (_WORKER_NAME, *names) for thread in threading.enumerate()):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
 
 
 def end_within(seconds: int, status: int) -> None:
-    """End the process with this exit status if it has not ended after some seconds (wall).
+    """End the process with this exit status if it has not ended after ``seconds`` of wall time.
 
-    Fast DDS as the wheels have it may spin for ever when a participant is destroyed at the moment
-    in which another appears or disappears (eProsima Fast-DDS issue 6513: built for the C++ library
-    of GCC 9, a deadline overflows).  rclpy holds Python's lock meanwhile, so that no thread, no
-    handler and no ``finally`` runs: a timer of the C library calls that library's ``_exit``.
+    Fast DDS in the wheels may spin forever when a participant is destroyed while another appears
+    or disappears (eProsima Fast-DDS issue 6513: a deadline overflows with the C++ library of
+    GCC 9).  rclpy holds Python's lock meanwhile, so no thread, handler or ``finally`` runs; a timer
+    of the C library calls ``_exit``.
     """
     sys.stdout.flush()
     sys.stderr.flush()
-    with suppress(OSError, AttributeError):  # not GNU's C library, and so no such wheel
+    with suppress(OSError, AttributeError):  # another C library: such a wheel does not exist
         libc = ctypes.CDLL("librt.so.1")  # older versions have the timers there
         leave = ctypes.cast(libc._exit, ctypes.c_void_p).value
         sigev_thread = 2
-        # struct sigevent: value, signal, what is done, function, its attributes
+        # struct sigevent: value, signal, notification, function, its attributes
         event = struct.pack("PiiPP32x", status, 0, sigev_thread, leave, 0)
         timer = ctypes.c_void_p()
         if libc.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(timer)) == 0:
-            # struct itimerspec: every, and after, s and ns each
+            # struct itimerspec: interval and delay, s and ns each
             libc.timer_settime(timer, 0, struct.pack("4l", 0, 0, seconds, 0), None)

@@ -18,63 +18,51 @@ from capture_sim.scene.parts import Scene
 
 
 def first_cluster(touches: np.ndarray) -> np.ndarray:
-    """Return the touches of the first contact.
+    """Return the touches of the first contact, (m,) of dtype TOUCH, of a run's touches (n,).
 
     A light tip chatters on the wall before it slides.  The first contact is with the wall touched
     first.  It ends when the tip touches the other wall, or when a pause is longer than the chatter
     before it (from the start of the first touch to the start of the last).  After a single touch
     there is no chatter yet: the pause belongs to the contact if it is shorter than the contact
     that follows.
-
-    Parameters
-    ----------
-    touches
-        (n,) of dtype TOUCH, in order of their ends.
     """
     ordered = touches[np.argsort(touches["start"], kind="stable")]
     start, end = ordered["start"], ordered["end"]
-    return ordered[: _bounced(start, end, _chatter(start, end, ordered["wall"]))]
+    count = _count_chatter(start, end, ordered["wall"])
+    return ordered[: _count_first_contact(start, end, count)]
 
 
 def first_contact_end(events: Iterable[Event], now: float) -> float | None:
-    """Return the end of the first contact, s; None if it has not ended so far.
-
-    Parameters
-    ----------
-    events
-        Events of the run so far.
-    now
-        Present time of the run, s.
-    """
-    begun = [event for event in events if event.kind is EventKind.TOUCH]
-    start = np.array([event.t for event in begun])
+    """Return the end of the first contact, s; None if it has not ended at time ``now``, s."""
+    starts = [event for event in events if event.kind is EventKind.TOUCH]
+    start = np.array([event.t for event in starts])
     end = np.full(start.size, math.inf)
     for touch in (event.touch for event in events if event.touch is not None):
         end[start == touch["start"]] = touch["end"]
-    behind = _chatter(start, end, np.array([event.wall for event in begun]))
-    if behind == 0:
+    count = _count_chatter(start, end, np.array([event.wall for event in starts]))
+    if count == 0:
         return None
-    still = behind < 2 or now - end[behind - 1] <= start[behind - 1] - start[0]
-    if still and behind == start.size:
+    may_continue = count < 2 or now - end[count - 1] <= start[count - 1] - start[0]
+    if may_continue and count == start.size:
         return None
-    last = float(end[_bounced(start, end, behind) - 1])
-    return last if math.isfinite(last) else None
+    contact_end = float(end[_count_first_contact(start, end, count) - 1])
+    return contact_end if math.isfinite(contact_end) else None
 
 
-def _chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
-    """Return the number of touches, in order of their starts, that chatter after the first."""
-    other = np.flatnonzero(wall != wall[:1])
-    size = int(other[0]) if other.size else start.size
-    for behind in range(2, size):
-        if start[behind] - end[behind - 1] > start[behind - 1] - start[0]:
-            return behind
+def _count_chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
+    """Return the number of touches from the first to the end of its chatter, by their starts."""
+    other_wall = np.flatnonzero(wall != wall[:1])
+    size = int(other_wall[0]) if other_wall.size else start.size
+    for count in range(2, size):
+        if start[count] - end[count - 1] > start[count - 1] - start[0]:
+            return count
     return size
 
 
-def _bounced(start: np.ndarray, end: np.ndarray, behind: int) -> int:
-    """Return the number of the chatter's touches in the first contact: one, or all."""
-    alone = behind > 1 and start[1] - end[0] > end[behind - 1] - start[1]
-    return 1 if alone else behind
+def _count_first_contact(start: np.ndarray, end: np.ndarray, count: int) -> int:
+    """Return how many of the first ``count`` touches are the first contact: one, or all."""
+    is_single = count > 1 and start[1] - end[0] > end[count - 1] - start[1]
+    return 1 if is_single else count
 
 
 def impact_speed(events: Iterable[Event]) -> float | None:
@@ -141,16 +129,10 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     ``max_torsion_before_latch`` until the latch closes (the whole run if it never does), and their
     times ``max_torsion_time`` and ``max_torsion_before_latch_time``, s since the release.  A load
     that never occurs is 0, with time None; a load that was not measured is None.  Two further keys
-    are ``touches``, their number, and ``first_contact_impulse``, N s.
-
-    Parameters
-    ----------
-    extremes
-        Extremes of the run.
-    touches
-        (n,) of dtype TOUCH.
+    are ``touches``, their number, and ``first_contact_impulse``, N s.  ``touches`` are (n,) of
+    dtype TOUCH.
     """
-    # as plain numbers: a record looks each up by its name
+    # as plain numbers: access to the fields of a record is slow
     names = EXTREMES.names or ()
     rows = [dict(zip(names, row.item(), strict=True)) for row in extremes if row is not None]
     loads: dict[str, Any] = {}
@@ -181,12 +163,13 @@ def sampled_extremes(
     samples are missed.  A quantity that was not measured is NaN.
     """
     latched = next((event for event in events if event.kind is EventKind.LATCHED), None)
-    closed = math.inf if latched is None else latched.t
-    parts = [samples[samples["t"] < closed], samples[samples["t"] >= closed]]
-    located = touches["start"] < closed
-    found = np.zeros(2, EXTREMES)
-    for row, part, own in zip(found, parts, (touches[located], touches[~located]), strict=True):
-        # a latch holds the tip in place of the walls
+    latch_time = math.inf if latched is None else latched.t
+    parts = [samples[samples["t"] < latch_time], samples[samples["t"] >= latch_time]]
+    is_before = touches["start"] < latch_time
+    touches_of_part = touches[is_before], touches[~is_before]
+    extremes = np.zeros(2, EXTREMES)
+    for row, part, part_touches in zip(extremes, parts, touches_of_part, strict=True):
+        # a latched tip does not press on the walls
         penetration = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
         series = [
             ("axial_stroke_in", part["t"], np.maximum(-part["axial_stroke"], 0.0)),
@@ -199,10 +182,10 @@ def sampled_extremes(
             ("tip_distance", part["t"], -part["tip_distance"]),
         ]
         for column, (wall, side) in enumerate((("plus_y", 1), ("minus_y", -1))):
-            # a measured touch that does not tell its wall (0) may be of either
-            of_wall = own[(own["wall"] == side) | (own["wall"] == 0)]
-            times = np.concatenate([part["t"], of_wall["peak_time"]])
-            force = np.concatenate([part["normal_force"][:, column], of_wall["peak_force"]])
+            # wall 0: a measured touch of an unknown wall
+            at_wall = part_touches[np.isin(part_touches["wall"], (side, 0))]
+            times = np.concatenate([part["t"], at_wall["peak_time"]])
+            force = np.concatenate([part["normal_force"][:, column], at_wall["peak_force"]])
             series.append((f"normal_force_{wall}", times, force))
         for name, times, values in series:
             known = np.flatnonzero(np.isfinite(values))
@@ -211,15 +194,15 @@ def sampled_extremes(
                 largest = known[values[known].argmax()]
                 row[name], row[f"{name}_time"] = values[largest], times[largest]
         row["tip_distance"] *= -1.0
-    after = found[1]
+    after = extremes[1]
     if latched is not None and scene.latch is not None:
-        # the spring is relaxed then, the damper takes the tip's whole speed
+        # the spring is relaxed then; the damper acts on the full speed of the tip
         state = (*latched.q.tolist(), *latched.v.tolist())
         _, _, wx, wy = plain(tip_in_cone)(state, Criteria.of(scene))
         at_closing = scene.latch.damping * math.hypot(wx, wy)
         if at_closing > after["latch_force"]:
-            after["latch_force"], after["latch_force_time"] = at_closing, closed
-    return Extremes(found[0], found[1] if parts[1].size else None)
+            after["latch_force"], after["latch_force_time"] = at_closing, latch_time
+    return Extremes(extremes[0], extremes[1] if parts[1].size else None)
 
 
 def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
@@ -245,22 +228,16 @@ def extremes_to_text(extremes: Extremes) -> str:
 
 
 def extremes_from_text(text: str) -> Extremes:
-    """Return the extremes in a line of JSON.
-
-    Raises
-    ------
-    ValueError
-        The text is not from :func:`extremes_to_text`.
-    """
-    found = np.zeros(2, EXTREMES)
+    """Return the extremes in a text of :func:`extremes_to_text`; ValueError if it is invalid."""
+    extremes = np.zeros(2, EXTREMES)
     try:
         before, after = (json.loads(text)[name] for name in Extremes._fields)
-        found[0] = tuple(before[name] for name in EXTREMES.names or ())
+        extremes[0] = tuple(before[name] for name in EXTREMES.names or ())
         if after is not None:
-            found[1] = tuple(after[name] for name in EXTREMES.names or ())
+            extremes[1] = tuple(after[name] for name in EXTREMES.names or ())
     except (TypeError, KeyError, IndexError, RecursionError) as error:
         raise ValueError(str(error)) from None
-    return Extremes(found[0], None if after is None else found[1])
+    return Extremes(extremes[0], None if after is None else extremes[1])
 
 
 def summarize(
@@ -283,7 +260,7 @@ def summarize(
     if extremes is None:
         extremes = sampled_extremes(scene, samples, touches, events)
     first = first_cluster(touches)
-    met = first.size > 0
+    has_contact = first.size > 0
     simulated = float(samples["t"][-1]) if samples.size else 0.0
     return {
         "name": scene.name,
@@ -291,10 +268,14 @@ def summarize(
         "left_again": status is not None and status.left_again,
         "problems": list(problems),
         "impact_speed": impact_speed(events),
-        "first_contact_time": float(first["start"].min()) if met else None,
-        "first_contact_duration": float(first["end"].max() - first["start"].min()) if met else None,
+        "first_contact_time": float(first["start"].min()) if has_contact else None,
+        "first_contact_duration": float(first["end"].max() - first["start"].min())
+        if has_contact
+        else None,
         "first_contact_touches": int(first.size),
-        "first_contact_peak_force": _if_measured(first["peak_force"].max()) if met else None,
+        "first_contact_peak_force": _if_measured(first["peak_force"].max())
+        if has_contact
+        else None,
         "normal_impulse": _if_measured(touches["impulse"].sum()),
         **loads_of(extremes, touches),
         "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
@@ -372,32 +353,25 @@ def rows(
     """Return summaries as texts in the units of :func:`heads`; '-' for None.
 
     A run whose latch closed has a second row with its loads until then; an incomplete run has a
-    row that marks it.
-
-    Parameters
-    ----------
-    summaries
-        Summaries of the runs.
-    names
-        Names for the first column; None for those of the scenes.
+    row that marks it.  ``names`` replaces the names of the scenes in the first column.
     """
-    found = []
-    named = [summary["name"] for summary in summaries] if names is None else names
-    for name, summary in zip(named, summaries, strict=True):
+    table_rows = []
+    first_column = [summary["name"] for summary in summaries] if names is None else names
+    for name, summary in zip(first_column, summaries, strict=True):
         row = [name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])]
         if summary["left_again"]:
             row[1] += ", left"
-        found.append(row)
+        table_rows.append(row)
         if summary["max_latch_force_time"] is not None:
-            earlier = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS)
+            values = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS[1:])
             cells = (
                 "" if value is None else _text(column, value)
-                for column, value in zip(_COLUMNS, earlier, strict=True)
+                for column, value in zip(_COLUMNS[1:], values, strict=True)
             )
-            found.append([_UNTIL_LATCH, *list(cells)[1:]])
+            table_rows.append([_UNTIL_LATCH, *cells])
         if summary["problems"]:
-            found.append([_INCOMPLETE, *[""] * (len(_COLUMNS) - 1)])
-    return found
+            table_rows.append([_INCOMPLETE, *[""] * (len(_COLUMNS) - 1)])
+    return table_rows
 
 
 def _text(column: _Column, value: Any) -> str:
@@ -413,7 +387,7 @@ def table(summaries: Sequence[dict[str, Any]]) -> str:
     """
     cells = [[c.name for c in _COLUMNS], [c.unit for c in _COLUMNS], *rows(summaries)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(_COLUMNS))]
-    # a group's columns stand close to each other, and are as wide together as its name
+    # the columns of a group are close together, and at least as wide as its name
     gaps = [
         "" if i == 0 else " " if c.group and c.group == _COLUMNS[i - 1].group else "  "
         for i, c in enumerate(_COLUMNS)

@@ -1,8 +1,7 @@
-"""What the sensors of a bench make of the truth: noise, rate and bandwidth.
+"""Simulated sensors of a bench: noise, rate and bandwidth.
 
-Every sensor draws from a stream of random numbers of its own, in the order of its
-readings: they depend on the seed and the run alone, not on the pace, nor on how the run is
-cut into blocks, nor on which other sensors there are.
+Every sensor has its own stream of random numbers, in the order of its readings.  The readings
+depend on the seed and the run only, not on the pace, the blocks of samples or other sensors.
 """
 
 from __future__ import annotations
@@ -26,30 +25,15 @@ _CHASER, _TARGET = slice(0, 3), slice(5, 8)
 
 
 class Reading(NamedTuple):
-    """What was read at one sample; None for a sensor that was not due.
+    """Readings at one sample; None for a sensor that is not due."""
 
-    Attributes
-    ----------
-    chaser, target
-        Poses by motion capture.
-    wrench
-        By the load cell: what the tip does to the cone, in the axes of the target, about
-        its centre of mass.
-    """
-
-    chaser: Pose | None = None
+    chaser: Pose | None = None  # by motion capture
     target: Pose | None = None
-    wrench: Wrench | None = None
+    wrench: Wrench | None = None  # of the tip on the cone, target's axes and centre of mass
 
 
 class SimulatedSensors:
-    """The sensors of one run; feed every sample in order.
-
-    Parameters
-    ----------
-    scene
-        Its ``sensors`` say what there is.
-    """
+    """The sensors of one run of a scene; they read every sample in order."""
 
     def __init__(self, scene: Scene) -> None:
         self._count = 0
@@ -66,7 +50,7 @@ class SimulatedSensors:
             self._load_cell = _LoadCell(parts.load_cell, scene, rng)
 
     def read(self, sample: np.void) -> Reading:
-        """Return what is read at the next sample, of dtype SAMPLE."""
+        """Return the readings at the next sample, of dtype SAMPLE."""
         k, self._count = self._count, self._count + 1
         chaser = target = wrench = None
         if self._motion_capture is not None and k % self._motion_capture.every == 0:
@@ -79,12 +63,12 @@ class SimulatedSensors:
 class _MotionCapture:
     def __init__(self, part: MotionCapture, scene: Scene, rng: np.random.Generator) -> None:
         self.every = round(scene.run.state_rate / part.rate)
-        scatter = [part.position_noise, part.position_noise, part.heading_noise]
-        self._scatter = np.array(scatter * 2)
+        deviations = [part.position_noise, part.position_noise, part.heading_noise]
+        self._deviations = np.array(deviations * 2)
         self._rng = rng
 
     def read(self, sample: np.void) -> tuple[Pose, Pose]:
-        error = (self._scatter * self._rng.standard_normal(6)).tolist()
+        error = (self._deviations * self._rng.standard_normal(6)).tolist()
         c = sample["q"][_CHASER].tolist()
         t = sample["q"][_TARGET].tolist()
         return (
@@ -94,22 +78,22 @@ class _MotionCapture:
 
 
 class _LoadCell:
-    """Under the cone, in the axes of the target.
+    """Load cell under the cone, in the axes of the target.
 
-    What it feels between two samples is taken from the target's change of momentum, less
-    what its supports did: exact for the mean over the interval however short a touch was,
-    where the force at the sample would alias.  The cone's own mass is left out.
+    The mean wrench between two samples is the target's change of momentum minus the impulse of its
+    supports: exact also for a short touch, which samples of the force would alias.  The mass of
+    the cone is neglected.
     """
 
     def __init__(self, part: LoadCell, scene: Scene, rng: np.random.Generator) -> None:
         self.every = round(scene.run.state_rate / part.rate)
-        self._inert = (scene.target.mass, scene.target.mass, scene.target.inertia)
-        self._front = scene.cone.L_T
-        self._scatter = np.array([part.force_noise, part.force_noise, part.torque_noise])
+        self._inertias = (scene.target.mass, scene.target.mass, scene.target.inertia)
+        self._L_T = scene.cone.L_T
+        self._deviations = np.array([part.force_noise, part.force_noise, part.torque_noise])
         self._rng = rng
         dt = 1.0 / scene.run.state_rate
         self._filters = [low_pass(part.order, part.bandwidth, dt) for _ in range(3)]
-        self._rolling = _rolling(scene)
+        self._rolling = _rolling_of(scene)
         self._last: tuple[float, list[float], Wrench, int] | None = None
 
     def read(self, sample: np.void, *, due: bool) -> Wrench | None:
@@ -118,46 +102,50 @@ class _LoadCell:
         rolling = self._rolling(sample)
         mean = (0.0, 0.0, 0.0)
         if self._last is not None:
-            t_0, v_0, rolling_0, rested = self._last
-            if at_rest and rested:
-                # nothing moves: the supports hold against just what the cell feels
-                mean = _pressed(sample, self._front)
+            t_0, v_0, rolling_0, was_at_rest = self._last
+            if at_rest and was_at_rest:
+                # the supports balance the wrench of the tip
+                mean = _tip_wrench(sample, self._L_T)
             else:
                 dt = t - t_0
                 mean_x, mean_y, mean_m = (
                     m * (b - a) / dt - 0.5 * (r_0 + r)
-                    for m, a, b, r_0, r in zip(self._inert, v_0, v, rolling_0, rolling, strict=True)
+                    for m, a, b, r_0, r in zip(
+                        self._inertias, v_0, v, rolling_0, rolling, strict=True
+                    )
                 )
                 mean = (mean_x, mean_y, mean_m)
         self._last = (t, v, rolling, at_rest)
         c, s = math.cos(theta), math.sin(theta)
-        felt = (c * mean[0] + s * mean[1], c * mean[1] - s * mean[0], mean[2])
-        filtered = [a_filter(value) for a_filter, value in zip(self._filters, felt, strict=True)]
+        wrench = (c * mean[0] + s * mean[1], c * mean[1] - s * mean[0], mean[2])
+        filtered = [
+            filtering(value) for filtering, value in zip(self._filters, wrench, strict=True)
+        ]
         if not due:
             return None
-        x, y, m = (np.array(filtered) + self._scatter * self._rng.standard_normal(3)).tolist()
+        x, y, m = (np.array(filtered) + self._deviations * self._rng.standard_normal(3)).tolist()
         return x, y, m
 
 
-def _pressed(sample: np.void, front: float) -> Wrench:
+def _tip_wrench(sample: np.void, L_T: float) -> Wrench:
     """Return force (N, world axes) and torque (N m) of the tip on the target at a sample.
 
-    About the target's centre of mass; ``front`` is its distance to BE, L_T, m.
+    About the target's centre of mass; ``L_T`` is its distance to BE, m.
     """
     fx, fy = (-(sample["contact_force"] + sample["latch_force"])).tolist()
     theta = float(sample["q"][7])
     c, s = math.cos(theta), math.sin(theta)
-    px, py = -(float(sample["tip_axial"]) + front), float(sample["tip_lateral"])
+    px, py = -(float(sample["tip_axial"]) + L_T), float(sample["tip_lateral"])
     rx, ry = c * px - s * py, s * px + c * py
     return fx, fy, rx * fy - ry * fx - float(sample["contact_torque"])
 
 
-def _rolling(scene: Scene) -> Callable[[np.void], Wrench]:
-    """Return what gives the supports' wrench on the target at a sample, world axes."""
+def _rolling_of(scene: Scene) -> Callable[[np.void], Wrench]:
+    """Return a function of the supports' wrench on the target at a sample, world axes."""
     if scene.supports is None:
         return lambda sample: (0.0, 0.0, 0.0)
-    part = pack(scene, math.nan, math.nan)[0]
-    balls, v_eps = np.array(part["balls_T"]), float(part["v_eps_ball"])
+    par = pack(scene, math.nan, math.nan)[0]
+    balls, v_eps = np.array(par["balls_T"]), float(par["v_eps_ball"])
     resistance = plain(rolling_wrench)
 
     def rolling(sample: np.void) -> Wrench:
@@ -170,41 +158,33 @@ def _rolling(scene: Scene) -> Callable[[np.void], Wrench]:
 
 
 def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float]:
-    """Return a low-pass filter of a signal given by its means over intervals of ``dt``.
+    """Return a low-pass filter of a signal given by its means over intervals of ``dt`` (s).
 
-    Exact for a signal that is constant within each interval, so stable at any bandwidth.
-
-    Parameters
-    ----------
-    order
-        ``"first"``: 1 / (1 + s / w); ``"second"``: 1 / (1 + sqrt(2) s / w + (s / w)^2)
-        (Butterworth).
-    bandwidth
-        w / (2 pi), where the power is halved, Hz.
-    dt
-        s.
+    Order ``"first"`` is 1 / (1 + s / w), ``"second"`` 1 / (1 + sqrt(2) s / w + (s / w)^2), with
+    w = 2 pi times ``bandwidth`` (Hz).  Exact for a signal that is constant within each interval,
+    so stable at any bandwidth.
     """
     w = 2.0 * math.pi * bandwidth
     if order == "first":
         decay = math.exp(-w * dt)
-        state = 0.0
+        output = 0.0
 
         def first(value: float) -> float:
-            nonlocal state
-            state = value + (state - value) * decay
-            return state
+            nonlocal output
+            output = value + (output - value) * decay
+            return output
 
         return first
     # y'' + sqrt(2) w y' + w^2 y = w^2 u: poles w (-1 +- i) / sqrt(2); e = y - u is free motion
     a = w / math.sqrt(2.0)
     fade, c, s = math.exp(-a * dt), math.cos(a * dt), math.sin(a * dt)
-    place = speed = 0.0
+    output = rate = 0.0
 
     def second(value: float) -> float:
-        nonlocal place, speed
-        e = place - value
-        place = value + fade * (e * (c + s) + speed / a * s)
-        speed = fade * (speed * (c - s) - 2.0 * a * e * s)
-        return place
+        nonlocal output, rate
+        e = output - value
+        output = value + fade * (e * (c + s) + rate / a * s)
+        rate = fade * (rate * (c - s) - 2.0 * a * e * s)
+        return output
 
     return second

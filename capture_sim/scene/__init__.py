@@ -1,1 +1,1 @@
-"""What stands on the bench: parts, their quantities, and the files that hold them."""
+"""Scenes: the parts of a bench, their quantities, and the YAML files that describe them."""

@@ -1,10 +1,10 @@
 """Scenes as YAML: parsed, extended, overridden, built.
 
-A file may say ``extends: other`` (a name beside it or in config/scenes); what it says
-itself is laid over that.  ``null`` takes a part off the bench.
+A file may contain ``extends: other`` (a name next to it or in config/scenes); its own values
+override those of the other file.  ``null`` removes a part from the bench.
 
-All text from outside comes in by :func:`parse`, which holds it to a size and to plain values,
-and makes one line of whatever is wrong with it.
+All external text passes through :func:`parse`, which limits its size, accepts plain values only,
+and reports every mistake in one line.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def mapping(self, node: yaml.MappingNode) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
                 raise SceneError(f"{_line(key_node)}: {shown(key)} is not a field name")
-            if key in found:
+            if key in values:
                 raise SceneError(f"{shown(key)}: given twice ({_line(key_node)})")
-            found[key] = self.construct_object(value_node, deep=True)
-        return found
+            values[key] = self.construct_object(value_node, deep=True)
+        return values
 
 
 def _line(node: Any) -> str:
@@ -79,7 +79,7 @@ for _kind, _pattern, _first in (
         "yYnNtTfFoO",
     ),
     ("int", r"[-+]?[0-9]+", "-+0123456789"),
-    # with 1e-3, which YAML 1.1 takes for a text
+    # includes 1e-3, which is a text in YAML 1.1
     (
         "float",
         r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
@@ -101,19 +101,9 @@ _Loader.yaml_constructors = _constructors
 
 
 def parse(text: str, source: str) -> Any:
-    """Return what a YAML text says: texts, numbers, lists, mappings by name.
+    """Return the texts, numbers, lists and mappings of a YAML text.
 
-    Parameters
-    ----------
-    text
-        From anywhere.
-    source
-        What the message calls it.
-
-    Raises
-    ------
-    SceneError
-        One line, whatever is wrong.
+    SceneError, in one line with the name ``source``, if it is invalid.
     """
     if len(text) > MAX_TEXT:
         raise SceneError(f"{source}: longer than {MAX_TEXT} characters")
@@ -121,7 +111,7 @@ def parse(text: str, source: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
-    except Exception as error:  # whatever the parser meets, the text is wrong
+    except Exception as error:  # the parser raises many kinds for an invalid text
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or str(error)
@@ -129,16 +119,18 @@ def parse(text: str, source: str) -> Any:
         raise SceneError(f"{source}{where}: not valid YAML: {problem}") from None
 
 
-# who loads a scene again and again, with other values, has its files parsed once
-_parsed = lru_cache(maxsize=32)(parse)
+# studies load a scene many times with other values
+_parse_cached = lru_cache(maxsize=32)(parse)
 
 
 def parse_scene(text: str, source: str) -> dict[str, Any]:
-    """Return the parts that a YAML text says, unchecked; errors as of :func:`parse`."""
-    data = _parsed(text, source)
+    """Return the parts in a YAML text, unchecked; SceneError as from :func:`parse`."""
+    data = _parse_cached(text, source)
     if not isinstance(data, dict):
-        found = "is empty" if data is None else f"holds {shown(data)}"
-        raise SceneError(f"{source}: {found}: must be fields of a scene, e.g. buffer: {{k_A: 400}}")
+        content = "is empty" if data is None else f"holds {shown(data)}"
+        raise SceneError(
+            f"{source}: {content}: must be fields of a scene, e.g. buffer: {{k_A: 400}}"
+        )
     return copy.deepcopy(data)
 
 
@@ -148,30 +140,20 @@ def scene_names() -> list[str]:
     return sorted(p.stem for p in folder.glob("*.yaml") if not p.stem.startswith("_"))
 
 
-def find_scene(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """Return the file of a scene, by its name or path.
+def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
+    """Return the file of a scene, by its name or path; SceneError if there is none.
 
-    Parameters
-    ----------
-    name_or_path
-        ``"tilt_p10"``, or the path of a YAML file.
-    beside
-        Folder that a path starts from, and where a name is looked for first.
-
-    Raises
-    ------
-    SceneError
-        There is none.
+    A path is relative to ``folder``, where a name is also looked up first.
     """
     text = str(name_or_path)
     if text.endswith((".yaml", ".yml")) or "/" in text:
-        path = Path(text) if beside is None else beside / text
-        # of os.path, for which no path is too odd
+        path = Path(text) if folder is None else folder / text
+        # os.path accepts any text as a path
         if not os.path.isfile(path):  # noqa: PTH113
             raise SceneError(f"scene file {shown(text)[1:-1]}: no such file")
         return path
-    for folder in filter(None, (beside, config_dir() / "scenes")):
-        path = folder / f"{text}.yaml"
+    for place in filter(None, (folder, config_dir() / "scenes")):
+        path = place / f"{text}.yaml"
         if os.path.isfile(path):  # noqa: PTH113
             return path
     names = scene_names()
@@ -180,26 +162,16 @@ def find_scene(name_or_path: str | Path, beside: Path | None = None) -> Path:
     raise SceneError(f"scene {shown(text)}: not found; {hint}")
 
 
-def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Return what a file says, laid over what it extends; unchecked.
+def read_scene(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return the values of a scene file over those of the files that it extends, unchecked.
 
-    Parameters
-    ----------
-    path
-        Of an existing file.
-    readers
-        Files that extend it, the first first.
-
-    Raises
-    ------
-    SceneError
-        One line that names the file.
+    ``extended_by`` are the files that led here, first to last.  SceneError if a file is invalid.
     """
-    place = path.resolve()
-    if place in readers:
-        raise SceneError(f"{path.name}: extends itself through {readers[-1].name}")
-    if len(readers) >= MAX_FILES:
-        raise SceneError(f"{readers[0].name}: more than {MAX_FILES} files extend each other")
+    resolved = path.resolve()
+    if resolved in extended_by:
+        raise SceneError(f"{path.name}: extends itself through {extended_by[-1].name}")
+    if len(extended_by) >= MAX_FILES:
+        raise SceneError(f"{extended_by[0].name}: more than {MAX_FILES} files extend each other")
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_TEXT + 1)
@@ -213,15 +185,16 @@ def read_scene(path: Path, readers: tuple[Path, ...] = ()) -> dict[str, Any]:
         return data
     if not isinstance(parent, str):
         raise SceneError(f"{path.name}: extends = {shown(parent)}: must be the name of a scene")
-    return _laid_over(read_scene(find_scene(parent, path.parent), (*readers, place)), data)
+    return _merged(read_scene(find_scene(parent, path.parent), (*extended_by, resolved)), data)
 
 
-def _laid_over(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested values with those of ``changes`` in place of the base's."""
     merged = dict(base)
-    for key, value in over.items():
+    for key, value in changes.items():
         if isinstance(value, Mapping):
-            below = merged.get(key)
-            value = _laid_over(below if isinstance(below, dict) else {}, value)
+            replaced = merged.get(key)
+            value = _merged(replaced if isinstance(replaced, dict) else {}, value)
         merged[key] = value
     return merged
 
@@ -233,25 +206,22 @@ Overrides = Iterable[str] | Mapping[str, Any]
 def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, Any], list[str]]:
     """Return a scene's data with values changed, and the changes as ``name=value``.
 
-    Raises
-    ------
-    SceneError
-        An override is none.
+    SceneError if an override is not of this form.
     """
     if isinstance(overrides, str):
         overrides = [overrides]
-    items = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
+    items = overrides.items() if isinstance(overrides, Mapping) else map(_split_override, overrides)
     changes = []
     for name, value in items:
-        over = value
+        nested = value
         for part in reversed(name.split(".", MAX_DEPTH)):
-            over = {part: over}
-        data = _laid_over(data, over)
+            nested = {part: nested}
+        data = _merged(data, nested)
         changes.append(f"{name}={value if isinstance(value, str) else shown(value)}")
     return data, changes
 
 
-def _split(item: str) -> tuple[str, Any]:
+def _split_override(item: str) -> tuple[str, Any]:
     name, sign, text = item.partition("=")
     name = name.strip()
     if not sign or not name:
@@ -260,58 +230,47 @@ def _split(item: str) -> tuple[str, Any]:
 
 
 def build(data: Any, part: Any = Scene, where: str = "") -> Any:
-    """Make a scene, or a part of one, of plain data.
+    """Return a scene, or a part of one, from a mapping by field names.
 
-    Parameters
-    ----------
-    data
-        A mapping by the fields' names.
-    part
-        What is made.
-    where
-        Dotted name of the part.
-
-    Raises
-    ------
-    SceneError
-        One line that names every wrong field with its value, unit and allowed range.
+    ``part`` is its class and ``where`` its dotted name.  SceneError, in one line, names the wrong
+    fields with value, unit and range.
     """
     mistakes: list[str] = []
-    made = _build(data, part, where, mistakes)
+    built = _build(data, part, where, mistakes)
     if mistakes:
-        more = len(mistakes) - MAX_MISTAKES
-        rest = [f"and {more} more mistakes"] if more > 0 else []
+        n_further = len(mistakes) - MAX_MISTAKES
+        rest = [f"and {n_further} more mistakes"] if n_further > 0 else []
         raise SceneError("; ".join(mistakes[:MAX_MISTAKES] + rest))
-    return made
+    return built
 
 
 def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
-    """Return a part made of plain data; None where it adds to the mistakes."""
+    """Return a part from a mapping; None if it has mistakes, which are added to the list."""
     if not isinstance(data, Mapping):
         example = next(iter(declared(part)))
         mistakes.append(str(refuse(where, data, "", f"its fields, e.g. {{{example}: VALUE}}")))
         return None
     prefix = f"{where}." if where else ""
     fields = declared(part)
-    before = len(mistakes)
-    mistakes += [_unknown(key, fields, prefix) for key in data if key not in fields]
+    n_mistakes = len(mistakes)
+    mistakes += [_unknown_field(key, fields, prefix) for key in data if key not in fields]
     values = {}
-    for name, what in fields.items():
+    for name, spec in fields.items():
         if name not in data:
-            if what.required:
-                unit = f" (in {what.unit})" if what.unit else ""
+            if spec.required:
+                unit = f" (in {spec.unit})" if spec.unit else ""
                 mistakes.append(f"{prefix}{name}: missing{unit}")
-        elif dataclasses.is_dataclass(what.kind) and not (data[name] is None and what.optional):
-            values[name] = _build(data[name], what.kind, prefix + name, mistakes)
+        elif dataclasses.is_dataclass(spec.kind) and not (data[name] is None and spec.optional):
+            values[name] = _build(data[name], spec.kind, prefix + name, mistakes)
         else:
             try:
-                values[name] = accept(data[name], what, prefix + name)
+                values[name] = accept(data[name], spec, prefix + name)
             except SceneError as error:
                 mistakes.append(str(error))
-    return part(**values) if len(mistakes) == before else None
+    return part(**values) if len(mistakes) == n_mistakes else None
 
 
-def _unknown(key: object, fields: Mapping[str, Declared], prefix: str) -> str:
+def _unknown_field(key: object, fields: Mapping[str, Declared], prefix: str) -> str:
     name = str(key)[:100].lower()
     by_lower = {field.lower(): field for field in fields}
     inner = [f"{prefix}{field}" for field in alike(list(_inner_names(fields)), name, cutoff=0.6)]
@@ -319,15 +278,15 @@ def _unknown(key: object, fields: Mapping[str, Declared], prefix: str) -> str:
     # a bare k_A means the buffer's, even if a field is similar to it
     if inner and inner[0].lower().endswith(f".{name}"):
         near = inner
-    likely = near or inner
-    hint = did_you_mean(likely) if likely else f"available: {', '.join(fields)}"
+    similar = near or inner
+    hint = did_you_mean(similar) if similar else f"available: {', '.join(fields)}"
     return f"{prefix}{shown(key)[1:-1]}: unknown field; {hint}"
 
 
 def _inner_names(fields: Mapping[str, Declared], prefix: str = "") -> Iterator[str]:
     """Yield the dotted names of the fields of the parts in a part."""
-    for name, what in fields.items():
-        if isinstance(what.kind, type) and issubclass(what.kind, Checked):
-            parts_fields = declared(what.kind)
-            yield from (f"{prefix}{name}.{field}" for field in parts_fields)
-            yield from _inner_names(parts_fields, f"{prefix}{name}.")
+    for name, spec in fields.items():
+        if isinstance(spec.kind, type) and issubclass(spec.kind, Checked):
+            inner_fields = declared(spec.kind)
+            yield from (f"{prefix}{name}.{field}" for field in inner_fields)
+            yield from _inner_names(inner_fields, f"{prefix}{name}.")

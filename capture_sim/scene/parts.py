@@ -179,7 +179,7 @@ class Cone(Checked):
 
     @property
     def wall(self) -> tuple[float, float, float, float]:
-        """What :mod:`capture_sim.model.geometry` needs: R_c, L_c (m), cos beta, sin beta."""
+        """Parameters of :mod:`capture_sim.model.geometry`: R_c, L_c (m), cos beta, sin beta."""
         return self.R_c, self.L_c, math.cos(self.half_angle), math.sin(self.half_angle)
 
 

@@ -1,4 +1,4 @@
-"""Parameters of a scene by name: where they stand, what they may be, how they are changed."""
+"""Parameters of a scene by name: their paths, values, ranges and changes."""
 
 from __future__ import annotations
 
@@ -11,40 +11,31 @@ from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import ANY, declared
 
-#: Short names, and where the value stands in a scene.
+#: Short names of parameters and their paths in a scene.
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "c_rr": ("supports.chaser.c_rr", "supports.target.c_rr"),
     "e": ("contact.restitution",),
     "mu": ("friction.mu",),
     "c_A": ("buffer.c_A",),
 }
-#: Parts of a scene that are how it is simulated, judged and measured, not what is on the bench.
+#: Parts of a scene that describe simulation, detection and measurement, not the bench.
 NO_PHYSICS = ("run", "detector", "sensors")
-#: How the chaser was launched, which is known.
+#: Parameters of the launch, which are known.
 LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
 
-#: Fields of one name that a hint lists.
-_MOST_ALIKE = 5
+#: Largest number of names in a hint.
+_MAX_ALIKE = 5
 
 
 def value_of(scene: Scene, name: str) -> float:
-    """Return the value of a parameter in a scene.
-
-    Raises
-    ------
-    SceneError
-        It is no number there.
-    """
+    """Return the value of a parameter in a scene; SceneError if it is not a number there."""
     return float(get(scene, paths_of(scene, name)[0]))
 
 
 def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
-    """Return where a parameter stands in a scene.
+    """Return the paths of a parameter in a scene.
 
-    Raises
-    ------
-    SceneError
-        It is no number there, or no property of the bench.
+    SceneError if it is not a number there, or not a property of the bench.
     """
     paths = ALIASES.get(name) or (name,)
     for path in paths:
@@ -60,17 +51,17 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
 
 
 def get(scene: Scene, path: str) -> Any:
-    """Return what stands at a path of a scene; None where nothing does."""
+    """Return the value at a path of a scene; None if there is none."""
     value: Any = scene
     for name in path.split("."):
-        # what follows from fields, as probe.rod_mass does, cannot be changed
-        known = dataclasses.is_dataclass(value) and name in declared(type(value))
-        value = getattr(value, name) if known else None
+        # computed properties such as probe.rod_mass cannot be changed
+        is_field = dataclasses.is_dataclass(value) and name in declared(type(value))
+        value = getattr(value, name) if is_field else None
     return value
 
 
 def field_names(part: Any, prefix: str = "") -> list[str]:
-    """Return the dotted names of the fields of a scene that hold no part."""
+    """Return the dotted names of all values of a scene, or of a part with a prefix."""
     names = []
     for name in declared(type(part)):
         value = getattr(part, name)
@@ -82,21 +73,21 @@ def field_names(part: Any, prefix: str = "") -> list[str]:
 def alike(names: Sequence[str], name: str, cutoff: float = 0.0) -> list[str]:
     """Return the fields that an unknown name may mean, at most five; none below the cutoff.
 
-    They are the fields of the part of that name, or those whose last part is most like the name's,
-    in the same part if there is one.
+    They are the fields of a part with that name, or the fields whose own name is most similar, of
+    the same part if it exists.
     """
     owner, _, field = name.rpartition(".")
-    inside = [each for each in names if each.startswith(f"{name}.")]
-    siblings = [each for each in names if owner and each.startswith(f"{owner}.")]
+    inside = [path for path in names if path.startswith(f"{name}.")]
+    siblings = [path for path in names if owner and path.startswith(f"{owner}.")]
     last_parts: dict[str, list[str]] = {}
-    for each in siblings or names:
-        last_parts.setdefault(each.rpartition(".")[2].lower(), []).append(each)
+    for path in siblings or names:
+        last_parts.setdefault(path.rpartition(".")[2].lower(), []).append(path)
     near = difflib.get_close_matches(field[:100].lower(), last_parts, n=1, cutoff=cutoff)
-    return (inside or (last_parts[near[0]] if near else []))[:_MOST_ALIKE]
+    return (inside or (last_parts[near[0]] if near else []))[:_MAX_ALIKE]
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return the hint with the names that were found alike."""
+    """Return the hint that lists similar names."""
     *others, final = names
     return f"did you mean {', '.join(others)} or {final}?" if others else f"did you mean {final}?"
 
@@ -107,22 +98,22 @@ def changed(part: Any, path: str, value: Any) -> Any:
 
 
 def with_values(part: Any, values: Mapping[str, Any]) -> Any:
-    """Return a scene, or a part of one, with other values by path; each part is made once."""
+    """Return a scene, or a part of one, with other values by path; each part is checked once."""
     fields: dict[str, Any] = {}
-    inner: dict[str, dict[str, Any]] = {}
+    part_values: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
         name, _, rest = path.partition(".")
         if rest:
-            inner.setdefault(name, {})[rest] = value
+            part_values.setdefault(name, {})[rest] = value
         else:
             fields[name] = value
-    for name, of_part in inner.items():
-        fields[name] = with_values(getattr(part, name), of_part)
+    for name, inner_values in part_values.items():
+        fields[name] = with_values(getattr(part, name), inner_values)
     return dataclasses.replace(part, **fields)
 
 
 def range_of(scene: Scene, path: str) -> tuple[float, float]:
-    """Return the least and the largest value that is allowed at a path."""
+    """Return the lower and the upper limit of the value at a path."""
     owner, _, name = path.rpartition(".")
     allowed = declared(type(get(scene, owner) if owner else scene))[name].allowed or ANY
     return allowed.low, allowed.high

@@ -111,86 +111,75 @@ def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
     return SceneError(f"{where} = {with_unit}: must be {allowed}")
 
 
-_CALLED = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+_KIND_TEXTS = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
 
 
-def accept(value: Any, what: Declared, where: str) -> Any:
-    """Check a value and return it in the type of its field.
+def accept(value: Any, spec: Declared, where: str) -> Any:
+    """Check a value of any type and return it in the type of its field.
 
-    Parameters
-    ----------
-    value
-        Value of any type.
-    what
-        Declaration of the field.
-    where
-        Name of the field in the message, e.g. ``buffer.c_A``.
-
-    Raises
-    ------
-    SceneError
-        The value is invalid; the message names field, value, unit and allowed range.
+    ``where`` is the name of the field in the message, e.g. ``buffer.c_A``.  SceneError, with field,
+    value, unit and range, if the value is invalid.
     """
-    if value is None and what.optional:
+    if value is None and spec.optional:
         return None
-    if what.kind in (float, int):
-        return _number(value, what, where)
-    if what.kind is tuple:
-        return _three_points(value, what, where)
-    if not isinstance(value, what.kind):
-        raise refuse(where, value, what.unit, _CALLED.get(what.kind, what.kind.__name__))
-    if what.options and value not in what.options:
-        raise refuse(where, value, "", "one of " + ", ".join(what.options))
+    if spec.kind in (float, int):
+        return _number(value, spec, where)
+    if spec.kind is tuple:
+        return _three_points(value, spec, where)
+    if not isinstance(value, spec.kind):
+        raise refuse(where, value, spec.unit, _KIND_TEXTS.get(spec.kind, spec.kind.__name__))
+    if spec.options and value not in spec.options:
+        raise refuse(where, value, "", "one of " + ", ".join(spec.options))
     return value
 
 
-def _number(value: Any, what: Declared, where: str) -> float | int:
+def _number(value: Any, spec: Declared, where: str) -> float | int:
     is_plain = True
-    if isinstance(value, str) and what.kind is float:
-        text, value = value, _text_in_si(value, what, where)
+    if isinstance(value, str) and spec.kind is float:
+        text, value = value, _text_in_si(value, spec, where)
         is_plain = not split(text)[1]
     number: float | int = value
     try:
-        if type(value) is not what.kind:
+        if type(value) is not spec.kind:
             if isinstance(value, bool) or not isinstance(value, numbers.Real):
                 raise TypeError
-            number = what.kind(value)
+            number = spec.kind(value)
             if number != value and not math.isnan(value):
                 raise ValueError  # no whole number
     except OverflowError:
-        raise refuse(where, value, what.unit, f"finite and {what.allowed or ANY}") from None
+        raise refuse(where, value, spec.unit, f"finite and {spec.allowed or ANY}") from None
     except (TypeError, ValueError):
-        kind = _CALLED[what.kind]
-        wanted = kind if what.allowed in (None, ANY) else f"{kind}, {what.allowed}"
-        raise refuse(where, value, what.unit, wanted) from None
-    if what.allowed is not None and number not in what.allowed:
-        in_degrees = is_plain and what.unit == "rad" and math.radians(number) in what.allowed
+        kind = _KIND_TEXTS[spec.kind]
+        required = kind if spec.allowed in (None, ANY) else f"{kind}, {spec.allowed}"
+        raise refuse(where, value, spec.unit, required) from None
+    if spec.allowed is not None and number not in spec.allowed:
+        in_degrees = is_plain and spec.unit == "rad" and math.radians(number) in spec.allowed
         hint = f"; did you mean {number:g} deg?" if in_degrees else ""
-        raise refuse(where, value, what.unit, f"{what.allowed}{hint}")
+        raise refuse(where, value, spec.unit, f"{spec.allowed}{hint}")
     return number
 
 
-def _text_in_si(text: str, what: Declared, where: str) -> float:
+def _text_in_si(text: str, spec: Declared, where: str) -> float:
     try:
-        return in_si(text, what.unit)
+        return in_si(text, spec.unit)
     except ValueError:
-        unit = "" if what.unit in ("", "1") else f" in {what.unit}"
-        allowed = "" if what.allowed in (None, ANY) else f", {what.allowed}"
+        unit = "" if spec.unit in ("", "1") else f" in {spec.unit}"
+        allowed = "" if spec.allowed in (None, ANY) else f", {spec.allowed}"
         raise refuse(where, text, "", f"a number{unit}{allowed}{comma_hint(text)}") from None
 
 
-def _three_points(value: Any, what: Declared, where: str) -> tuple[tuple[float, float], ...]:
+def _three_points(value: Any, spec: Declared, where: str) -> tuple[tuple[float, float], ...]:
     try:
-        points = tuple((_coordinate(x, what), _coordinate(y, what)) for x, y in value)
+        points = tuple((_coordinate(x, spec), _coordinate(y, spec)) for x, y in value)
     except (TypeError, ValueError, OverflowError):
         points = ()
     if len(points) != 3 or not all(math.isfinite(c) for point in points for c in point):
-        raise refuse(where, value, what.unit, "three points [x, y] of finite numbers")
+        raise refuse(where, value, spec.unit, "three points [x, y] of finite numbers")
     return points
 
 
-def _coordinate(value: Any, what: Declared) -> float:
-    return in_si(value, what.unit) if isinstance(value, str) else float(value)
+def _coordinate(value: Any, spec: Declared) -> float:
+    return in_si(value, spec.unit) if isinstance(value, str) else float(value)
 
 
 @dataclass(frozen=True)
@@ -201,22 +190,22 @@ class Checked:
         if "Attributes\n" in (cls.__doc__ or ""):
             return
         lines = [(cls.__doc__ or "").rstrip(), "", "    Attributes", "    ----------"]
-        for name, kind, meaning, parts_fields in _described(cls):
+        for name, kind, meaning, part_lines in _described(cls):
             lines += [f"    {name} : {kind}", f"        {meaning}."]
-            lines += [f"        - {text}" for text in parts_fields]
+            lines += [f"        - {text}" for text in part_lines]
         cls.__doc__ = "\n".join([*lines, "    "])
 
     def __post_init__(self) -> None:
-        part, given = type(self).__name__, self.__dict__
-        for name, what in declared(type(self)).items():
-            value = accept(given[name], what, f"{part}.{name}")
-            if value is not given[name]:
+        part, values = type(self).__name__, self.__dict__
+        for name, spec in declared(type(self)).items():
+            value = accept(values[name], spec, f"{part}.{name}")
+            if value is not values[name]:
                 object.__setattr__(self, name, value)
 
 
 def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
-    """Yield name, type with unit, meaning and, where it is a part, that part's fields in lines."""
-    # a class that is being made holds its declarations, a dataclass has moved them
+    """Yield name, type with unit and meaning of each field, and lines for the fields of a part."""
+    # a class under construction has its declarations in __dict__; a dataclass has moved them
     declarations = part.__dict__.get("__dataclass_fields__", part.__dict__)
     for name, hint in part.__annotations__.items():
         declaration = declarations.get(name)
@@ -227,11 +216,11 @@ def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
         else:
             inner = next(p for p in Checked.__subclasses__() if hint.startswith(p.__name__))
             summary = (inner.__doc__ or "").partition("\n")[0].rstrip(".")
-            yield name, hint, summary, list(_lines(inner))
+            yield name, hint, summary, list(_field_lines(inner))
 
 
-def _lines(part: type) -> Iterator[str]:
-    """Yield a line for each field of a part and of the parts in it."""
+def _field_lines(part: type) -> Iterator[str]:
+    """Yield a line for each field of a part and of its own parts."""
     for name, kind, meaning, inner in _described(part):
         if inner:
             yield from (f"{name}.{line}" for line in inner)

@@ -1,6 +1,6 @@
-"""Numbers with a unit, as ``5 deg`` or ``0.5 N/mm``, converted to SI.
+"""Numbers with a unit, e.g. ``5 deg`` or ``0.5 N/mm``, converted to SI.
 
-pint, which knows the units, is loaded only where a text has one.
+pint is loaded only for a text with a unit.
 """
 
 from __future__ import annotations
@@ -13,43 +13,34 @@ from typing import Any
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(\S.*?)?\s*", re.ASCII)
 _FACTOR = r"[^\W\d_]+(?:(?:\^|\*\*)-?\d|[²³])?"
-# without the free powers of pint's own grammar, which take any time and memory to raise
+# excludes the arbitrary powers of pint's grammar, which may need any time and memory
 _UNIT = re.compile(rf"(?:{_FACTOR}|[%°])(?:(?:\s*[*/·]\s*|\s+){_FACTOR})*")
 _MAX_LENGTH = 100
 
 
 def split(text: str) -> tuple[str, str]:
-    """Return the number in a text and its unit, empty where it has none; ValueError if neither."""
-    found = _NUMBER.fullmatch(text) if len(text) <= _MAX_LENGTH else None
-    if found is None:
+    """Return the number in a text and its unit, which may be empty; ValueError if it has none."""
+    match = _NUMBER.fullmatch(text) if len(text) <= _MAX_LENGTH else None
+    if match is None:
         raise ValueError(f"{text!r} is not a number with a unit")
-    return found[1], found[2] or ""
+    return match[1], match[2] or ""
 
 
 def in_si(text: str, unit: str) -> float:
-    """Return the number that a text holds, with or without a unit, in SI.
+    """Return the number in a text, converted to ``unit``, an SI unit (``1`` or empty: none).
 
-    Parameters
-    ----------
-    text
-        ``0.5 N/mm``, or ``500``, which is in ``unit``.
-    unit
-        SI unit of the number, as ``N/m``; ``1`` or empty if it has none.
-
-    Raises
-    ------
-    ValueError
-        The text is no number, or its unit is unknown or of another dimension.
+    A text without a unit is in ``unit`` already.  ValueError if the text is not a number, or its
+    unit is unknown or of another dimension.
     """
-    number, given = split(text)
-    if not given:
+    number, text_unit = split(text)
+    if not text_unit:
         return float(number)
-    if not _UNIT.fullmatch(given):
-        raise ValueError(f"{given!r} is not a unit")
-    factor, dimension = _root(given)
+    if not _UNIT.fullmatch(text_unit):
+        raise ValueError(f"{text_unit!r} is not a unit")
+    factor, dimension = _root(text_unit)
     si_factor, si_dimension = _root(unit or "1")
     if dimension != si_dimension:
-        raise ValueError(f"{given} is of another dimension than {unit}")
+        raise ValueError(f"{text_unit} is of another dimension than {unit}")
     try:
         return float(Fraction(number) * factor / si_factor)
     except OverflowError:
@@ -64,7 +55,7 @@ def comma_hint(text: str) -> str:
 
 @functools.cache
 def _root(unit: str) -> tuple[Fraction, Any]:
-    """Return a unit as a factor and base units, of which the radian is one."""
+    """Return a unit as a factor and base units; the radian is a base unit."""
     from pint.errors import PintError
 
     registry = _registry()
@@ -79,5 +70,5 @@ def _root(unit: str) -> tuple[Fraction, Any]:
 def _registry() -> Any:
     from pint import UnitRegistry
 
-    # exact factors: 0.5 N/mm are 500 N/m, not the float beside it
+    # exact factors: 0.5 N/mm is exactly 500 N/m
     return UnitRegistry(non_int_type=Fraction)
