@@ -31,14 +31,14 @@ from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.runge_kutta import set_pair
 
-#: Samples per call into the engine; large enough to make the call's own cost vanish.
+#: Samples of one call into the engine; the overhead of a call is negligible.
 BLOCK = 4096
 _TRACE_ROOM = 1024
-_FIRST_STEP = 1e-6  # s; rejected or enlarged as its error has it
-_FIRST_ERROR = 1e-4  # of the step before the first
+_FIRST_STEP = 1e-6  # s; the step control adjusts it
+_FIRST_ERROR = 1e-4  # for the step control, as there is no earlier step
 
 _CAUSES = {
-    Status.NOT_FINITE: "the state is not finite any more",
+    Status.NOT_FINITE: "the state is no longer finite",
     Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
     Status.TOO_MANY_STEPS: "run.max_steps integrator steps, with those rejected, are used up",
     Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
@@ -57,16 +57,16 @@ _AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP
 def compile_kernels(*, announce: bool = True) -> None:
     """Load the compiled kernels; compile them first if this version is not compiled yet.
 
-    Compiling takes about half a minute of one core, once. Call it on its own to keep that out of
-    timings. Unless ``announce`` is false, lines on stderr say when it begins and how long it took.
+    Compiling needs about half a minute of one core, once. Call this function before measuring
+    times. Unless ``announce`` is false, lines on stderr report the start and the duration.
     """
 
-    def use() -> None:
+    def run_briefly() -> None:
         bench = Bench(load_scene("paper_designed"))
         bench.advance(bench.times(0, 2))
 
     if is_compiled() or not announce:
-        in_worker(use)
+        in_worker(run_briefly)
         return
     print(
         "capture_sim: compiling the kernels, once for this version: about 30 s of one core",
@@ -74,7 +74,7 @@ def compile_kernels(*, announce: bool = True) -> None:
         flush=True,
     )
     start = time.perf_counter()
-    in_worker(use)
+    in_worker(run_briefly)
     print(f"capture_sim: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
 
 
@@ -128,8 +128,8 @@ class Bench:
         self._begin()
         self._touches: list[np.void] = []
         self._unread: list[np.ndarray] = []
-        self._asked = -math.inf  # last sample time asked for, s
-        self._fatal: str | None = None  # why the run cannot go on
+        self._last_time = -math.inf  # last requested sample time, s
+        self._fatal: str | None = None  # reason why the run cannot continue
         detail = "no string"
         if scene.string is not None:
             detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
@@ -147,10 +147,10 @@ class Bench:
         rail["taut"] = self.scene.string is not None
         rail["speed"] = math.hypot(y[8], y[9]) if rail["on"] else 0.0
         if par["has_supports"]:
-            still = not y[13:16].any()
-            mode["rest_T"] = int(still and par["balls_T"][:, 2].sum() > 0.0)
-            still = not y[8:11].any() and not rail["on"]
-            mode["rest_S"] = int(still and par["balls_S"][:, 2].sum() > 0.0)
+            is_at_rest = not y[13:16].any()
+            mode["rest_T"] = int(is_at_rest and par["balls_T"][:, 2].sum() > 0.0)
+            is_at_rest = not y[8:11].any() and not rail["on"]
+            mode["rest_S"] = int(is_at_rest and par["balls_S"][:, 2].sum() > 0.0)
 
     @property
     def done(self) -> bool:
@@ -160,7 +160,7 @@ class Bench:
     @property
     def touches(self) -> np.ndarray:
         """All touches that have ended so far, (n,) of dtype TOUCH."""
-        lift_off = int(EventKind.LIFT_OFF)  # NumPy looks a number of an enumeration through
+        lift_off = int(EventKind.LIFT_OFF)  # NumPy is slow with an IntEnum
         ended = [raw["touch"][raw["kind"] == lift_off] for raw in self._unread]
         return joined([np.array(self._touches, dtype=TOUCH), *ended])
 
@@ -244,26 +244,26 @@ class Bench:
             The integration stopped early; the message names time, phase and cause, and ``partial``
             has the samples up to then.  Every later call raises it again, without samples.
         """
-        times = check_times(times, self._asked)
+        times = check_times(times, self._last_time)
         if self._fatal is not None:
             raise SimulationError(self._fatal, np.zeros(0, SAMPLE))
         if times.size:
-            self._asked = float(times[-1])
+            self._last_time = float(times[-1])
         if not self.done and (times.size == 0 or times[-1] >= self.scene.run.t_end):
-            # nothing lies beyond: a time that is never reached runs to the end
+            # no sample lies beyond the end: a time that is never reached runs to it
             times = np.append(times, np.inf)
-        samples = np.empty(times.shape[0], SAMPLE)  # those that are returned are filled
+        samples = np.empty(times.shape[0], SAMPLE)  # only samples[:served] are returned
         workspace, trace = records(self._workspace), records(self._trace_room)
         progress = self._record["progress"]
         served = 0
         while True:
             progress["n_log"] = progress["n_trace"] = 0
             served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
-            happened, traced = int(progress["n_log"]), int(progress["n_trace"])
-            if happened:
-                self._unread.append(joined([self._record["log"][:happened]]))
-            if traced:
-                self._traced.append(self._trace_room[:traced].copy())
+            n_events, n_trace = int(progress["n_log"]), int(progress["n_trace"])
+            if n_events:
+                self._unread.append(joined([self._record["log"][:n_events]]))
+            if n_trace:
+                self._traced.append(self._trace_room[:n_trace].copy())
             if progress["status"] == Status.SERVED:
                 return samples[:served]
             if progress["status"] != Status.INTERRUPTED:
@@ -305,7 +305,7 @@ class Bench:
 
 def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     """Return a copy of arrays of records of one type, one after the other."""
-    # as bytes: field by field NumPy takes eight times as long
+    # as bytes: field by field, NumPy needs eight times as long
     raw = [np.ascontiguousarray(part).view(f"V{part.itemsize}") for part in parts]
     return np.concatenate(raw).view(parts[0].dtype)
 
@@ -313,19 +313,9 @@ def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
 def check_times(
     times: ArrayLike, after: float = -math.inf, t_end: float = sys.float_info.max
 ) -> np.ndarray:
-    """Return sample times as an array (n,), s.
+    """Return sample times, s since the release, as an array (n,).
 
-    Parameters
-    ----------
-    times
-        Sample times, s since the release.
-    after, t_end
-        Range of the times, s: greater than ``after``, at most ``t_end``.
-
-    Raises
-    ------
-    SceneError
-        The times are not finite, not ascending or out of range.
+    SceneError if they are not finite and ascending, greater than ``after`` and at most ``t_end``.
     """
     try:
         t = np.ascontiguousarray(times, dtype=float)
@@ -351,7 +341,7 @@ class Block:
 
     samples: np.ndarray  # (n,) of dtype SAMPLE
     trace: np.ndarray  # (k,) of dtype SAMPLE, empty without trace
-    failure: SimulationError | None  # why the run stopped early; then the last piece
+    failure: SimulationError | None  # if the run stopped early, in its last piece
     _bench: Bench
     _events: slice
 
@@ -393,12 +383,12 @@ def drive(
     n_samples = n_events = n_trace = 0
     while not bench.done:
         size = block if isinstance(block, int) else block()
-        wanted = (
+        piece_times = (
             bench.times(n_samples, size) if times is None else times[n_samples : n_samples + size]
         )
         failure = None
         try:
-            samples = bench.advance(wanted)
+            samples = bench.advance(piece_times)
         except SimulationError as error:
             samples, failure = error.partial, error
         n_samples += size
@@ -441,12 +431,7 @@ def error_scale(par: np.void) -> np.ndarray:
 
     The scale is a length (the tip's radius) and a speed (of the approach), not the state's
     present value, so the weight of an error does not depend on the bench's place on the floor.
-    An angle counts by the displacement that it causes at the tip.
-
-    Parameters
-    ----------
-    par
-        Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
+    An angle counts by the displacement that it causes at the tip.  ``par`` is of dtype PARAMETERS.
     """
     arm, at_target = float(par["a"] + par["h_0"]), float(par["L_T"] + par["R_c"])
     levers = np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])

@@ -1,7 +1,7 @@
-"""How Numba compiles the kernels; loaded with the first that is called.
+"""Compilation of kernels with Numba; loaded with the first kernel that is called.
 
-With Numba's internals set (:mod:`capture_sim.numba_internals`) compiling takes 17 s in place of 60,
-and a start 0.65 s in place of 1.45.  Where a Numba differs inside, its ``njit`` is used as it is.
+With :mod:`capture_sim.numba_internals`, compiling needs 17 s instead of 60 s and a start 0.65 s
+instead of 1.45 s.  For a Numba with other internals, plain ``njit`` is used.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Any
 
 import numba
 
-#: Numbas whose internals were tried; of others a small kernel is compiled first, to see.
+#: Tested versions of Numba; others first compile a small kernel as a test.
 _TRIED = ("0.60", "0.61", "0.62", "0.63", "0.64", "0.65", "0.66", "0.67", "0.68")
 _FAST = {"contract", "nsz"}  # fused multiply and add; the sign of zero does not matter
 
 
 def _load_internals() -> Any:
-    """Return the module that sets Numba's internals; None, with a line, where they differ."""
+    """Return the module that sets Numba's internals; None, with a warning, if they differ."""
     try:
         from capture_sim import numba_internals
 
         if numba.__version__.rsplit(".", 1)[0] in _TRIED or numba_internals.compiles():
             return numba_internals
-    except Exception:  # what a change inside Numba raises is not known
+    except Exception:  # a change of Numba's internals may raise any error
         pass
     print(
         f"capture-sim: Numba {numba.__version__} differs inside from {_TRIED[0]} to {_TRIED[-1]}: "

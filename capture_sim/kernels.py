@@ -1,8 +1,8 @@
 """Compilation of the numerical kernels.
 
-Numba's cache looks at the file of the outermost function only, and would serve stale
-code after a change in a callee.  So the cache lies in a folder named by a hash of all
-kernel sources: a change anywhere compiles anew, nothing else does.
+Numba's cache checks the file of the outermost function only, and would return stale code after a
+change in a callee.  The cache folder is therefore named by a hash of all kernel sources, so any
+change of these compiles them again.
 
 With ``NUMBA_DISABLE_JIT=1`` all kernels run as plain Python, slowly, for a debugger.
 """
@@ -43,8 +43,8 @@ _SOURCES = sorted(
 
 @cache
 def source_hash() -> str:
-    """Return a hash of all kernel sources, of where they are and of the compiler's version."""
-    # Numba finds compiled code again by the path of its source, so another checkout has its own
+    """Return a hash of all kernel sources, their path and the compiler's version."""
+    # Numba finds compiled code by the path of its source, so each checkout has its own
     digest = hashlib.sha256(f"{version('numba')} {_PACKAGE}".encode())
     for path in _SOURCES:
         digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
@@ -53,10 +53,10 @@ def source_hash() -> str:
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of the compiled kernels of this very source, and make it.
+    """Return the folder of this version's compiled kernels, and make it.
 
-    Below ``CAPTURE_SIM_CACHE``, ``XDG_CACHE_HOME`` or ``~/.cache``; where that cannot be written
-    to, below the system's folder for temporary files, which a line on stderr says.
+    It is in ``CAPTURE_SIM_CACHE``, ``XDG_CACHE_HOME`` or ``~/.cache``, or, if that is not writable,
+    in the system's folder for temporary files; a line on stderr reports it.
     """
     root = os.environ.get("CAPTURE_SIM_CACHE") or os.environ.get("XDG_CACHE_HOME")
     base = Path(root) if root else Path.home() / ".cache"
@@ -68,36 +68,25 @@ def cache_folder() -> Path:
             return folder
     except OSError:
         pass
-    other = Path(tempfile.gettempdir()) / f"capture_sim-{os.getuid()}" / name
+    fallback = Path(tempfile.gettempdir()) / f"capture_sim-{os.getuid()}" / name
     print(
-        f"capture-sim: {base} cannot be written to; compiled kernels go to {other}",
+        f"capture-sim: {base} cannot be written to; compiled kernels go to {fallback}",
         file=sys.stderr,
     )
-    other.mkdir(parents=True, exist_ok=True)
-    return other
+    fallback.mkdir(parents=True, exist_ok=True)
+    return fallback
 
 
 def is_compiled() -> bool:
-    """Return whether the kernels of this source have been compiled here before."""
+    """Return True if the kernels of this version are compiled on this machine."""
     return any(cache_folder().rglob("loop.advance*.nbc"))
 
 
 class Kernel:
-    """A function that Numba compiles; who never calls one does not load Numba.
+    """A function that Numba compiles; Numba is loaded at the first call.
 
-    Parameters
-    ----------
-    function
-        What is compiled.
-    entry
-        Whether Python calls it; the result is then kept on disk.
-    inline
-        Whether it is compiled into each of its callers.
-
-    Attributes
-    ----------
-    py_func
-        The function itself.
+    ``entry`` is True for a function that Python calls, whose code is kept on disk; ``inline`` for
+    one that is compiled into each of its callers.  ``py_func`` is the Python function.
     """
 
     def __init__(
@@ -122,7 +111,7 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What Numba takes it for in other kernels (its protocol for foreign objects)."""
+        """Its type in other kernels (Numba's protocol for external objects)."""
         from numba import types
 
         return types.Dispatcher(self.compiled)
@@ -134,7 +123,7 @@ def kernel(function: F) -> F:
 
 
 def inline_kernel(function: F) -> F:
-    """Compile a small function into each of its callers: a call would cost as much as it."""
+    """Compile a small function into each of its callers, to save the cost of the call."""
     return cast("F", Kernel(function, inline=True))
 
 
@@ -145,7 +134,7 @@ def entry_kernel(function: F) -> F:
 
 @cache
 def plain(function: F) -> F:
-    """Return the Python function of a kernel, calling those of other kernels, for use outside."""
+    """Return a kernel as a Python function that calls the Python functions of other kernels."""
     if not isinstance(function, Kernel):
         return function
     python = function.py_func
@@ -158,5 +147,5 @@ def plain(function: F) -> F:
 
 
 def records(array: np.ndarray) -> np.ndarray:
-    """Return an array of records as the kernels take it: attributes are compiled, or NumPy's."""
+    """Return an array of records for a kernel, compiled or (as a recarray) plain Python."""
     return array.view(np.recarray) if _PLAIN else array

@@ -1,7 +1,7 @@
-"""How Numba is made to compile kernels in a third of its time and to start in half of it.
+"""Settings of Numba's internals: a third of the time to compile, half of the time to start.
 
-This sets parts of Numba that are not its interface; :mod:`capture_sim.compiler` decides whether
-the Numba that is installed allows it.
+They are not part of Numba's interface; :mod:`capture_sim.compiler` decides whether the installed
+version supports them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from numba.core.registry import cpu_target
 
 
 def _load_without_blas() -> None:
-    """Load what Numba knows of Python and NumPy, without scipy.linalg, which no kernel needs.
+    """Load Numba's support of Python and NumPy without scipy.linalg, which no kernel needs.
 
-    It would take 0.3 s more; that SciPy may be missing Numba allows for.
+    This saves 0.3 s; Numba treats SciPy as missing.
     """
     blas = "scipy.linalg.cython_blas"
     loaded = sys.modules.get(blas)
@@ -35,7 +35,7 @@ def _load_without_blas() -> None:
             del sys.modules[blas]
 
 
-# what Python gets that calls a kernel for other kernels: a TypeError (for it, see ``plain``)
+# Python gets a TypeError from an inner kernel; ``plain`` returns its Python function
 _REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value
 
 
@@ -49,11 +49,11 @@ class _WithoutMachineCode:
         return getattr(self._codegen, name)
 
     def set_env(self, env_name: str, env: Any) -> None:
-        """Set nothing: there is no code whose environment it could be."""
+        """Do nothing: there is no machine code that needs an environment."""
 
 
 class _EntryCompiler(Compiler):
-    """Numba's compiler; what it must know of Python and NumPy is loaded when it compiles."""
+    """Numba's compiler, which loads the support of Python and NumPy when it compiles."""
 
     def __init__(self, *args: Any) -> None:
         _load_without_blas()
@@ -61,25 +61,25 @@ class _EntryCompiler(Compiler):
 
 
 class _Cache(FunctionCache):
-    """Numba's cache on disk; what was compiled needs nothing of what the compiler must know.
+    """Numba's cache on disk, without loading the compiler's support of Python and NumPy.
 
-    By itself Numba loads that first, which would be 0.3 s of every start.
+    Numba loads that first, which would add 0.3 s to every start.
     """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was compiled for a signature; None if nothing was."""
+        """Return the compiled code for a signature; None if there is none."""
         return self._load_overload(sig, target_context)
 
 
 class _InnerCompiler(_EntryCompiler):
-    """Numba's compiler, up to LLVM's code: the entry that calls a kernel does the rest.
+    """Numba's compiler up to LLVM's code; the entry that calls a kernel does the rest.
 
-    By itself Numba optimises every function with all that it calls, and makes machine code of it,
-    before the caller does the same again: with kernels eight calls deep that is most of the time.
+    Numba optimises every function with all its callees and generates machine code, then repeats
+    this in the caller: with kernels eight calls deep, that is most of the time.
     """
 
     def define_pipelines(self) -> Any:
-        """Return Numba's own pipelines, writing into a library that stays unoptimised."""
+        """Return Numba's pipelines with a library that is not optimised."""
         state = self.state
         library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
         library._codegen = _WithoutMachineCode(library._codegen)
@@ -120,7 +120,7 @@ def _half(x: float) -> float:
 
 
 def compiles() -> bool:
-    """Return whether this Numba compiles a small kernel, and one that calls it."""
+    """Return True if this Numba compiles a small kernel, and an entry that calls it."""
     half = inner(_half, inline=False)
 
     def root_of_half(x: float) -> float:

@@ -1,7 +1,6 @@
-"""What the bench hands out: samples, touches and events, as plain NumPy data.
+"""Output of the bench: samples, touches and events, as plain NumPy data.
 
-The names are those of ``msg/BenchState.msg`` and ``msg/BenchEvent.msg``, where the
-unit of every field stands.
+Names and units of the fields are those of ``msg/BenchState.msg`` and ``msg/BenchEvent.msg``.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 
 
 class Named(IntEnum):
-    """Numbers of a message's constants; printed by name."""
+    """Constants of a message, printed by name."""
 
     @property
     def label(self) -> str:
@@ -80,7 +79,7 @@ ENERGIES = (
     "energy_residual",
 )
 
-#: One sample of everything; fields and units as in msg/BenchState.msg.
+#: Sample of the full state; fields and units as in msg/BenchState.msg.
 SAMPLE = np.dtype(
     [
         ("t", "f8"),
@@ -112,22 +111,17 @@ SAMPLE = np.dtype(
     ]
 )
 
-#: What belongs to each number of a field that holds several.
+#: Names of the numbers of a field, by their count.
 _MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
 _PLANAR = ("contact_force", "latch_force")
 
 
 def columns_of(fields: np.ndarray | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return every number of n samples or messages by a name of its own, (n,) each.
+    """Return the numbers of n samples or messages as named columns, (n,) each.
 
-    Of coordinates and their rates these are ``q.x_S``; of two numbers of a sample the walls'
-    (``penetration.+y``), of forces in the world ``contact_force.x``; what no sample has is
-    counted (``position.0``).
-
-    Parameters
-    ----------
-    fields
-        Samples (n,), or fields by name, (n,) or (n, m) each.
+    ``fields`` are samples (n,), or fields by name, (n,) or (n, m) each.  Examples of names are
+    ``q.x_S``, ``penetration.+y`` (a wall) and ``contact_force.x``; numbers of a field that samples
+    do not have are counted (``position.0``).
     """
     names = fields if isinstance(fields, Mapping) else fields.dtype.names or ()
     columns = {}
@@ -160,7 +154,7 @@ TRACE = np.dtype(
 TOUCH = np.dtype(
     [
         ("start", "f8"),  # s
-        ("end", "f8"),  # s; the run's end for a touch that was still on
+        ("end", "f8"),  # s; end of the run for a touch that has not ended
         ("wall", "i8"),  # +1 or -1
         ("approach_speed", "f8"),  # m/s, along the normal, at the start
         ("peak_force", "f8"),  # N, normal, found between steps
@@ -197,9 +191,9 @@ def unit_of_column(column: str) -> str:
     return _UNITS.get(field, "")
 
 
-#: Extremes of a run.  Magnitudes: strokes inwards and outwards (m), torsion (rad), force of the
-#: axial buffer with its damper, stops and seat (N), torque of the torsional one (N m), normal force
-#: of each wall (N), force of the latch (N), penetration (m).  And the smallest distance of the
+#: Extremes of a run: peak magnitudes of stroke inwards and outwards (m), torsion (rad), force of
+#: the axial buffer with damper, stops and seat (N), torque of the torsional one (N m), normal force
+#: of each wall (N), force of the latch (N) and penetration (m), and the smallest distance of the
 #: tip's centre to that of BE (m).
 EXTREME_NAMES = (
     "axial_stroke_in",
@@ -219,26 +213,15 @@ EXTREMES = np.dtype([(f"{name}{end}", "f8") for name in EXTREME_NAMES for end in
 
 
 class Extremes(NamedTuple):
-    """Extremes found inside the integrator's steps, whatever the sample rate.
+    """Extremes of a run, each of dtype EXTREMES, independent of the sample rate."""
 
-    Attributes
-    ----------
-    before_latch : np.void of dtype EXTREMES
-        Up to the latch; of the whole run where none closes.
-    after_latch : np.void of dtype EXTREMES or None
-        From its closing on.
-    """
-
-    before_latch: np.void
-    after_latch: np.void | None
+    before_latch: np.void  # until the latch closes; of the whole run if it never does
+    after_latch: np.void | None  # from then on
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at a located instant.
-
-    ``touch`` is filled for ``LIFT_OFF`` (a 0-d array of dtype TOUCH).
-    """
+    """Event at a located time; ``LIFT_OFF`` has its ``touch``, a record of dtype TOUCH."""
 
     kind: EventKind
     t: float  # s, since the release

@@ -49,22 +49,15 @@ class Check:
     """Comparison of a run with a second, more accurate run.
 
     The second run has a hundredth of the tolerance (with rk4, a quarter of the step).
-
-    Attributes
-    ----------
-    error : ndarray (n,)
-        Largest difference of the two runs up to each sample time, m; an angle counts by the
-        displacement that it causes at the tip.  It estimates the first run's error.
-    same_touches : bool
-        True if both runs touch the same walls in the same order.  If not, the sequence of touches
-        depends on the tolerance, and the motion after the first difference is not determined.
-    failure : str
-        Reason why the second run stopped early, or empty; the error is infinite from there on.
+    ``error`` is the largest difference of the two runs up to each sample time, an estimate of the
+    first run's error; an angle counts by the displacement that it causes at the tip.  If
+    ``same_touches`` is False, the sequence of touches depends on the tolerance, and the motion
+    after the first difference is not determined.
     """
 
-    error: np.ndarray
-    same_touches: bool
-    failure: str = ""
+    error: np.ndarray  # (n,), m
+    same_touches: bool  # True if both runs touch the same walls in the same order
+    failure: str = ""  # reason why the second run stopped early; the error is infinite from there
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -278,7 +271,7 @@ class Result:
         MissingPackageError
             matplotlib is not installed.
         """
-        # looked up by name, as pandas looks up its plotting backend: drawing stands above
+        # imported by name: viewing is in a layer above this one
         return importlib.import_module("capture_sim").plot(self)
 
 
@@ -321,7 +314,7 @@ def simulate(
     Raises
     ------
     SceneError
-        A value is out of its range, or the samples need more than :data:`MOST_MEMORY`.
+        A value is out of its range, or the samples need more than :data:`MAX_MEMORY`.
     SimulationError
         The integration stopped early; the message names time, phase and cause, and ``result`` has
         the run up to then.
@@ -339,12 +332,13 @@ def simulate(
         run = dataclasses.replace(run, trace=True)
     scene = dataclasses.replace(scene, run=run)
     bench = Bench(scene)
-    wanted = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
-    _check_memory(run, run.t_end * run.state_rate if wanted is None else wanted.size)
+    times = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
+    _check_memory(run, run.t_end * run.state_rate if times is None else times.size)
     compile_kernels()
-    began = time.perf_counter()
-    grid = bench.times(0, math.floor(run.t_end * run.state_rate) + 2) if wanted is None else wanted
-    pieces = list(drive(bench, grid))
+    start = time.perf_counter()
+    if times is None:
+        times = bench.times(0, math.floor(run.t_end * run.state_rate) + 2)
+    pieces = list(drive(bench, times))
     failure = pieces[-1].failure
     samples = joined([piece.samples for piece in pieces])
     result = Result(
@@ -355,10 +349,10 @@ def simulate(
         events=bench.events,
         extremes=bench.extremes,
         statistics=bench.statistics,
-        wall_time=time.perf_counter() - began,
+        wall_time=time.perf_counter() - start,
         failure="" if failure is None else str(failure),
         trace=bench.trace if run.trace else None,
-        on_grid=wanted is None,
+        on_grid=t_eval is None,
     )
     if failure is not None:
         failure.result = result
@@ -375,23 +369,23 @@ def simulate(
 
 
 #: Largest memory for the samples of one run, bytes.
-MOST_MEMORY = 4_000_000_000
+MAX_MEMORY = 4_000_000_000
 
 
 def _check_memory(run: Run, count: float) -> None:
     """Reject a run whose samples would fill the memory."""
-    # once as they are computed, once in a row
+    # in pieces as they are computed, then joined
     needed = 2.0 * count * SAMPLE.itemsize
-    if needed > MOST_MEMORY:
+    if needed > MAX_MEMORY:
         raise SceneError(
             f"run.t_end = {run.t_end:g} s at run.state_rate = {run.state_rate:g} Hz: {count:.3g} "
             f"samples need {needed / 1e9:.3g} GB of memory: must be "
-            f"at most {MOST_MEMORY / 1e9:g} GB"
+            f"at most {MAX_MEMORY / 1e9:g} GB"
         )
 
 
 #: Smallest tolerance above round-off error.
-_FINEST = 1e-13
+_MIN_RTOL = 1e-13
 
 
 def _finer(scene: Scene) -> Scene:
@@ -399,10 +393,10 @@ def _finer(scene: Scene) -> Scene:
     run = scene.run
     if run.method == "rk4":
         run = dataclasses.replace(run, step=run.step / 4.0)
-    elif run.rtol > 10.0 * _FINEST:
-        run = dataclasses.replace(run, rtol=max(run.rtol / 100.0, _FINEST))
+    elif run.rtol > 10.0 * _MIN_RTOL:
+        run = dataclasses.replace(run, rtol=max(run.rtol / 100.0, _MIN_RTOL))
     else:
-        # no room below: another pair errs differently
+        # no smaller tolerance is possible: another method has other errors
         run = dataclasses.replace(run, method="dopri5" if run.method == "dop853" else "dop853")
     return dataclasses.replace(scene, run=run)
 
@@ -414,9 +408,8 @@ def _compare(coarse: Result, fine: Result) -> Check:
     arm = coarse.scene.buffer.hinge_offset + coarse.scene.rest_length
     at_target = coarse.scene.cone.L_T + coarse.scene.cone.R_c
     difference *= np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])
-    worst = np.maximum.accumulate(difference.max(axis=1, initial=0.0))
     error = np.full(coarse.t.size, np.inf)
-    error[:n] = worst
+    error[:n] = np.maximum.accumulate(difference.max(axis=1, initial=0.0))
     return Check(error, _touch_sequence(coarse) == _touch_sequence(fine), fine.failure)
 
 

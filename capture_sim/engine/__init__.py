@@ -2,12 +2,12 @@
 
 A *segment* is a piece of motion under one set of equations: on the rail (closed form) or
 one step of the integrator.  Samples are read from the segment they fall into; a segment
-is cut where an event is located in it, and the event's consequences are drawn at the cut.
-Nothing depends on where samples are asked for, so any cutting of the sample times into
-calls gives the same bits.
+is cut where an event is located in it, and the event is applied at the cut.
+The motion does not depend on the sample times, so dividing these into several calls gives
+bit-identical results.
 
-``state`` is what the loop keeps of a run; ``steps`` takes a step; ``events`` finds the first event
-in it; ``extremes`` finds the largest force, strokes and penetrations inside it; ``consequences``
-draws those of an event; ``segment`` and ``rail`` are the two kinds of segment; ``loop`` is what
-Python calls.
+``state`` is the record of a run; ``steps`` takes a step; ``events`` locates the first event in it;
+``extremes`` finds peak forces, strokes and penetrations inside it; ``consequences`` applies an
+event; ``segment`` and ``rail`` are the two kinds of segment; ``loop`` has the entries that Python
+calls; ``held_wrench`` steps the bench for hardware in the loop.
 """

@@ -1,4 +1,4 @@
-"""What follows from an event: touches, slip, rest, stops, the latch; and its entry in the log."""
+"""Applies an event: touches, slip, rest, stops, seat and latch; and its entry in the log."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from capture_sim.model.equations import (
     NO_TOUCH,
     ROLLING,
     STOP,
-    accelerate_sticking,
-    balance,
     gap_and_rate,
     slip_of,
+    solve_accelerations,
+    solve_sticking,
     strike_seat,
     tip_in_cone,
 )
-from capture_sim.model.observe import elastic_contact_energy, kinetic_energy
+from capture_sim.model.observe import elastic_contact_energy, kinetic_energy, mechanical_energy
 from capture_sim.samples import EventKind
 
-#: Share of the supports' limit below which a slow vehicle is put at rest: at it, the smoothed
-#: resistance would let it creep at 5 v_eps, r / sqrt(1 - r^2) = 5.
+#: Share r of the supports' limit below which a slow vehicle is put at rest: at this load, the
+#: smoothed resistance would let it creep at 5 v_eps, r / sqrt(1 - r^2) = 5.
 _REST_SHARE = 0.98
-#: Of the time to the deepest penetration: the first step of a touch.  F ~ delta^1.5 costs a step
-#: from 0 its order, its error grows as h^3.5, so at an rtol of 1e-8 it takes 5 %, at most 15 %.
+#: First step of a touch, as a share of the time to the peak penetration: 5 % at an rtol of 1e-8,
+#: at most 15 %.  F ~ delta^1.5 lowers the order of a step from 0: its error grows as h^3.5.
 _FIRST_SHARE, _LARGEST_SHARE, _ORDER_OF_FIRST = 0.05, 0.15, 3.5
 _SHARE_RTOL = 1e-8
-#: Of the step before the touch: the first one after it, in free flight again.
+#: First step after a touch, as a share of the step before it.
 _FREE_SHARE = 0.3
-#: A vehicle has left the slow speeds at this many times their limit: rounding must not make it
-#: slow again at once.
+#: Multiple of the rest speed above which a vehicle no longer counts as slow; round-off must not
+#: make it slow again at once.
 _LEFT_SLOW = 2.0
+#: Multiple of the slip floor: a tip that slips faster has reversed before its event was applied.
+_LATE_SLIP = 2.0
 
 
 @kernel
@@ -57,7 +59,7 @@ def log_event(w, kind):
 
 @kernel
 def end_touch(w, i):
-    """Close the touch of wall ``i`` and log it."""
+    """End the touch of wall ``i`` and log it."""
     step, mode, y = w.step, w.system.mode, w.stepper.y
     touch = mode.touch[i]
     e = log_event(w, EventKind.LIFT_OFF)
@@ -113,19 +115,23 @@ def begin_touch(w, i):
 
 @kernel
 def change_slip(w, i):
-    """Let the tip on wall ``i`` stick if friction can hold it, else slide the way it must."""
-    mode, out = w.system.mode, w.system.out
+    """Let the tip on wall ``i`` stick if friction can hold it, else slide."""
+    mode, out, par = w.system.mode, w.system.out, w.system.par
     touch = mode.touch[i]
     was_sticking = touch.sticking
+    slip = slip_of(w.stepper.y, par, i)
     touch.sticking = 1
-    accelerate_sticking(w.stepper.y, w.system.spare[0], w.system)
+    solve_sticking(w.stepper.y, w.system.spare[0], w.system)
     needed = out.friction_force[i]
-    if not was_sticking and abs(needed) < w.system.par.mu_s * out.normal[i]:
+    # a fixed step may apply the event late: the tip then slides the other way already
+    slides = not was_sticking and abs(slip) > _LATE_SLIP * SLIP_FLOOR * par.speed_scale
+    if not (was_sticking or slides) and abs(needed) < par.mu_s * out.normal[i]:
         e = log_event(w, EventKind.STICK)
     else:
         touch.sticking = 0
-        # friction opposes the motion that it could not prevent
-        touch.direction = 1.0 if needed < 0.0 else -1.0
+        # the slip is against the friction that could not hold it
+        forward = slip > 0.0 if slides else needed < 0.0
+        touch.direction = 1.0 if forward else -1.0
         e = log_event(w, EventKind.SLIP)
     e.wall = 1 - 2 * i
     e.value = needed
@@ -133,19 +139,19 @@ def change_slip(w, i):
 
 @kernel
 def may_rest(w, which):
-    """Return whether the supports could hold a vehicle if it stood still here."""
+    """Return True if the supports could hold a vehicle at rest in the present position."""
     for i in range(N_STATE):
         w.y_x[i] = w.stepper.y[i]
     first = 8 if which == 0 else 13
     for i in range(first, first + 3):
         w.y_x[i] = 0.0
-    balance(w.y_x, w.system.spare[0], w.system)
+    solve_accelerations(w.y_x, w.system.spare[0], w.system)
     return ratio_of_limit(w.y_x, w.system.par, w.system.out.hold, which) < _REST_SHARE
 
 
 @kernel
 def stop_vehicle(w, which):
-    """Put a vehicle at rest if its supports can hold it; what speed it had left goes to them."""
+    """Put a vehicle at rest if its supports can hold it; they dissipate its kinetic energy."""
     if not may_rest(w, which):
         return
     y, mode = w.stepper.y, w.system.mode
@@ -165,7 +171,7 @@ def stop_vehicle(w, which):
 
 @kernel
 def latch_tip(w):
-    """Close the latches: the tip is held where it is, the walls let go."""
+    """Close the latch: it holds the tip where it is, and the walls no longer act."""
     progress, mode, par, y = w.progress, w.system.mode, w.system.par, w.stepper.y
     px, py, wx, wy = tip_in_cone(y, par)
     for i in range(2):
@@ -183,9 +189,9 @@ def latch_tip(w):
 
 @kernel
 def follow_jump(w, i):
-    """Let a touch of wall ``i`` follow rates that have changed at once.
+    """Update the touch of wall ``i`` after a jump of the rates.
 
-    A finite friction cannot keep a tip from slipping then.
+    A finite friction cannot prevent slip during a jump.
     """
     step, par, y = w.step, w.system.par, w.stepper.y
     touch = w.system.mode.touch[i]
@@ -209,9 +215,15 @@ def follow_jump(w, i):
 
 @kernel
 def seat_probe(w):
-    """Bring the probe to rest on its seat, which takes a held chaser off its supports."""
+    """Bring the probe to rest on its seat; the impact sets a chaser at rest in motion."""
     mode, par, y = w.system.mode, w.system.par, w.stepper.y
     log_event(w, EventKind.SEATED).value = y[12]
+    if par.fixed_step > 0.0:
+        # the event may be applied late, with the probe beyond its seat
+        before = mechanical_energy(y, w.system)
+        y[4] = par.h_0
+        y[STOP] += before - mechanical_energy(y, w.system)
+        w.step.start_measured = 0
     y[4] = par.h_0
     mode.seated = 1
     if y[12] == 0.0:
@@ -227,14 +239,14 @@ def seat_probe(w):
 
 
 @kernel
-def draw_consequences(w):
-    """Do what the event at the end of a step asks for; the state is the one there."""
+def apply_event(w):
+    """Apply the event at the end of a step, where the state is."""
     mode, y, slow = w.system.mode, w.stepper.y, w.progress.slow
     kind, which = w.event.kind, w.event.which
     if w.system.par.has_supports:
         for vehicle in range(2):
-            times = _LEFT_SLOW if slow[vehicle] else 1.0
-            slow[vehicle] = is_slow(y, w.system.par, vehicle, times)
+            factor = _LEFT_SLOW if slow[vehicle] else 1.0
+            slow[vehicle] = is_slow(y, w.system.par, vehicle, factor)
             resting = mode.rest_S if vehicle == 0 else mode.rest_T
             if kind == NO_EVENT and not resting and is_slow(y, w.system.par, vehicle, 1.0):
                 stop_vehicle(w, vehicle)

@@ -1,12 +1,12 @@
-"""The first event in a step: what an event is, where it may lie, and its place to rounding.
+"""The first event in a step: its definition, its search, and its time to round-off.
 
-Guaranteed are the events with a distance that has a rate (touch, lift-off, latch, stops): the
-step is kept so short near them that value and rate at its ends, and a cubic through them, show
-every dip.  Conditions without a rate (stick and slip, a vehicle set moving or slowing down) are
-looked for at the quarters and at the end of a step; one that comes and goes within a quarter is
-passed over, and with it a change of force that the error control has found too small to matter.
-A preloaded probe leaves its seat where the load on it, which has a rate by a small move along the
-motion, reaches the preload: the cubic through load and rate decides whether a step is looked into.
+Every touch, lift-off, latch and stop event is found, because each has a distance with a known rate:
+near it the step is so short that the cubic through value and rate at both ends shows every dip.
+Conditions without a rate (stick and slip, a vehicle that starts to move or slows down) are checked
+at the quarters and the end of a step.  One that starts and ends within a quarter is missed; it
+changes the forces by less than the error control permits.  A preloaded probe leaves its seat where
+the load on the seat reaches the preload; the cubic through load and rate, a difference quotient
+along the motion, decides whether the step is searched.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from __future__ import annotations
 import math
 
 from capture_sim.engine.state import NO_EVENT, NO_WALL
-from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move, state_inside
-from capture_sim.kernels import kernel
+from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
+from capture_sim.kernels import inline_kernel, kernel
 from capture_sim.model.contact import COULOMB
 from capture_sim.model.equations import (
-    accelerate_sticking,
-    balance,
     gap_and_rate,
     slip_acceleration,
     slip_of,
+    solve_accelerations,
+    solve_sticking,
     tip_in_cone,
 )
 from capture_sim.model.supports import fastest_ball, load_factor
@@ -30,32 +30,39 @@ from capture_sim.model.trig import sine_cosine
 from capture_sim.samples import EventKind
 from capture_sim.solver.roots import cubic_minimum, may_cross
 
-#: Of the size of its changes: how far the cubic of a function over a step may be off.
-_CUBIC_OFF = 0.05
-#: Likewise over a quarter of a step or less.
-_CUBIC_OFF_INSIDE = 0.02
-#: A fall whose slope stays within these shares of its mean has one root, near the chord's.
-_STRAIGHT = (0.7, 1.3)
-#: Rounding of a place in a step.
+#: Error of the cubic of a function over a step, as a share of the function's changes.
+_CUBIC_ERROR = 0.05
+#: The same over a quarter of a step or less.
+_CUBIC_ERROR_INSIDE = 0.02
+#: A function whose slopes are within these shares of its mean slope has one root, near the chord's.
+_STRAIGHT_SLOPES = (0.7, 1.3)
+#: Round-off of a fraction of the step.
 _ROUNDING = 4e-16
-#: m, of a distance: by what the first correction of its place goes beyond zero.
+#: m: how far below zero the first correction for round-off aims.
 _DISTANCE_ROUNDING = 3e-17
-#: Newton's last step: below this share of the place the next one is below rounding.
+#: Newton's method ends with a correction below this share: the next one would be round-off.
 _NEWTON_DONE = 1e-9
-#: Of the scene's speed: slip below it is rounding's, without direction.
+#: Share of the scene's speed: a smaller slip is round-off and has no direction.
 SLIP_FLOOR = 1e-10
-#: Of v_eps: below it a vehicle may be put at rest; see docs/model.md, supports.
+#: Multiple of v_eps: a slower vehicle may be put at rest; see docs/model.md, supports.
 _REST_SPEED = 5.0
-#: Of the way from an event to the end of a step taken again: how far before that end it is sought.
-_NEARBY = 3.0
-_NOWHERE = 2.0  # beyond every place in a step
+#: In a repeated step, the event is sought this many times its distance before the end.
+_BRACKET_FACTOR = 3.0
+_NO_CROSSING = 2.0  # beyond the end of the step
 
 
 @kernel
 def stop_distance(y, par, side):
-    """Return the probe's way to a stroke stop and its rate; ``side`` -1 compressed, +1."""
+    """Return the distance to a stroke stop (-1 compressed, +1 extended), m, and its rate, m/s."""
     end = par.stop_compressed if side < 0 else par.stop_extended
     return side * (end - (y[4] - par.h_0)), -side * y[12]
+
+
+@inline_kernel
+def has_distance(kind):
+    """Return True if the event has a distance with a rate, see :func:`event_value`."""
+    is_vehicle = kind == EventKind.MOVING or kind == EventKind.AT_REST
+    return not (is_vehicle or kind == EventKind.STICK or kind == EventKind.UNSEATED)
 
 
 @kernel
@@ -80,16 +87,16 @@ def event_value(y, par, kind, which):
 
 @kernel
 def value_inside(w, x, kind, which):
-    """Return an event's function and its rate at a place of the present step."""
+    """Return an event's function and its rate at the fraction ``x`` of the present step."""
     state_inside(w, x)
     return event_value(w.y_x, w.system.par, kind, which)
 
 
 @kernel
 def refine(w, kind, which, x_a, x_b, x):
-    """Return where an event's function passes zero between x_a (>= 0) and x_b (< 0).
+    """Return where an event's function passes zero between fractions x_a (>= 0) and x_b (< 0).
 
-    Newton's method from ``x``, bisecting where that would leave the bracket; to rounding.
+    Newton's method from ``x``, with bisection where it would leave the bracket; to round-off.
     """
     for _ in range(80):
         g, d = value_inside(w, x, kind, which)
@@ -110,7 +117,7 @@ def refine(w, kind, which, x_a, x_b, x):
             x = trial
             break
         x = trial
-    # rounding may leave it a hair short: what has been left must not be met again at once
+    # the function must be negative there, or the same event would be found again at once
     nudge = 0.5 * _ROUNDING * x
     for _ in range(40):
         g, d = value_inside(w, x, kind, which)
@@ -125,11 +132,10 @@ def refine(w, kind, which, x_a, x_b, x):
 
 @kernel
 def first_crossing(w, kind, which):
-    """Return the first place (0..1) in a step where an event's function goes below zero; 2 if none.
+    """Return the fraction (0..1) of a step where an event's function first falls below zero, or 2.
 
-    One that falls nearly straight is followed down at once.  Else the step is looked at in
-    quarters; in each, the cubic through value and slope of both ends points to where a dip
-    would be.
+    The root of a nearly straight function is located directly.  Otherwise the step is searched in
+    quarters, each at the minimum of the cubic through value and slope at both ends.
     """
     h, par = w.step.h, w.system.par
     x_a = 0.0
@@ -139,8 +145,8 @@ def first_crossing(w, kind, which):
     g_a = max(g_a, 0.0)
     g_b, d_b = event_value(w.stepper.y_new, par, kind, which)
     fall = (g_a - g_b) / h
-    least, most = _STRAIGHT
-    if g_a > 0.0 > g_b and least * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < most * fall:
+    low, high = _STRAIGHT_SLOPES
+    if g_a > 0.0 > g_b and low * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < high * fall:
         return refine(w, kind, which, 0.0, 1.0, g_a / (g_a - g_b))
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
@@ -151,18 +157,18 @@ def first_crossing(w, kind, which):
             if high_g < 0.0:
                 break
             width = high_b - low_a
-            place, low = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
-            slack = _CUBIC_OFF_INSIDE * h * width * (abs(low_d) + abs(high_d))
-            if place < 0.0 or low > slack:
+            x_dip, dip = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
+            slack = _CUBIC_ERROR_INSIDE * h * width * (abs(low_d) + abs(high_d))
+            if x_dip < 0.0 or dip > slack:
                 break
-            x_m = low_a + place * width
+            x_m = low_a + x_dip * width
             g_m, d_m = value_inside(w, x_m, kind, which)
             if g_m >= 0.0 and d_m < 0.0:
                 low_a, low_g, low_d = x_m, g_m, d_m
             else:
                 high_b, high_g, high_d = x_m, g_m, d_m
         if high_g < 0.0:
-            # the bracket must start above zero: what has just been left starts at it and rises
+            # the bracket must start above zero; just after an event the function is zero and rises
             if low_g == 0.0:
                 trial = low_a + 0.5 * (high_b - low_a)
                 for _ in range(60):
@@ -179,16 +185,16 @@ def first_crossing(w, kind, which):
                 start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
             return refine(w, kind, which, low_a, high_b, start)
         x_a, g_a, d_a = x_b, g_b, d_b
-    return _NOWHERE
+    return _NO_CROSSING
 
 
 @kernel
-def is_slow(y, par, which, times):
-    """Return whether a vehicle is below ``times`` the speed at which it may be put at rest."""
-    limit = times * _REST_SPEED * par.v_eps_ball
+def is_slow(y, par, which, factor):
+    """Return True if a vehicle is slower than ``factor`` times the rest speed."""
+    limit = factor * _REST_SPEED * par.v_eps_ball
     first, heading, balls = (8, 2, par.balls_S) if which == 0 else (13, 7, par.balls_T)
     vx, vy, omega = y[first], y[first + 1], y[first + 2]
-    # the first ball's speed at least, without sines
+    # lower limit of the first ball's speed, without sines
     turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[0, 1]))
     if max(abs(vx), abs(vy)) > limit + turning:
         return False
@@ -198,9 +204,9 @@ def is_slow(y, par, which, times):
 
 @kernel
 def ratio_of_limit(y, par, hold, which):
-    """Return which share of its supports' limit a vehicle needs to stay at rest.
+    """Return the share of its supports' limit that a vehicle needs to stay at rest.
 
-    ``hold`` (6,) is what the supports must hold at ``y``, see ``OUT``.
+    ``hold`` (6,) is the load on the supports at ``y``, see ``OUT``.
     """
     if which == 0:
         s, c = sine_cosine(y[2])
@@ -211,21 +217,21 @@ def ratio_of_limit(y, par, hold, which):
 
 @kernel
 def slip_margin(y, system, i):
-    """Return how far the tip on wall ``i`` is from changing between sticking and sliding.
+    """Return the margin of the tip on wall ``i`` against a change between sticking and sliding.
 
-    Sliding: the slip in its direction, m/s.  Sticking: the force that is left, N.
+    While sliding, the slip in its direction, m/s; while sticking, the unused friction force, N.
     """
     par, mode, out = system.par, system.mode, system.out
     if not mode.touch[i].sticking:
         return slip_of(y, par, i) * mode.touch[i].direction + SLIP_FLOOR * par.speed_scale
-    accelerate_sticking(y, system.spare[0], system)
+    solve_sticking(y, system.spare[0], system)
     return par.mu_s * out.normal[i] - abs(out.friction_force[i])
 
 
 @kernel
 def seat_load(y, system):
-    """Return the axial force of a seated probe, N; above the preload it leaves its seat."""
-    balance(y, system.spare[0], system)
+    """Return the axial force of a seated probe, N; above the preload the probe leaves its seat."""
+    solve_accelerations(y, system.spare[0], system)
     return system.out.axial_force
 
 
@@ -237,30 +243,30 @@ def measure_seat(w):
     load[0] = seat_load(stepper.y, system)
     load[1] = seat_load(stepper.y_new, system)
     if mode.touch[0].on or mode.touch[1].on or mode.latched:
-        small, near = SMALL_MOVE * step.h, stepper.y_stage
-        move(stepper.y, stepper.K[0], small, 0, near)
-        rate[0] = (seat_load(near, system) - load[0]) / small
-        move(stepper.y_new, stepper.K[stepper.stages], -small, 0, near)
-        rate[1] = (load[1] - seat_load(near, system)) / small
+        small, moved = SMALL_MOVE * step.h, stepper.y_stage
+        move_along(stepper.y, stepper.K[0], small, 0, moved)
+        rate[0] = (seat_load(moved, system) - load[0]) / small
+        move_along(stepper.y_new, stepper.K[stepper.stages], -small, 0, moved)
+        rate[1] = (load[1] - seat_load(moved, system)) / small
     else:
         rate[0] = rate[1] = (load[1] - load[0]) / step.h
 
 
 @kernel
-def where_seat_is_left(w):
-    """Return a place (0..1) in the step by which a probe has left its seat; 2: none."""
+def seat_left_by(w):
+    """Return a fraction (0..1) of the step by which the probe has left its seat; 2 if none."""
     step, preload = w.step, w.system.par.preload
     start, end = preload - step.seat_load[0], preload - step.seat_load[1]
     if start <= 0.0 and w.progress.unseated_at_t0:
-        # seated again at once: what lifts it is rounding's
-        return _NOWHERE
+        # seated again at the same time: the excess load is round-off
+        return _NO_CROSSING
     rate_a, rate_b = -step.h * step.seat_load_rate[0], -step.h * step.seat_load_rate[1]
-    if end > 0.0 and not may_cross(max(start, 0.0), rate_a, end, rate_b, _CUBIC_OFF):
-        return _NOWHERE
-    place, _ = cubic_minimum(start, rate_a, end, rate_b)
-    earliest = 1.0 if end <= 0.0 else _NOWHERE
+    if end > 0.0 and not may_cross(max(start, 0.0), rate_a, end, rate_b, _CUBIC_ERROR):
+        return _NO_CROSSING
+    x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
+    earliest = 1.0 if end <= 0.0 else _NO_CROSSING
     for k in range(4):
-        x = 0.25 * (k + 1) if k < 3 else place
+        x = 0.25 * (k + 1) if k < 3 else x_dip
         if 0.0 < x < earliest:
             state_inside(w, x)
             if seat_load(w.y_x, w.system) >= preload:
@@ -269,12 +275,12 @@ def where_seat_is_left(w):
 
 
 @kernel
-def holds(y, system, kind, which):
-    """Return whether a condition without a rate holds: MOVING, AT_REST, STICK or UNSEATED."""
+def condition_holds(y, system, kind, which):
+    """Return True if the condition of MOVING, AT_REST, STICK or UNSEATED is met."""
     if kind == EventKind.UNSEATED:
         return seat_load(y, system) >= system.par.preload
     if kind == EventKind.MOVING:
-        balance(y, system.spare[0], system)
+        solve_accelerations(y, system.spare[0], system)
         return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
     if kind == EventKind.AT_REST:
         return is_slow(y, system.par, which, 1.0)
@@ -282,16 +288,16 @@ def holds(y, system, kind, which):
 
 
 @kernel
-def first_holding(w, kind, which, x_b):
-    """Return the place before ``x_b``, where it holds, at which such a condition comes to hold.
+def bisect_condition(w, kind, which, x_b):
+    """Return the fraction of the step at which a condition is first met, for one met at ``x_b``.
 
-    By bisection: it has just been left (sliding starts at slip zero) as often as not.
+    Newton's method would fail: the margin is often zero at the start as well (slip after a change).
     """
     x_a = 0.0
     while x_b - x_a > 1e-15:
         x = 0.5 * (x_a + x_b)
         state_inside(w, x)
-        if holds(w.y_x, w.system, kind, which):
+        if condition_holds(w.y_x, w.system, kind, which):
             x_b = x
         else:
             x_a = x
@@ -299,41 +305,41 @@ def first_holding(w, kind, which, x_b):
 
 
 @kernel
-def where_slip_changes(w, i):
-    """Return a place (0..1) in the step by which the slip margin of wall ``i`` is used up; 2: none.
+def slip_changed_by(w, i):
+    """Return a fraction (0..1) of the step by which wall ``i`` has no slip margin left; 2 if none.
 
-    A tip may reverse twice within a step, and the force that holds it may swing: it is
-    looked at inside the step too, while sliding only where the slip's rates allow a dip.
+    Slip may reverse twice within a step, and the holding force may oscillate, so the margin is
+    also checked inside the step; while sliding, only if the cubic of the slip may cross zero.
     """
     system, stepper = w.system, w.stepper
     end = slip_margin(stepper.y_new, system, i)
     if end <= 0.0:
         return 1.0
-    place = -1.0
+    x_dip = -1.0
     if not system.mode.touch[i].sticking:
         width = system.mode.touch[i].direction * w.step.h
         start = max(slip_margin(stepper.y, system, i), 0.0)
         rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system.par, i)
         rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system.par, i)
-        if not may_cross(start, rate_a, end, rate_b, _CUBIC_OFF):
-            return _NOWHERE
-        place, _ = cubic_minimum(start, rate_a, end, rate_b)
-    found = _NOWHERE
+        if not may_cross(start, rate_a, end, rate_b, _CUBIC_ERROR):
+            return _NO_CROSSING
+        x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
+    earliest = _NO_CROSSING
     for k in range(4):
-        x = 0.25 * (k + 1) if k < 3 else place
-        if 0.0 < x < found:
+        x = 0.25 * (k + 1) if k < 3 else x_dip
+        if 0.0 < x < earliest:
             state_inside(w, x)
             if slip_margin(w.y_x, system, i) <= 0.0:
-                found = x
-    return found
+                earliest = x
+    return earliest
 
 
 @kernel
-def note_event(w, x, kind, which):
-    """Keep the earliest event of a step."""
+def keep_earliest(w, x, kind, which):
+    """Keep an event at the fraction ``x`` of the step if it is the earliest so far."""
     event = w.event
-    if x < event.place:
-        event.place = x
+    if x < event.x:
+        event.x = x
         event.kind = kind
         event.which = which
 
@@ -345,7 +351,7 @@ def search_step(w):
     start, end = step.start, step.end
     par, mode = w.system.par, w.system.mode
     h = step.h
-    event.place = _NOWHERE
+    event.x = _NO_CROSSING
     event.kind = NO_EVENT
     if not mode.latched:
         for i in range(2):
@@ -353,19 +359,20 @@ def search_step(w):
             sign = -1.0 if mode.touch[i].on else 1.0
             g_a, d_a = max(sign * start.gap[i], 0.0), sign * start.gap_rate[i]
             g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
-            if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_OFF):
-                note_event(w, first_crossing(w, kind, i), kind, i)
+            if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+                keep_earliest(w, first_crossing(w, kind, i), kind, i)
         if par.has_latch and may_cross(
-            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_OFF
+            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_ERROR
         ):
-            note_event(w, first_crossing(w, EventKind.LATCHED, NO_WALL), EventKind.LATCHED, NO_WALL)
+            x = first_crossing(w, EventKind.LATCHED, NO_WALL)
+            keep_earliest(w, x, EventKind.LATCHED, NO_WALL)
         if par.friction_law == COULOMB:
             for i in range(2):
                 if mode.touch[i].on:
-                    x = where_slip_changes(w, i)
+                    x = slip_changed_by(w, i)
                     if x <= 1.0:
-                        x = first_holding(w, EventKind.STICK, i, x)
-                        note_event(w, x, EventKind.STICK, i)
+                        x = bisect_condition(w, EventKind.STICK, i, x)
+                        keep_earliest(w, x, EventKind.STICK, i)
     if par.has_stops:
         for side in (-1, 1):
             if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
@@ -373,48 +380,47 @@ def search_step(w):
             kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
             g_a, d_a = event_value(w.stepper.y, par, kind, side)
             g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
-            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_OFF):
-                note_event(w, first_crossing(w, kind, side), kind, side)
+            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+                keep_earliest(w, first_crossing(w, kind, side), kind, side)
     if mode.seated:
         measure_seat(w)
-        x = where_seat_is_left(w)
+        x = seat_left_by(w)
         if x <= 1.0:
-            x = first_holding(w, EventKind.UNSEATED, NO_WALL, x)
-            note_event(w, x, EventKind.UNSEATED, NO_WALL)
+            x = bisect_condition(w, EventKind.UNSEATED, NO_WALL, x)
+            keep_earliest(w, x, EventKind.UNSEATED, NO_WALL)
     elif par.preload > 0.0:
         kind = EventKind.SEATED
         g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
         g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
-        # a probe that has just left its seat goes as t^3: the dip of a cubic is the cubic's then
+        # just off its seat, the probe's stroke grows as t^3: a dip of the cubic is not real
         has_just_left = g_a <= 0.0 and d_a == 0.0
-        if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_OFF)):
-            note_event(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
+        if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR)):
+            keep_earliest(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
             if resting and ratio_of_limit(w.stepper.y_new, par, step.hold, which) > 1.0:
-                x = first_holding(w, EventKind.MOVING, which, 1.0)
-                note_event(w, x, EventKind.MOVING, which)
+                x = bisect_condition(w, EventKind.MOVING, which, 1.0)
+                keep_earliest(w, x, EventKind.MOVING, which)
             if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
-                x = first_holding(w, EventKind.AT_REST, which, 1.0)
-                note_event(w, x, EventKind.AT_REST, which)
+                x = bisect_condition(w, EventKind.AT_REST, which, 1.0)
+                keep_earliest(w, x, EventKind.AT_REST, which)
 
 
 @kernel
 def search_again(w, kind, which, x):
-    """Find the first event in a step taken again, to just past the one that was found before.
+    """Find the first event in a repeated step, which ends just past the event found before.
 
-    That one is near ``x``; where it is not, all of the step is searched.
+    If that event is not near the fraction ``x``, the whole step is searched.
     """
     event, par = w.event, w.system.par
-    x_a = 1.0 - _NEARBY * (1.0 - x)
-    has_distance = kind != EventKind.STICK and kind != EventKind.MOVING
-    if has_distance and kind != EventKind.AT_REST and kind != EventKind.UNSEATED:
+    x_a = 1.0 - _BRACKET_FACTOR * (1.0 - x)
+    if has_distance(kind):
         g_b, _ = event_value(w.stepper.y_new, par, kind, which)
         if g_b < 0.0:
             g_a, _ = value_inside(w, x_a, kind, which)
             if g_a > 0.0:
-                event.place = refine(w, kind, which, x_a, 1.0, x)
+                event.x = refine(w, kind, which, x_a, 1.0, x)
                 event.kind = kind
                 event.which = which
                 return

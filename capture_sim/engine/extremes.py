@@ -1,9 +1,8 @@
-"""Loads: largest forces, strokes and penetrations, and the closest approach, inside the steps.
+"""Loads: peak forces, strokes and penetrations, and the closest approach, inside the steps.
 
-A quantity with its rate at both ends of a segment can hold a larger value in between only where
-the cubic through them has a maximum there; that place is then searched on the dense output.  So
-what is found depends neither on where samples are asked for nor, but for the error of the run
-itself, on where the steps end.
+A quantity exceeds its values at both ends of a segment only if the cubic through value and rate has
+a maximum in between; there it is searched on the dense output.  The extremes therefore do not
+depend on the sample times, and on the steps only within the error of the run.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from capture_sim.engine.events import seat_load
-from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move, state_inside
+from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
 from capture_sim.kernels import inline_kernel, kernel
 from capture_sim.model.contact import normal_force
 from capture_sim.model.equations import (
@@ -31,29 +30,29 @@ from capture_sim.samples import EXTREME_NAMES
 from capture_sim.solver.roots import cubic_minimum
 
 _GOLDEN = 0.6180339887498949
-#: Of the segment: how far from the best of some places the largest value may lie, the width at
-#: which golden sections give way to parabolas, and how near these go.
-_BRACKET, _PARABOLAS, _NEAREST = 0.25, 0.05, 1e-6
-#: Of the sum of both slopes: no cubic rises above its ends by more than 4/27 of it; and by how
-#: much the quantity may rise above the cubic.
-_CUBIC_RISE, _ABOVE_CUBIC = 0.25, 0.02
-#: Of that: a quantity as near to its cubic is largest where the cubic is.
+#: Shares of the segment: half the bracket around the best trial, the width at which parabolas
+#: replace golden sections, and the smallest width of a parabola.
+_BRACKET, _PARABOLAS, _MIN_PARABOLA = 0.25, 0.05, 1e-6
+#: Shares of the sum of both slopes: limit of the rise of a cubic above its ends (at most 4/27),
+#: and of the rise of the quantity above the cubic.
+_CUBIC_RISE, _CUBIC_ERROR = 0.25, 0.02
+#: Share of the latter: a quantity this close to its cubic has its maximum where the cubic has it.
 _TRUSTED = 0.1
-#: Of the rates at a touch's ends and middle: how much larger one inside may be.
+#: Share of the rates at the ends and the middle of a segment in contact: limit of the rise inside.
 _RATE_RISE = 1.0
 
 
 class Watched(IntEnum):
-    """A quantity whose largest value is searched, with a side where there are two."""
+    """A quantity whose maximum is searched, with a side where there are two."""
 
     STROKE = 0  # -1 inwards, +1 outwards
-    TORSION = 1  # either sense
+    TORSION = 1  # either direction
     NEARNESS = 2  # minus the distance of the tip to the centre of BE
     PENETRATION = 3  # of the wall on that side
     PENETRATION_RATE = 4
     NORMAL_FORCE = 5
     BUFFER_FORCE = 6  # of spring, damper, stop and seat; -1 pulling, +1 pushing the probe out
-    BUFFER_TORQUE = 7  # either sense
+    BUFFER_TORQUE = 7  # either direction
     LATCH_FORCE = 8
 
 
@@ -90,7 +89,7 @@ def buffer_torque_at(y, par):
 
 @inline_kernel
 def latch_force_of(tip, system):
-    """Return the magnitude of the latch's force on a tip as of :func:`tip_in_cone`, N."""
+    """Return the magnitude of the latch's force, N, on a tip given as by :func:`tip_in_cone`."""
     par, mode = system.par, system.mode
     px, py, wx, wy = tip[0], tip[1], tip[2], tip[3]
     return math.hypot(
@@ -133,9 +132,9 @@ def value_at(w, x, quantity, side):
 
 @kernel
 def search_bracket(w, quantity, side, x, f):
-    """Return place, value and half the bracket of the best place of a segment, by golden sections.
+    """Return fraction, value and half the bracket of a segment's maximum, by golden sections.
 
-    It is near ``x``, of value ``f``, or near one of the segment's quarters.
+    The bracket surrounds the best of ``x``, with value ``f``, and the quarters of the segment.
     """
     x_end = w.step.x_end
     for quarter in range(1, 4):
@@ -164,14 +163,14 @@ def search_bracket(w, quantity, side, x, f):
 
 @kernel
 def search_top(w, quantity, side, x, f, width):
-    """Return place and value of a maximum near ``x``, of value ``f``, and whether it is one.
+    """Return fraction and value of a maximum near ``x``, of value ``f``, and whether it is one.
 
-    By parabolas through three places ``width`` apart, ever closer.
+    By parabolas through three points that are ``width`` apart at first.
     """
     x_end, shift = w.step.x_end, 1.0
     for _ in range(5):
         width = min(width, x, x_end - x)
-        if width < _NEAREST * x_end:
+        if width < _MIN_PARABOLA * x_end:
             break
         left = value_at(w, x - width, quantity, side)
         right = value_at(w, x + width, quantity, side)
@@ -190,10 +189,10 @@ def search_top(w, quantity, side, x, f, width):
 
 @kernel
 def largest_inside(w, quantity, side, x, expected, tolerance):
-    """Return place and value of a quantity's largest value within the present segment.
+    """Return fraction and value of a quantity's maximum within the present segment.
 
-    Near ``x`` where its value there is as ``expected``, within a ``tolerance``; else all of the
-    segment is searched.
+    It is sought near ``x`` if the value there is ``expected`` within ``tolerance``, else in the
+    whole segment.
     """
     f = value_at(w, x, quantity, side)
     if abs(f - expected) <= tolerance:
@@ -208,8 +207,8 @@ def largest_inside(w, quantity, side, x, expected, tolerance):
 
 
 @kernel
-def keep(totals, row, slot, value, t):
-    """Keep a value that is larger than the largest so far."""
+def keep_maximum(totals, row, slot, value, t):
+    """Keep a value and its time if it is the largest so far."""
     if value > totals.extreme[row, slot]:
         totals.extreme[row, slot] = value
         totals.extreme_time[row, slot] = t
@@ -217,28 +216,28 @@ def keep(totals, row, slot, value, t):
 
 @inline_kernel
 def may_exceed(largest, width, v_a, d_a, v_b, d_b):
-    """Return whether the cubic through two values and rates may rise above ``largest``.
+    """Return True if the cubic through two values and rates may rise above ``largest``.
 
-    Cheap: most segments hold no larger value of anything.  ``width`` is that of the segment, s.
+    ``width`` (s) is the length of the segment.  Most segments end with this cheap test.
     """
     return max(v_a, v_b) + _CUBIC_RISE * width * (abs(d_a) + abs(d_b)) > largest
 
 
 @kernel
 def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
-    """Return place and value of a maximum above ``largest`` inside a segment; -1 if there is none.
+    """Return fraction and value of a maximum above ``largest`` inside a segment; -1 if none.
 
-    Values and rates are those at the segment's ends.
+    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the ends of the segment.
     """
     width = w.step.x_end * w.step.h
     if not may_exceed(largest, width, v_a, d_a, v_b, d_b):
         return -1.0, largest
-    place, low = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
-    tolerance = _ABOVE_CUBIC * width * (abs(d_a) + abs(d_b))
-    if place < 0.0 or -low + tolerance <= largest:
+    x_dip, dip = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
+    tolerance = _CUBIC_ERROR * width * (abs(d_a) + abs(d_b))
+    if x_dip < 0.0 or -dip + tolerance <= largest:
         return -1.0, largest
-    x = place * w.step.x_end
-    x, value = largest_inside(w, quantity, side, x, -low, _TRUSTED * tolerance)
+    x = x_dip * w.step.x_end
+    x, value = largest_inside(w, quantity, side, x, -dip, _TRUSTED * tolerance)
     if value > largest:
         return x, value
     return -1.0, largest
@@ -246,14 +245,14 @@ def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
 
 @kernel
 def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
-    """Keep a quantity's largest value over a segment; values and rates are those at its ends."""
+    """Keep a quantity's maximum over a segment, from values and rates at its ends."""
     step, totals, row = w.step, w.totals, w.system.mode.latched
-    # an impact, or a stop with a damper, changes a force at once
-    keep(totals, row, slot, v_a, step.t0)
-    keep(totals, row, slot, v_b, step.t1)
+    # a force jumps at an impact, and at a stop with a damper
+    keep_maximum(totals, row, slot, v_a, step.t0)
+    keep_maximum(totals, row, slot, v_b, step.t1)
     x, value = rise_inside(w, quantity, side, totals.extreme[row, slot], v_a, d_a, v_b, d_b)
     if x >= 0.0:
-        keep(totals, row, slot, value, step.t0 + x * step.h)
+        keep_maximum(totals, row, slot, value, step.t0 + x * step.h)
 
 
 @inline_kernel
@@ -267,7 +266,7 @@ def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
 
 @kernel
 def watch_extremes(w):
-    """Keep strokes, torsion, nearest distance and those of the touches of the segment that ends."""
+    """Keep strokes, torsion, closest approach and contact extremes of the segment that ends."""
     start, end = w.step.start, w.step.end
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
@@ -291,7 +290,7 @@ def watch_extremes(w):
 
 @kernel
 def force_and_rate(depth, rate, acceleration, K, chi):
-    """Return the normal force (N) and its rate (N/s) by the penetration and its derivatives."""
+    """Return the normal force (N) and its rate (N/s) for a penetration and its derivatives."""
     force, _ = normal_force(depth, rate, K, chi)
     if force <= 0.0:
         return 0.0, 0.0
@@ -301,7 +300,7 @@ def force_and_rate(depth, rate, acceleration, K, chi):
 
 @kernel
 def watch_touch(w, i):
-    """Keep penetration, its rate and the normal force of wall ``i``, largest inside the segment."""
+    """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
     step, stepper, K = w.step, w.stepper, w.system.par.K
     start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
@@ -316,7 +315,7 @@ def watch_touch(w, i):
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t1
-    # the rate in the middle of the cubic, and how far from these rates it may be inside
+    # rate in the middle of the cubic, and limits of rate and depth inside the segment
     r_m = 1.5 * (p_b - p_a) / width - 0.25 * (r_a + r_b)
     swing = abs(r_a) + abs(r_b) + abs(r_m)
     rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
@@ -335,7 +334,7 @@ def watch_touch(w, i):
         f_a, d_a = force_and_rate(p_a, r_a, a_a, K, touch.chi)
         f_b, d_b = force_and_rate(p_b, r_b, a_b, K, touch.chi)
         if step.x_end < 1.0 and step.t0 == touch.start:
-            # all of the touch may lie in this segment, its force flat at both ends
+            # the whole touch may lie in this segment, with the force zero at both ends
             x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end, 0.0, -1.0)
         else:
             x, peak = rise_inside(
@@ -345,7 +344,7 @@ def watch_touch(w, i):
             touch.peak_force = peak
             touch.peak_time = step.t0 + x * step.h
     slot = NORMAL_FORCE_PLUS_Y + i
-    keep(w.totals, w.system.mode.latched, slot, touch.peak_force, touch.peak_time)
+    keep_maximum(w.totals, w.system.mode.latched, slot, touch.peak_force, touch.peak_time)
 
 
 @inline_kernel
@@ -367,7 +366,7 @@ def watch_loads(w):
     f_a, f_b = stepper.K[0], stepper.K[stepper.stages]
     axial_b, turning_b = f_b[12], f_b[11] - f_b[10]
     if step.x_end < 1.0:
-        # the rates only decide where to look
+        # the rates only select where to search
         state_inside(w, step.x_end - SMALL_MOVE)
         axial_b = (y_b[12] - w.y_x[12]) / (SMALL_MOVE * step.h)
         turning_b = (y_b[11] - y_b[10] - w.y_x[11] + w.y_x[10]) / (SMALL_MOVE * step.h)
@@ -405,7 +404,7 @@ def watch_latch(w):
     step, stepper, system = w.step, w.stepper, w.system
     tip_a, tip_b, k, c = step.start.tip, step.end.tip, system.par.k_L, system.par.c_L
     latch_a, latch_b = latch_force_of(tip_a, system), latch_force_of(tip_b, system)
-    # a first look with the mean acceleration, by twice the rise of a cubic
+    # a coarse test with the mean acceleration
     width = step.x_end * step.h
     x, y = c / width * (tip_b[2] - tip_a[2]), c / width * (tip_b[3] - tip_a[3])
     rate_a = 2.0 * math.hypot(k * tip_a[2] + x, k * tip_a[3] + y)
@@ -413,29 +412,29 @@ def watch_latch(w):
     largest = w.totals.extreme[system.mode.latched, LATCH_FORCE]
     if not may_exceed(largest, width, latch_a, rate_a, latch_b, rate_b):
         return
-    near, small = stepper.y_stage, SMALL_MOVE * step.h
-    move(stepper.y, stepper.K[0], small, 0, near)
-    rate_a = (latch_force_at(near, system) - latch_a) / small
+    moved, small = stepper.y_stage, SMALL_MOVE * step.h
+    move_along(stepper.y, stepper.K[0], small, 0, moved)
+    rate_a = (latch_force_at(moved, system) - latch_a) / small
     if step.x_end == 1.0:
-        move(w.y_end, stepper.K[stepper.stages], -small, 0, near)
+        move_along(w.y_end, stepper.K[stepper.stages], -small, 0, moved)
     else:
-        near = w.y_x
+        moved = w.y_x
         state_inside(w, step.x_end - SMALL_MOVE)
-    rate_b = (latch_b - latch_force_at(near, system)) / small
+    rate_b = (latch_b - latch_force_at(moved, system)) / small
     watch(w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, rate_a, latch_b, rate_b)
 
 
 @kernel
 def watch_rail(w, y):
-    """Keep the distance at the end of a segment on the rail, along which it falls; t1 is there."""
+    """Keep the distance to BE at the end of a segment on the rail, where it is smallest."""
     px, py, wx, wy = tip_in_cone(y, w.system.par)
     distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
-    keep(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
+    keep_maximum(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
 
 
 @kernel
 def begin_extremes(w):
-    """Set the extremes of the phase that begins to the present values."""
+    """Start the extremes, before or after the latch, with the present values."""
     totals, y, row = w.totals, w.stepper.y, w.system.mode.latched
     for slot in range(totals.extreme.shape[1]):
         totals.extreme[row, slot] = 0.0

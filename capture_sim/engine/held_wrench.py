@@ -1,10 +1,9 @@
-"""Motion with a wrench on the tip from outside the model, or with a law of the walls.
+"""Motion under an external wrench on the tip, or under a contact law of the walls.
 
-For hardware in the loop: steps of fixed length.  The wrench from outside is held over a step; the
-law of the walls is evaluated at every stage of every Runge-Kutta step.  Stroke stops, the seat of a
-preloaded probe and the latch are met where their distance passes zero, and the seat is left where
-the load on it reaches the preload: the Runge-Kutta step ends there, inside the step of the loop,
-before its result is sent.
+For hardware in the loop, with steps of fixed length.  The external wrench is held over a step; the
+contact law is evaluated at every stage of every Runge-Kutta step.  A Runge-Kutta step ends at an
+event: a stroke stop, the seat of a preloaded probe or the latch is reached, or the load on the seat
+exceeds the preload.
 """
 
 from __future__ import annotations
@@ -21,14 +20,13 @@ from capture_sim.model.equations import (
     N_TOTAL,
     STOP,
     TORSION,
-    buffer_energy,
     gap_and_rate,
     rate_of_change,
     slip_speed,
     strike_seat,
     tip_in_cone,
 )
-from capture_sim.model.observe import kinetic_energy
+from capture_sim.model.observe import mechanical_energy
 from capture_sim.model.trig import hyperbolic_tangent
 from capture_sim.samples import EventKind
 
@@ -50,16 +48,16 @@ LAW = np.dtype(
 )
 
 #: Columns of a trace: pose of the tip and its rates in the target's frame, force on the tip, all
-#: at the begin of a Runge-Kutta step; energy at its end, as :func:`stored_energy` has it.
+#: at the start of a Runge-Kutta step; energy at its end, see :func:`stored_energy`.
 TRACE_COLUMNS = 9
 ENERGY = 8
 
 
 @inline_kernel
-def _drive(y, system, law, fx, fy, torque):
-    """Set the wrench on the tip: that of the law and the one held.
+def _set_wrench(y, system, law, fx, fy, torque):
+    """Set the wrench on the tip: contact law and held wrench together.
 
-    Latched, the walls have let go: neither acts.
+    Neither acts after the latch has closed.
     """
     mode = system.mode
     mode.driven = 1
@@ -91,14 +89,16 @@ def _drive(y, system, law, fx, fy, torque):
 
 @kernel
 def _rate(y, f, system, law, fx, fy, torque):
-    _drive(y, system, law, fx, fy, torque)
+    """Write dy/dt (N_LOOP,) into ``f``."""
+    _set_wrench(y, system, law, fx, fy, torque)
     rate_of_change(0.0, y, f, system)
     wrench = system.mode.wrench
     f[IMPULSE_SIZE] = math.sqrt(wrench[0] * wrench[0] + wrench[1] * wrench[1])
 
 
 @inline_kernel
-def _note(y, row, system):
+def _write_tip(y, row, system):
+    """Write pose, rates and force of the tip into a row of the trace."""
     px, py, wx, wy = tip_in_cone(y, system.par)
     row[0] = px
     row[1] = py
@@ -112,7 +112,7 @@ def _note(y, row, system):
 
 @kernel
 def _runge_kutta(y, stages, system, law, h, fx, fy, torque):
-    """Go one step by the classical Runge-Kutta method."""
+    """Take a classical Runge-Kutta step of ``h`` (s); stages[0] is dy/dt at its start."""
     trial = stages[4]
     for stage in range(1, 4):
         share = h if stage == 3 else 0.5 * h
@@ -125,15 +125,15 @@ def _runge_kutta(y, stages, system, law, h, fx, fy, torque):
 
 
 @inline_kernel
-def _has_come(before, y, system, event, which):
-    start, _ = event_value(before, system.par, event, which)
-    end, _ = event_value(y, system.par, event, which)
-    return end < 0.0 <= start
+def _has_happened(y, system, event, which):
+    """Return True if an event's function is below zero."""
+    value, _ = event_value(y, system.par, event, which)
+    return value < 0.0
 
 
 @kernel
-def _next_event(before, y, spare, system, law, fx, fy, torque):
-    """Return what has come between two states: an event and its stop; -1 if nothing has.
+def _next_event(y, spare, system, law, fx, fy, torque):
+    """Return an event that has happened but is not applied yet, and its stop; -1 if none.
 
     ``spare`` (N_LOOP,) is overwritten.
     """
@@ -142,34 +142,48 @@ def _next_event(before, y, spare, system, law, fx, fy, torque):
         _rate(y, spare, system, law, fx, fy, torque)
         if system.out.axial_force > par.preload:
             return EventKind.UNSEATED, 0
-    elif par.preload > 0.0 and _has_come(before, y, system, EventKind.SEATED, 0):
+    elif par.preload > 0.0 and _has_happened(y, system, EventKind.SEATED, 0):
         return EventKind.SEATED, 0
-    if par.has_latch and not mode.latched and _has_come(before, y, system, EventKind.LATCHED, 0):
+    if par.has_latch and not mode.latched and _has_happened(y, system, EventKind.LATCHED, 0):
         return EventKind.LATCHED, 0
     if par.has_stops:
         for side in (-1, 1):
             if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
                 continue
             event = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
-            if _has_come(before, y, system, event, side):
+            if _has_happened(y, system, event, side):
                 return event, side
     return -1, 0
 
 
-#: Halvings that locate an event: to rounding of the place in a Runge-Kutta step.
+@kernel
+def _energy(y, system, law):
+    """Return what :func:`stored_energy` returns."""
+    energy = mechanical_energy(y, system)
+    if law.stiffness > 0.0 and not system.mode.latched:
+        px, py, vx, vy = tip_in_cone(y, system.par)
+        for i in range(2):
+            gap, _, _, _ = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, system.par)
+            depth = law.offset - gap
+            if depth > 0.0:
+                energy += law.stiffness * depth ** (law.exponent + 1.0) / (law.exponent + 1.0)
+    return energy + y[AXIAL] + y[TORSION] + y[LATCH] + y[STOP]
+
+
+#: Bisections that locate an event to round-off.
 _HALVINGS = 50
-#: Events located within one Runge-Kutta step: bounds its cost.
-_MOST_EVENTS = 8
+#: Largest number of events located within one step of the loop, to limit its cost.
+_MAX_EVENTS = 8
 
 
 @kernel
-def _meet(y, stages, system, law, h, fx, fy, torque):
-    """Go one Runge-Kutta step, cut at an event of buffer or latch; return its length, s."""
+def _step_to_event(y, stages, system, law, h, fx, fy, torque):
+    """Take a step up to the first event of buffer or latch and apply that; return its length, s."""
     before, spare = stages[5], stages[4]
     for i in range(y.shape[0]):
         before[i] = y[i]
     _runge_kutta(y, stages, system, law, h, fx, fy, torque)
-    event, which = _next_event(before, y, spare, system, law, fx, fy, torque)
+    event, which = _next_event(y, spare, system, law, fx, fy, torque)
     if event < 0:
         return h
     low, high = 0.0, h
@@ -178,9 +192,9 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
         for i in range(y.shape[0]):
             y[i] = before[i]
         _runge_kutta(y, stages, system, law, middle, fx, fy, torque)
-        earlier, its = _next_event(before, y, spare, system, law, fx, fy, torque)
-        if earlier >= 0:
-            high, event, which = middle, earlier, its
+        earlier_event, earlier_which = _next_event(y, spare, system, law, fx, fy, torque)
+        if earlier_event >= 0:
+            high, event, which = middle, earlier_event, earlier_which
         else:
             low = middle
     for i in range(y.shape[0]):
@@ -195,41 +209,22 @@ def _meet(y, stages, system, law, h, fx, fy, torque):
     elif event == EventKind.UNSEATED:
         mode.seated = 0
     elif event == EventKind.SEATED:
-        mode.seated = 1
+        before_seat = _energy(y, system, law)
         y[4] = system.par.h_0
+        y[STOP] += before_seat - _energy(y, system, law)
         y[STOP] += strike_seat(y, system.par)
+        mode.seated = 1
     else:
         mode.stop = which if event == EventKind.STOP_HIT else 0
     return high
 
 
-@kernel
-def _energy(y, system, law):
-    p, mode = system.par, system.mode
-    stroke, torsion = y[4] - p.h_0, y[3] - y[2]
-    axial, turning = buffer_energy(stroke, torsion, p)
-    energy = kinetic_energy(y, p) + axial + turning
-    if mode.stop:
-        past = stroke - (p.stop_compressed if mode.stop < 0 else p.stop_extended)
-        energy += 0.5 * p.k_stop * past * past
-    px, py, vx, vy = tip_in_cone(y, p)
-    if mode.latched:
-        energy += 0.5 * p.k_L * ((px - mode.latch_x) ** 2 + (py - mode.latch_y) ** 2)
-    elif law.stiffness > 0.0:
-        for i in range(2):
-            gap, _, _, _ = gap_and_rate(px, py, vx, vy, 1.0 - 2.0 * i, p)
-            depth = law.offset - gap
-            if depth > 0.0:
-                energy += law.stiffness * depth ** (law.exponent + 1.0) / (law.exponent + 1.0)
-    return energy + y[AXIAL] + y[TORSION] + y[LATCH] + y[STOP]
-
-
 @entry_kernel
 def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
-    """Go one step of ``h`` (s) by the classical Runge-Kutta method for each row of the trace.
+    """Take a step of ``h`` (s) for each row of the trace, by the classical Runge-Kutta method.
 
     ``y`` (N_LOOP,) is changed; ``stages`` (6, N_LOOP) is overwritten; ``trace`` (n, 9) receives
-    tip, force and energy.  The wrench held is in the target's axes.
+    tip, force and energy.  The held wrench (N, N, N m) is in the target's axes.
     """
     system = systems[0]
     law = laws[0]
@@ -239,13 +234,13 @@ def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
         while left > 0.0:
             _rate(y, stages[0], system, law, fx, fy, torque)
             is_lifted = system.mode.seated and system.out.axial_force > system.par.preload
-            if is_lifted and events < _MOST_EVENTS:
+            if is_lifted and events < _MAX_EVENTS:
                 system.mode.seated = 0
                 _rate(y, stages[0], system, law, fx, fy, torque)
             if left == h:
-                _note(y, trace[k], system)
-            if events < _MOST_EVENTS:
-                left -= _meet(y, stages, system, law, left, fx, fy, torque)
+                _write_tip(y, trace[k], system)
+            if events < _MAX_EVENTS:
+                left -= _step_to_event(y, stages, system, law, left, fx, fy, torque)
                 events += 1
             else:
                 _runge_kutta(y, stages, system, law, left, fx, fy, torque)
@@ -255,7 +250,7 @@ def step_with_wrench(systems, laws, y, stages, trace, h, fx, fy, torque):
 
 @entry_kernel
 def tip_state(systems, y):
-    """Return the tip in the target's frame: x, y (m), heading, and their rates against it."""
+    """Return the tip in the target's frame: x, y (m), heading (rad), and their rates."""
     px, py, wx, wy = tip_in_cone(y, systems[0].par)
     return px, py, y[3] - y[7], wx, wy, y[11] - y[15]
 

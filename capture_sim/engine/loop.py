@@ -1,4 +1,4 @@
-"""The loop over segments and samples: what Python calls."""
+"""The loop over segments and samples, with the entries that Python calls."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from capture_sim.model.observe import observe
 from capture_sim.samples import EventKind
 from capture_sim.solver.runge_kutta import dense
 
-#: Events that one segment may cause.
+#: Largest number of log entries of one segment.
 _SEGMENT_EVENTS = 8
-#: Events in a row without progress.
-_MOST_PILED_UP = 100
-#: Steps after which a call comes back, so that Ctrl-C is answered: some 50 ms.
+#: Events in a row at one time; more stop the run.
+_MAX_EVENTS_AT_T0 = 100
+#: Steps of one call, about 50 ms, so that Ctrl-C is answered.
 _STEPS_PER_CALL = 20_000
-#: Of the energy at release: less dissipation is rounding's, not to be taken for an error.
+#: Share of the energy at the release; a smaller dissipation is round-off error.
 _ENERGY_ROUNDING = 1e-15
 
 
 @kernel
 def begin(w):
-    """Set the energy that the ledger starts from, and what is dissipated within its rounding."""
+    """Set the energy at the release, and the error weights of dissipation below its round-off."""
     totals, weights, s = w.totals, w.stepper.weights, w.sample
     observe(w.step.t0, w.stepper.y, w, s)
     totals.energy_0 = (
@@ -42,7 +42,7 @@ def begin(w):
 
 @kernel
 def end_run(w):
-    """Close the touches that are still on and log the end."""
+    """End the present touches and log the end of the run."""
     for i in range(2):
         if w.system.mode.touch[i].on:
             end_touch(w, i)
@@ -68,12 +68,10 @@ def sample_at(w, t, sample):
 
 @entry_kernel
 def advance(workspaces, times, samples, trace):
-    """Run until all ``times`` are sampled or the run is over, as far as one call goes.
+    """Run until all ``times`` (s) are sampled, the run is over, or the call's share is used up.
 
-    ``trace`` takes samples as well, at the ends of the steps in contact; without any room it
-    takes none and costs nothing.
-
-    Returns how many samples were written; ``progress.status`` says how it ended.
+    ``trace`` receives a sample at the end of each step in contact; an empty one costs nothing.
+    Returns the number of samples written; ``progress.status`` has the Status.
     """
     w = workspaces[0]
     step, progress, totals = w.step, w.progress, w.totals
@@ -104,7 +102,7 @@ def advance(workspaces, times, samples, trace):
         if step.segment != Segment.NONE and w.event.kind == EventKind.END:
             end_run(w)
             break
-        if progress.events_at_t0 > _MOST_PILED_UP:
+        if progress.events_at_t0 > _MAX_EVENTS_AT_T0:
             progress.status = Status.PILE_UP
             return k
         if w.rail.on:

@@ -15,7 +15,7 @@ from capture_sim.samples import EventKind
 
 @kernel
 def plan_rail(w):
-    """Set up the present segment on the rail: constant acceleration until the next event."""
+    """Plan a segment on the rail: constant acceleration until the next event."""
     step, rail, event, par = w.step, w.rail, w.event, w.system.par
     step.segment = Segment.RAIL
     event.kind = NO_EVENT
@@ -63,7 +63,7 @@ def rail_state(w, t):
 
 @kernel
 def close_rail(w):
-    """Move to the end of a segment on the rail and draw the consequences."""
+    """Move to the end of a segment on the rail and apply its event."""
     step, rail, event = w.step, w.rail, w.event
     par, mode, y = w.system.par, w.system.mode, w.stepper.y
     t = step.t1

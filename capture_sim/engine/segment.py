@@ -1,17 +1,23 @@
-"""A segment of the integrator: planned up to its first event, then closed with what follows."""
+"""A segment of the integrator: planned up to its first event, then closed by applying that."""
 
 from __future__ import annotations
 
 import math
 
-from capture_sim.engine.consequences import draw_consequences
-from capture_sim.engine.events import ratio_of_limit, search_again, search_step
+from capture_sim.engine.consequences import apply_event
+from capture_sim.engine.events import (
+    event_value,
+    has_distance,
+    ratio_of_limit,
+    search_again,
+    search_step,
+)
 from capture_sim.engine.extremes import watch_extremes, watch_loads
 from capture_sim.engine.state import NO_EVENT, NO_WALL, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
-    measure,
+    measure_distances,
     path_to_events,
     step_length,
     take_step,
@@ -22,25 +28,25 @@ from capture_sim.model.observe import observe
 from capture_sim.samples import EventKind
 from capture_sim.solver.runge_kutta import dense
 
-#: Of R_t: deeper in a wall the tip's centre might pass it within a step.
-_DEEPEST = 0.75
-#: rad of the contact's oscillation that a fixed step may span.
+#: Share of R_t: in a deeper penetration the tip's centre might pass the wall within a step.
+_MAX_DEPTH_SHARE = 0.75
+#: Longest fixed step in contact, rad of the contact's oscillation.
 _FIXED_ANGLE = 1.5
-#: Events located within one fixed step: bounds its cost.
-_MOST_SUBSTEPS = 8
-#: Of the path to the next event: how far a step that has gathered speed may go, and how far the
-#: next trial goes.
+#: Largest number of events located within one fixed step, to limit its cost.
+_MAX_SUBSTEPS = 8
+#: Shares of the path to the next event: limit for a step in which the tip accelerates, and target
+#: of the next trial.
 _MAX_OVERSHOOT, _RETRY_SHARE = 1.01, 0.9
-#: A step in contact with an event before this place is taken again, to this multiple of the
-#: event's place: dense output inside the step is less exact than its end.
+#: A step in contact with an event before fraction _NEAR_END is repeated up to _PAST_EVENT times
+#: that fraction: dense output inside a step is less accurate than its end.
 _NEAR_END, _PAST_EVENT = 0.95, 1.02
 
 
 @kernel
 def begin_equations(w):
-    """Evaluate equations that have changed; True if they tear something loose at once.
+    """Evaluate equations that have changed; return True if an event follows at once.
 
-    That is the probe from its seat, or a vehicle from its supports.
+    The probe may leave its seat, or a vehicle at rest may start to move.
     """
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
@@ -53,7 +59,7 @@ def begin_equations(w):
         event.which = NO_WALL
         return True
     if w.system.par.has_supports:
-        # a change of forces may ask more of the supports at once than they can hold
+        # a change of forces may exceed the limit of the supports at once
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
             hold = w.system.out.hold
@@ -68,17 +74,17 @@ def begin_equations(w):
 
 @kernel
 def step_within_path(w):
-    """Take a step in which the tip does not leap over an event; returns the Status."""
+    """Take a step in which the tip cannot miss an event; return the Status."""
     step, par = w.step, w.system.par
     if not step.start_measured:
-        measure(w, w.stepper.y)
+        measure_distances(w, w.stepper.y)
         advance_distances(step)
     path = path_to_events(w)
     while True:
         status = take_step(w, step_length(w))
         if status != Status.SERVED:
             return status
-        # a tip that gathers speed moves farther than it seemed at the start
+        # an accelerating tip moves farther than its speed at the start suggests
         moved = 0.5 * (step.start.tip_speed + step.end.tip_speed) * step.h
         if not moved > _MAX_OVERSHOOT * path:
             return Status.SERVED
@@ -90,7 +96,7 @@ def step_within_path(w):
 
 @kernel
 def is_resolved(w):
-    """Return whether a fixed step resolves the contacts at its end."""
+    """Return True if a fixed step resolves the contacts at its end."""
     par, mode = w.system.par, w.system.mode
     for i in range(2):
         stiffness = 1.5 * par.K * math.sqrt(max(-w.step.end.gap[i], 0.0))
@@ -101,18 +107,22 @@ def is_resolved(w):
 
 @kernel
 def end_segment(w):
-    """Set the end of the segment: at the first event, the end of the run, or of the step.
+    """Set the end of the segment: the first event, the end of the run, or that of the step.
 
-    Returns the Status by the state there, which goes to ``w.y_end``.
+    Writes the state there into ``w.y_end``; returns the Status.
     """
     step, event, par, stepper = w.step, w.event, w.system.par, w.stepper
-    if event.place <= 1.0:
+    if event.x <= 1.0:
         if par.fixed_step > 0.0:
             step.substeps += 1
-            if step.substeps > _MOST_SUBSTEPS:
-                # bounded cost comes first: this event waits for the end of the step
-                event.place = 1.0
-        step.t1 = step.t0 + event.place * step.h
+            if step.substeps > _MAX_SUBSTEPS:
+                # applied at the end of the step instead, if the distance is still negative
+                event.x = 1.0
+                if has_distance(event.kind):
+                    value, _ = event_value(stepper.y_new, par, event.kind, event.which)
+                    if value >= 0.0:
+                        event.kind = NO_EVENT
+        step.t1 = step.t0 + event.x * step.h
     if step.t1 >= w.progress.t_stop:
         step.t1 = w.progress.t_stop
         event.kind = EventKind.END
@@ -125,8 +135,11 @@ def end_segment(w):
         for i in range(N_TOTAL):
             w.y_end[i] = stepper.y_new[i]
     if event.kind != NO_EVENT:
-        measure(w, w.y_end)
-    if not w.system.mode.latched and min(step.end.gap[0], step.end.gap[1]) < -_DEEPEST * par.R_t:
+        measure_distances(w, w.y_end)
+    if (
+        not w.system.mode.latched
+        and min(step.end.gap[0], step.end.gap[1]) < -_MAX_DEPTH_SHARE * par.R_t
+    ):
         return Status.TIP_THROUGH_WALL
     if w.y_end[4] <= par.R_t:
         return Status.PROBE_IN_HINGE
@@ -155,8 +168,8 @@ def plan_step(w):
         return Status.STEP_TOO_LONG
     search_step(w)
     in_contact = mode.touch[0].on or mode.touch[1].on or mode.stop or mode.latched
-    if event.place < _NEAR_END and par.fixed_step == 0.0 and in_contact:
-        h = min(_PAST_EVENT * event.place * step.h, step.h)
+    if event.x < _NEAR_END and par.fixed_step == 0.0 and in_contact:
+        h = min(_PAST_EVENT * event.x * step.h, step.h)
         if h > SMALLEST_STEP:
             h_next, kind, which = step.h_next, event.kind, event.which
             status = take_step(w, h)
@@ -172,9 +185,9 @@ def plan_step(w):
 
 @kernel
 def close_step(w, trace):
-    """Move to the end of an integrator's segment and draw the consequences.
+    """Move to the end of an integrator's segment and apply its event.
 
-    In contact the state there goes into ``trace``, if that has room at all.
+    In contact the sample there goes into ``trace``, unless that is empty.
     """
     step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
     if step.h > 0.0:
@@ -194,4 +207,4 @@ def close_step(w, trace):
     if trace.shape[0] > 0 and (mode.touch[0].on or mode.touch[1].on):
         observe(step.t0, stepper.y, w, trace[progress.n_trace])
         progress.n_trace += 1
-    draw_consequences(w)
+    apply_event(w)

@@ -1,7 +1,7 @@
-"""What the loop keeps of a run: one record, in groups by the module that writes them.
+"""State of a run: one record, in groups by the module that writes them.
 
-One record, not an array or a tuple each: a kernel takes one pointer, and all lengths are known
-when it is compiled.  ``tests/invariants.py`` checks what must hold between the groups.
+A single record passes to a kernel as one pointer, with all lengths known at compile time.
+``tests/invariants.py`` checks the invariants between the groups.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from capture_sim.solver.runge_kutta import stepper_type
 
 
 class Status(IntEnum):
-    """How a call of the loop ended; from NOT_FINITE on the run cannot go on."""
+    """How a call of the loop ended; from NOT_FINITE on the run cannot continue."""
 
     SERVED = 0
-    INTERRUPTED = 1  # to be called again: the room for events is used up, or enough was done
+    INTERRUPTED = 1  # call again: the log is full, or the call has taken its share of time
     NOT_FINITE = 2
     STEP_TOO_SMALL = 3
     TOO_MANY_STEPS = 4
@@ -42,21 +42,22 @@ NO_EVENT = -1  # next to the EventKinds in ``event.kind``
 NO_WALL = np.int64(0)
 SMALLEST_STEP = 1e-15  # s; below it t + h equals t in runs of minutes
 LOG_ROOM = 256
-#: The states and the energies count in the error, the impulses do not.
+#: Entries of y under error control: the states and the energies, not the impulses.
 N_WATCHED = STOP + 1
 
-#: Where the tip is at one end of the present step, and its distances.
+#: Position of the tip at one end of the present step, and its distances.
 DISTANCES = np.dtype(
     [
         ("gap", "f8", (3,)),  # of both walls and to the latch, m
         ("gap_rate", "f8", (3,)),
-        ("tip", "f8", (4,)),  # place and velocity in the target's frame, m and m/s
+        ("tip", "f8", (4,)),  # position and velocity in the target's frame, m and m/s
         ("tip_speed", "f8"),  # m/s
     ],
     align=True,
 )
 
-#: The present segment and the integrator's step that it was cut from; of ``steps`` and ``segment``.
+#: The present segment and the integrator's step that it was cut from; written by ``steps`` and
+#: ``segment``.
 STEP = np.dtype(
     [
         ("segment", "i8"),  # of Segment
@@ -72,7 +73,7 @@ STEP = np.dtype(
         ("substeps", "i8"),  # events located within one fixed step
         ("start", DISTANCES),
         ("start_measured", "i8"),  # ``start`` belongs to t0
-        ("hold", "f8", (6,)),  # what the supports must hold at the end of the step
+        ("hold", "f8", (6,)),  # load on supports at rest at the end of the step, see OUT
         ("seat_load", "f8", (2,)),  # axial force of a seated probe at both ends of the step, N
         ("seat_load_rate", "f8", (2,)),  # N/s
         ("end", DISTANCES),
@@ -80,17 +81,17 @@ STEP = np.dtype(
     align=True,
 )
 
-#: The first event in the present segment; of ``events``.
+#: The first event in the present segment; written by ``events``.
 NEXT_EVENT = np.dtype(
     [
         ("kind", "i8"),  # of EventKind, or NO_EVENT
         ("which", "i8"),  # its wall, vehicle or stop
-        ("place", "f8"),  # 0..1 of the step; 2: none
+        ("x", "f8"),  # its fraction of the step, 0..1; 2: no event
     ],
     align=True,
 )
 
-#: The chaser on its rail; of ``rail``.
+#: The chaser on its rail; written by ``rail``.
 RAIL = np.dtype(
     [
         ("on", "i8"),
@@ -102,7 +103,7 @@ RAIL = np.dtype(
     align=True,
 )
 
-#: What a run adds up; each kernel adds what it causes.
+#: Counts, energies lost at events, and extremes of the run so far; any kernel may add to them.
 TOTALS = np.dtype(
     [
         ("steps", "i8"),
@@ -117,7 +118,7 @@ TOTALS = np.dtype(
     align=True,
 )
 
-#: How far the run has come; of ``loop``.
+#: Progress of the run; written by ``loop`` and ``consequences``.
 PROGRESS = np.dtype(
     [
         ("begun", "i8"),
@@ -126,14 +127,14 @@ PROGRESS = np.dtype(
         ("t_stop", "f8"),
         ("events_at_t0", "i8"),  # in a row, without progress
         ("unseated_at_t0", "i8"),  # the probe has left its seat at the present time
-        ("slow", "i8", (2,)),  # chaser, target: too slow to become slow again
+        ("slow", "i8", (2,)),  # chaser, target: below the rest speed; AT_REST is not sought again
         ("n_log", "i8"),
         ("n_trace", "i8"),
     ],
     align=True,
 )
 
-#: An entry of the log.
+#: An entry of the event log.
 EVENT = np.dtype(
     [
         ("kind", "i8"),
@@ -147,7 +148,7 @@ EVENT = np.dtype(
     align=True,
 )
 
-#: All of a run.  The touches of both walls are in ``system.mode.touch``.
+#: The whole record.  The touches of both walls are in ``system.mode.touch``.
 WORKSPACE = np.dtype(
     [
         ("system", SYSTEM),
@@ -158,9 +159,9 @@ WORKSPACE = np.dtype(
         ("totals", TOTALS),
         ("progress", PROGRESS),
         ("y_end", "f8", (N_TOTAL,)),  # state at the end of the present segment
-        ("y_x", "f8", (N_TOTAL,)),  # at a place inside it
+        ("y_x", "f8", (N_TOTAL,)),  # inside it
         ("log", EVENT, (LOG_ROOM,)),
-        ("sample", SAMPLE),  # of t0, at the release and where the run had to stop
+        ("sample", SAMPLE),  # at the release, and where the run stopped early
     ],
     align=True,
 )

@@ -1,4 +1,4 @@
-"""One accepted step, its dense output, and how long it may be."""
+"""One accepted step: its length, its dense output and the distances at its ends."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from capture_sim.model.equations import (
 )
 from capture_sim.solver.runge_kutta import OVERFLOW, dense, make_stepper, next_factor
 
-#: rad of the contact's oscillation that a step may span, less than a period: a longer step may be
-#: right at its end and far off in between, where samples and events are read.
+#: Longest step in contact, rad of the contact's oscillation, less than a period: a longer step may
+#: be accurate at its end but not in between, where samples and events are read.
 _CONTACT_ANGLE = 5.0
-#: rad of the probe's oscillation on the axial spring that a step may span where there are stops:
-#: the cubic through stroke and rate at its ends shows when one is met.
+#: Longest step with stops or a seat, rad of the probe's oscillation on the axial spring: the cubic
+#: through stroke and rate at the ends of a shorter step shows every stop that is hit.
 _STROKE_ANGLE = 2.0
-#: Of the penetration: the error allowed for a step in contact; with more, forces have no meaning.
+#: Permitted error of a step in contact, as a share of the penetration.
 _DEPTH_SHARE = 0.03
-#: Of the time to the end of a touch at the present rate: a step that would reach this far ends a
-#: little past it where the error of that is below a share of the allowed one, else before.
+#: Shares of the time to the end of a touch at the present rate.  A step that would go beyond
+#: _NEARLY ends at _PAST_END if the error of crossing the end is below _END_ERROR of the permitted
+#: one, else at _TOWARDS_END.
 _NEARLY, _PAST_END, _TOWARDS_END, _END_ERROR = 0.8, 1.02, 0.6, 0.3
-#: Of the way to the end of the run: the last step is cut there, so that no sliver is left over.
-_BEYOND_END = 1.01
-#: Of the tip's radius, or the latch's: closer than this to a wall, a step is no longer than it.
+#: Share of the time to the end of the run: a step goes a little past it and is cut there.
+_RUN_END_REACH = 1.01
+#: Share of the tip's or the latch's radius: the longest path of the tip in a step near a wall.
 _NEAR = 0.25
-#: Of the step: a move along the motion that shows a rate.
+#: Share of the step, for difference quotients along the motion.
 SMALL_MOVE = 1e-4
-#: A multiple of the fixed step is reached to this share of it, whatever rounding does to the time.
-_ON_GRID = 1e-9
-#: From this share of a fixed step on it is a whole one, not what an event has left of one.
-_WHOLE = 0.999
+#: Share of the fixed step: a time this close to a multiple of it counts as that multiple.
+_GRID_TOLERANCE = 1e-9
+#: Share of the fixed step: a longer step is a full one, not the rest after an event.
+_FULL_STEP_SHARE = 0.999
 
 try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCHED)
 
@@ -48,8 +49,8 @@ def state_inside(w, x):
 
 
 @kernel
-def move(y, f, t, first, moved):
-    """Write coordinates and rates from ``first`` on after a small time ``t``, by their rates."""
+def move_along(y, f, t, first, moved):
+    """Write the state, from entry ``first`` on, after a short time ``t`` (s) into ``moved``."""
     for i in range(first, N_STATE):
         moved[i] = y[i] + t * f[i]
 
@@ -75,9 +76,9 @@ def distance_to_edge(px, py, wx, wy, par):
 
 @inline_kernel
 def write_distances(w, px, py, wx, wy):
-    """Write the distances of the end of the present step: of a latched tip none to the walls.
+    """Write the distances at the end of the present step; a latched tip has none to the walls.
 
-    Without a latch its radius is 0, so that its gap is the distance to the centre of BE.
+    Without a latch its radius is 0, so its gap is the distance to the centre of BE.
     """
     par, end = w.system.par, w.step.end
     gap, rate = end.gap, end.gap_rate
@@ -98,25 +99,25 @@ def write_distances(w, px, py, wx, wy):
 
 
 @kernel
-def measure(w, y):
-    """Measure the distances at ``y`` as those at the end of the present step."""
+def measure_distances(w, y):
+    """Write the distances at ``y`` as those at the end of the present step."""
     px, py, wx, wy = tip_in_cone(y, w.system.par)
     write_distances(w, px, py, wx, wy)
 
 
 @kernel
-def measure_new(w):
-    """Measure the distances at the new state, which has just been evaluated."""
+def measure_new_state(w):
+    """Write the distances at ``stepper.y_new``, where the equations have just been evaluated."""
     mode, tip = w.system.mode, w.system.out.tip
     if mode.latched or mode.touch[0].on or mode.touch[1].on:
         write_distances(w, tip[0], tip[1], tip[2], tip[3])
     else:
-        measure(w, w.stepper.y_new)
+        measure_distances(w, w.stepper.y_new)
 
 
 @kernel
 def advance_distances(step):
-    """Make the distances of the next segment those of the present one."""
+    """Make the distances at the end of the step those at the start of the next one."""
     for i in range(3):
         step.start.gap[i] = step.end.gap[i]
         step.start.gap_rate[i] = step.end.gap_rate[i]
@@ -128,10 +129,10 @@ def advance_distances(step):
 
 @kernel
 def path_to_events(w):
-    """Return how far the tip may move in the present step without leaping over an event, m.
+    """Return the longest path of the tip in the present step that cannot miss an event, m.
 
-    A distance changes no faster than the tip moves: away from the walls (and the latch) the
-    step ends short of them, near them it is so short that gap and rate show every dip.
+    A distance changes no faster than the tip moves.  Far from the walls and the latch, the step
+    ends before them; near them it is so short that gap and rate at its ends show every dip.
     """
     par, start = w.system.par, w.step.start
     path = math.inf
@@ -148,15 +149,16 @@ def path_to_events(w):
 
 @kernel
 def step_length(w):
-    """Return the length of the next step at most, s."""
+    """Return the upper limit of the next step, s."""
     par, step = w.system.par, w.step
     if par.fixed_step > 0.0:
-        # to the next multiple of the fixed step; what an event has cut off is caught up
-        left = math.floor(step.t0 / par.fixed_step + 1.0 + _ON_GRID) * par.fixed_step - step.t0
-        if step.substeps == 0 or left > _WHOLE * par.fixed_step:
+        # to the next multiple of the fixed step, also after an event
+        multiple = math.floor(step.t0 / par.fixed_step + 1.0 + _GRID_TOLERANCE)
+        left = multiple * par.fixed_step - step.t0
+        if left > _FULL_STEP_SHARE * par.fixed_step:
             step.substeps = 0
         return left
-    h = min(step.h_next, _BEYOND_END * (w.progress.t_stop - step.t0))
+    h = min(step.h_next, _RUN_END_REACH * (w.progress.t_stop - step.t0))
     if step.start.tip_speed > 0.0:
         h = min(h, path_to_events(w) / step.start.tip_speed)
     if (par.has_stops or par.preload > 0.0) and not w.system.mode.seated:
@@ -185,7 +187,7 @@ def step_length(w):
 
 @kernel
 def contact_share(w):
-    """Return by what the error of a step counts more in contact, where it is close to the depth."""
+    """Return the factor on the error of a step in contact, above 1 for a small penetration."""
     par, share = w.system.par, 1.0
     for i in range(2):
         touch = w.system.mode.touch[i]
@@ -197,7 +199,10 @@ def contact_share(w):
 
 @kernel
 def take_step(w, h):
-    """Take one accepted step of at most ``h`` and measure at its end; returns the Status."""
+    """Take an accepted step of at most ``h`` (s) and write the distances at its end.
+
+    Returns the Status.
+    """
     par, step, stepper, totals = w.system.par, w.step, w.stepper, w.totals
     step.dense_ready = 0
     w.event.kind = NO_EVENT
@@ -225,7 +230,7 @@ def take_step(w, h):
             for i in range(N_STATE):
                 if not (math.isfinite(stepper.K[0, i]) and math.isfinite(stepper.y[i])):
                     return Status.NOT_FINITE
-            # a NaN is NaN under a zero weight too: no stage may keep one
+            # NaN times a zero weight is NaN: no stage may keep one
             for j in range(1, stepper.total_stages):
                 for i in range(N_TOTAL):
                     stepper.K[j, i] = 0.0
@@ -233,7 +238,7 @@ def take_step(w, h):
     totals.steps += 1
     step.h = h
     step.t1 = step.t0 + h
-    measure_new(w)
+    measure_new_state(w)
     if par.has_supports:
         for i in range(6):
             step.hold[i] = w.system.out.hold[i]

@@ -142,13 +142,17 @@ class LoopStage:
             np.zeros_like(self._laws),
             np.zeros((1, TRACE_COLUMNS)),
         )
-        speeds = []
+        par, speeds = self._system["par"], []
+        has_latch = par["has_latch"].copy()
+        par["has_latch"] = 0  # a tip in its zone would be caught
         for force in (0.0, 1e6):
             self.restore(saved_state)
+            self._mode["latched"] = 0
             push = (force * nx, force * ny, 0.0)
             step_with_wrench(self._system, laws, self._y, self._stages, trace, 1e-9, *push)
             speeds.append(self.tip.vx * nx + self.tip.vy * ny)
         self.restore(saved_state)
+        par["has_latch"] = has_latch
         return 1e-3 / (speeds[1] - speeds[0])
 
     def saved(self) -> StageState:

@@ -1,1 +1,1 @@
-"""How the bench moves: kinematics, forces and energies, as pure compiled functions."""
+"""Kinematics, forces and energies of the bench, as pure compiled functions."""

@@ -7,24 +7,23 @@ free bodies this force returns the restitution ``e_out`` with
 
     a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
 
-whatever the masses, K and the exponent: divide the equation of the approach by that of the
+independent of the masses, K and the exponent: divide the equation of the approach by that of the
 penetration, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
 
-Friction: three laws regularise it at zero slip, one switches there:
+Friction: three laws regularise it at zero slip, one switches by events:
 
 ``tanh``
-    mu F_n tanh(v / v_eps): smooth and cheap; creeps by about v_eps where a real tip
-    would stick.
+    mu F_n tanh(v / v_eps): smooth and fast; the tip creeps at about v_eps where it would stick.
 ``clamp``
-    mu F_n v / v_eps up to v_eps, mu F_n beyond: what other engines have, for comparison with
-    them; its corners cost accuracy.
+    mu F_n v / v_eps up to v_eps, mu F_n beyond: for comparison with other engines; less accurate
+    because of its corners.
 ``brown_mcphee``
     F_n (mu tanh 4x + (mu_s - mu) x / (x^2 / 4 + 3/4)^2), x = v / v_eps: the continuous law
     of Brown and McPhee (2016) without its viscous part; its peak, mu_s, lies at v_eps.
 ``coulomb``
-    Coulomb's own law by events: sliding in a fixed direction, or sticking with whatever
-    force keeps the slip at zero, as long as mu_s F_n can.  No creep and no v_eps; costs
-    an event at each change and a second elimination while sticking.
+    Coulomb's law by events: sliding in a fixed direction, or sticking, with the force that
+    keeps the slip at zero and is at most mu_s F_n.  No creep and no v_eps; costs an event at
+    each change and a second elimination while sticking.
 """
 
 from __future__ import annotations
@@ -37,33 +36,27 @@ from capture_sim.model.trig import hyperbolic_tangent
 
 
 def returned_restitution(a: float) -> float:
-    """Return the restitution that hysteresis factor ``a`` (>= 0) really gives.
+    """Return the restitution that results from the hysteresis factor ``a`` (>= 0).
 
     Solves a (1 + e) = ln[(1 + a) / (1 - a e)] for e; 1 for a = 0.
     """
-    # loaded here: it takes half a second, and only the exact law needs it
+    # imported here: the import takes half a second, and only the exact law needs it
     from scipy.optimize import brentq
 
     if a <= 0.0:
         return 1.0
-    # with x = -ln(1 - a e) the pole at e = 1/a is gone and the root lies in an interval of 1
+    # x = -ln(1 - a e) removes the pole at e = 1/a; the root is in an interval of length 1
     low = a - math.log1p(a)
 
-    def gap(x: float) -> float:
+    def residual(x: float) -> float:
         return low - x - math.expm1(-x)
 
-    x = brentq(gap, low, low + 1.0, xtol=1e-15, rtol=1e-14)
+    x = brentq(residual, low, low + 1.0, xtol=1e-15, rtol=1e-14)
     return float(-math.expm1(-x) / a)
 
 
 def exact_factor(e: float) -> float:
-    """Return the hysteresis factor that returns the restitution ``e`` exactly.
-
-    Raises
-    ------
-    ValueError
-        For e <= 0: no finite damping stops a body dead.
-    """
+    """Return the hysteresis factor for an exact restitution ``e``; ValueError if e <= 0."""
     from scipy.optimize import brentq
 
     if e <= 0.0:
@@ -71,20 +64,20 @@ def exact_factor(e: float) -> float:
     if e >= 1.0:
         return 0.0
 
-    def gap(x: float) -> float:
-        # x = -ln(1 - a e) takes out the pole at a e = 1
+    def residual(x: float) -> float:
+        # x = -ln(1 - a e) removes the pole at a e = 1
         a = -math.expm1(-x) / e
         return a * (1.0 + e) - math.log1p(a) - x
 
     high = 1.0
-    while gap(high) > 0.0:
+    while residual(high) > 0.0:
         high *= 2.0
     low = high
-    while gap(low) <= 0.0:
+    while residual(low) <= 0.0:
         low *= 0.5
         if low < 1e-12:
             return 0.0
-    x = brentq(gap, low, high, xtol=1e-15, rtol=1e-14)
+    x = brentq(residual, low, high, xtol=1e-15, rtol=1e-14)
     return float(-math.expm1(-x) / e)
 
 

@@ -1,14 +1,14 @@
 r"""Equations of motion of the free phases: two vehicles, the buffer, contact, supports.
 
-State ``y`` (26,): q (8,), v (8,), and ten integrals in time that nothing depends on: what
-the axial damper, the torsional damper, the contact hysteresis of either wall, the tip's
-friction, the supports, the latch and the stroke stops have dissipated (J), and the normal
-impulse of either wall (N s).
+State ``y`` (26,): q (8,), v (8,), and ten time integrals that do not act back on the motion: the
+energies (J) dissipated by the axial damper, the torsional damper, the contact hysteresis of each
+wall, the tip's friction, the supports, the latch and the stroke stops (with the seat), and the
+normal impulse of each wall (N s).
 
 Kinetic energy with the hinge at a e(theta_S) and the tip at h e(theta_P) from it gives
 the 5x5 block of the chaser.  Written in axes along and across the probe (u, w) it is an
-arrow in (theta_P, h) on top of an arrow in theta_S, so it is solved by two eliminations
-of one line each instead of a factorisation; docs/model.md derives it.
+arrow in (theta_P, h) on top of an arrow in theta_S, so two one-line eliminations replace a
+factorisation; docs/model.md derives it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from capture_sim.model.trig import sine_cosine
 
 N_STATE = 16
 N_TOTAL = 26
-# places of the integrals in y; those up to STOP are energies
+# indices of the integrals in y; up to STOP they are energies
 AXIAL, TORSION, HYSTERESIS, FRICTION, ROLLING, LATCH, STOP, IMPULSE = 16, 17, 18, 20, 21, 22, 23, 24
 
 #: The present touch of a wall, all zero between touches.
@@ -34,7 +34,7 @@ WALL_TOUCH = np.dtype(
         ("chi", "f8"),  # hysteresis damping, N s/m^2.5
         ("sticking", "i8"),  # law "coulomb": slip held at zero
         ("direction", "f8"),  # law "coulomb": sign of the slip while sliding
-        ("depth", "f8"),  # of penetration: as expected at its start, or larger, m
+        ("depth", "f8"),  # penetration for the error scale: predicted at the start, or larger, m
         ("start", "f8"),  # s
         ("approach_speed", "f8"),  # m/s
         ("largest_rate", "f8"),  # of penetration so far, m/s
@@ -45,27 +45,27 @@ WALL_TOUCH = np.dtype(
     ],
     align=True,
 )
-#: Assigned where a touch begins and ends, so that nothing of an earlier touch remains.
+#: Assigned when a touch begins and ends, so that no field of an earlier touch remains.
 NO_TOUCH = np.zeros(1, WALL_TOUCH)
 
-#: What changes in the course of a run; the kernels read and write it.
+#: State of a run besides ``y``; the kernels read and write it.
 MODE = np.dtype(
     [
         ("touch", WALL_TOUCH, (2,)),  # +y wall, -y wall
         ("latched", "i8"),
-        ("latch_x", "f8"),  # where the tip was caught, target frame, m
+        ("latch_x", "f8"),  # position of the tip when the latch closed, target frame, m
         ("latch_y", "f8"),
         ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
         ("seated", "i8"),  # the preloaded probe is on its seat: h = h_0, moves with the cylinder
-        ("rest_S", "i8"),  # vehicle held by its supports
-        ("rest_T", "i8"),
-        ("driven", "i8"),  # a wrench from outside the model acts on the tip
+        ("rest_S", "i8"),  # chaser at rest on its supports
+        ("rest_T", "i8"),  # target at rest on its supports
+        ("driven", "i8"),  # an external wrench acts on the tip
         ("wrench", "f8", (3,)),  # target's axes, at the tip's centre: N, N, N m
     ],
     align=True,
 )
 
-#: What an evaluation finds out besides the accelerations.
+#: Results of an evaluation besides the accelerations.
 OUT = np.dtype(
     [
         ("axial_force", "f8"),  # on the probe by spring, damper, stop and seat, outwards, N
@@ -78,19 +78,19 @@ OUT = np.dtype(
         ("stop", "f8"),
         ("normal", "f8", (2,)),  # forces of both walls, N
         ("friction_force", "f8", (2,)),
-        ("tip", "f8", (4,)),  # as of tip_in_cone, where something acts on the tip
-        ("hold", "f8", (6,)),  # Fx, Fy (N), M (N m) of the chaser, then of the target
+        ("tip", "f8", (4,)),  # see tip_in_cone; written if a force acts on the tip
+        ("hold", "f8", (6,)),  # load on supports at rest: Fx, Fy (N), M (N m); chaser, then target
     ],
     align=True,
 )
 
-#: All that the equations of motion read and write besides state and derivative.
+#: Record that the equations of motion read and write besides state and derivative.
 SYSTEM = np.dtype(
     [
         ("par", PARAMETERS),
         ("mode", MODE),
         ("out", OUT),
-        ("spare", "f8", (1, N_TOTAL)),  # a derivative of which only OUT is wanted
+        ("spare", "f8", (1, N_TOTAL)),  # derivative of an evaluation of which only OUT is used
         ("evaluations", "i8"),  # of the equations of motion so far
     ],
     align=True,
@@ -98,7 +98,7 @@ SYSTEM = np.dtype(
 
 
 def make_system(parameters: np.ndarray) -> np.ndarray:
-    """Return the (1,) record that the kernels take, free flight, for a scene's parameters.
+    """Return the (1,) record for the kernels, in free flight, with a scene's parameters.
 
     The buffer is at rest: a preloaded probe is on its seat.
     """
@@ -123,7 +123,7 @@ def tip_in_cone(y, par):
 
 @inline_kernel
 def tip_motion(y, a, sS, cS, sP, cP, sT, cT):
-    """Return what :func:`tip_in_cone` does, from sines and cosines already known."""
+    """Return the result of :func:`tip_in_cone` from sines and cosines that are known."""
     h, swing, spin = y[4], a * y[10], y[4] * y[11]
     rx = y[0] + a * cS + h * cP - y[5]
     ry = y[1] + a * sS + h * sP - y[6]
@@ -195,7 +195,7 @@ def tip_forces(y, system, px, py, wx, wy):
                 friction = -force * friction_coefficient(
                     slip * par.inverse_v_eps, par.mu, par.mu_s, par.friction_law
                 )
-            # the contact point lies on the wall, dist behind the tip's centre
+            # the contact point is on the wall, at this distance from the tip's centre
             dist = gap + par.R_t
             gx = force * nx - friction * ny
             gy = force * ny + friction * nx
@@ -247,7 +247,7 @@ def strike_seat(y, par):
     a, r = par.a, y[4] - par.d
     moment = par.first_moment_0 + par.m_P * y[4]
     ratio = moment / (par.hinge_inertia_0 + par.m_P * r * r)
-    # what an impulse of 1 N s on the probe, outwards, changes
+    # changes of the rates by an impulse of 1 N s on the probe, outwards
     along, across, turn = chaser_accelerations(
         -1.0, 0.0, -a * sD, sD, cD, moment * ratio, False, par
     )
@@ -266,9 +266,8 @@ def strike_seat(y, par):
 def accelerate(y, f, system):
     """Write accelerations into f[8:16], and powers and forces into ``system.out``.
 
-    ``out.hold`` receives the generalised forces on the vehicles, supports apart, as they would
-    act on a vehicle at rest: what the supports must balance to keep it there, about the body's
-    centre of mass.
+    ``out.hold`` receives the load that the supports must balance to keep each vehicle at rest,
+    about the body's centre of mass.
     """
     par, mode, out = system.par, system.mode, system.out
     system.evaluations += 1
@@ -336,7 +335,7 @@ def accelerate(y, f, system):
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
     if mode.seated:
-        # no row of its own: what drives the probe along drives the cylinder
+        # no row of its own: forces along the probe act on the cylinder
         out.axial_force = axial - R_h
         R_h = 0.0
 
@@ -405,32 +404,41 @@ def accelerate(y, f, system):
 
 
 @inline_kernel
+def spring_and_damper(x, rate, k, k_3, c, c_2, par):
+    """Return the forces of a spring (k, cubic k_3) and a damper (c, quadratic c_2)."""
+    spring = k * x
+    damper = c * rate
+    if par.has_shaped_buffer:
+        spring += k_3 * x * x * x
+        damper += c_2 * rate * abs(rate)
+    return spring, damper
+
+
+@inline_kernel
+def spring_and_damper_rate(x, rate, acceleration, k, k_3, c, c_2, par):
+    """Return d/dt of the sum of :func:`spring_and_damper`."""
+    total = k * rate + c * acceleration
+    if par.has_shaped_buffer:
+        total += 3.0 * k_3 * x * x * rate + 2.0 * c_2 * abs(rate) * acceleration
+    return total
+
+
+@inline_kernel
 def axial_force(stroke, rate, par):
     """Return the force of axial spring and damper on the probe, N, and the power lost, W.
 
-    Without what a seat holds of it.
+    The force of a seat is not included.
     """
-    spring = par.k_A * stroke
-    damper = par.c_A * rate
-    if par.has_shaped_buffer:
-        spring += par.k_A3 * stroke * stroke * stroke - par.preload
-        if rate > 0.0:
-            damper = par.c_A_rebound * rate
-        damper += par.c_A2 * rate * abs(rate)
-    return -spring - damper, damper * rate
+    c = par.c_A_rebound if rate > 0.0 else par.c_A
+    spring, damper = spring_and_damper(stroke, rate, par.k_A, par.k_A3, c, par.c_A2, par)
+    return par.preload - spring - damper, damper * rate
 
 
 @inline_kernel
 def axial_force_rate(stroke, rate, acceleration, par):
     """Return d/dt of :func:`axial_force`, N/s, for d(rate)/dt in m/s^2."""
-    spring = par.k_A * rate
-    damper = par.c_A * acceleration
-    if par.has_shaped_buffer:
-        spring += 3.0 * par.k_A3 * stroke * stroke * rate
-        if rate > 0.0:
-            damper = par.c_A_rebound * acceleration
-        damper += 2.0 * par.c_A2 * abs(rate) * acceleration
-    return -spring - damper
+    c = par.c_A_rebound if rate > 0.0 else par.c_A
+    return -spring_and_damper_rate(stroke, rate, acceleration, par.k_A, par.k_A3, c, par.c_A2, par)
 
 
 @inline_kernel
@@ -439,23 +447,16 @@ def hinge_torque(torsion, twist, par):
 
     ``twist`` is the rate of the torsion, rad/s.
     """
-    spring = par.k_T * torsion
-    damper = par.c_T * twist
-    if par.has_shaped_buffer:
-        spring += par.k_T3 * torsion * torsion * torsion
-        damper += par.c_T2 * twist * abs(twist)
+    spring, damper = spring_and_damper(torsion, twist, par.k_T, par.k_T3, par.c_T, par.c_T2, par)
     return -spring - damper, damper * twist
 
 
 @inline_kernel
 def hinge_torque_rate(torsion, twist, acceleration, par):
     """Return d/dt of :func:`hinge_torque`, N m/s, for d(twist)/dt in rad/s^2."""
-    spring = par.k_T * twist
-    damper = par.c_T * acceleration
-    if par.has_shaped_buffer:
-        spring += 3.0 * par.k_T3 * torsion * torsion * twist
-        damper += 2.0 * par.c_T2 * abs(twist) * acceleration
-    return -spring - damper
+    return -spring_and_damper_rate(
+        torsion, twist, acceleration, par.k_T, par.k_T3, par.c_T, par.c_T2, par
+    )
 
 
 @inline_kernel
@@ -473,12 +474,31 @@ def buffer_energy(stroke, torsion, par):
 
 
 @inline_kernel
+def stop_energy(stroke, stop, par):
+    """Return the elastic energy of a stroke stop, J; ``stop`` as in :func:`stop_force`."""
+    if stop == 0:
+        return 0.0
+    end = par.stop_compressed if stop < 0 else par.stop_extended
+    beyond = max(stop * (stroke - end), 0.0)
+    return 0.5 * par.k_stop * beyond * beyond
+
+
+@inline_kernel
+def latch_energy(px, py, mode, par):
+    """Return the elastic energy of the latch, J, with the tip's centre at (px, py)."""
+    if not mode.latched:
+        return 0.0
+    dx = px - mode.latch_x
+    dy = py - mode.latch_y
+    return 0.5 * par.k_L * (dx * dx + dy * dy)
+
+
+@inline_kernel
 def stop_force(stroke, rate, stop, par):
     """Return the force of a stroke stop on the probe, N, and the power it loses, W.
 
-    ``stop`` is -1 at the compressed end, +1 at the extended one, and in touch: the force
-    goes on smoothly behind the place where the touch ends, so that the end can be located.
-    A damper does not make it pull.
+    ``stop`` is -1 at the compressed end, +1 at the extended one.  The force is smooth beyond the
+    end of the touch, so that the end can be located, but a damper does not make it pull.
     """
     end = par.stop_compressed if stop < 0 else par.stop_extended
     elastic = par.k_stop * stop * (stroke - end)
@@ -498,9 +518,9 @@ def slip_of(y, par, i):
 
 @inline_kernel
 def tip_and_acceleration(y, f, par):
-    """Return what :func:`tip_in_cone` does, and the acceleration in the target's frame, m/s^2.
+    """Return the result of :func:`tip_in_cone` and the tip's acceleration in the target's frame.
 
-    For accelerations f[8:16].
+    For accelerations f[8:16]; m, m/s and m/s^2.
     """
     sS, cS = sine_cosine(y[2])
     sP, cP = sine_cosine(y[3])
@@ -544,19 +564,21 @@ def slip_acceleration(y, f, par, i):
     return ay * nx - ax * ny - curvature * across * rate - turning
 
 
-#: How fast rounding's drift of a sticking tip is pulled back, 1/s.
-_PULL_BACK = 1e3
+#: Rate at which the round-off drift of a sticking tip is corrected, 1/s.
+_DRIFT_CORRECTION_RATE = 1e3
 
 
 @inline_kernel
-def _slip_change(y, f, system, i):
-    """Return the slip's rate on wall ``i`` with what pulls rounding's drift back, m/s^2."""
-    return slip_acceleration(y, f, system.par, i) + _PULL_BACK * slip_of(y, system.par, i)
+def _corrected_slip_rate(y, f, system, i):
+    """Return the slip's rate on wall ``i`` with the correction of round-off drift, m/s^2."""
+    return slip_acceleration(y, f, system.par, i) + _DRIFT_CORRECTION_RATE * slip_of(
+        y, system.par, i
+    )
 
 
 @kernel
-def accelerate_sticking(y, f, system):
-    """Find the friction forces that hold the slip of sticking walls, then accelerate.
+def solve_sticking(y, f, system):
+    """Write the accelerations with the friction forces that hold the tip on sticking walls.
 
     The accelerations are linear in the friction forces: one evaluation without them and
     one with a unit force at each sticking wall give the equations for them.
@@ -569,9 +591,9 @@ def accelerate_sticking(y, f, system):
     b0 = 0.0
     b1 = 0.0
     if sticking_0:
-        b0 = _slip_change(y, f, system, 0)
+        b0 = _corrected_slip_rate(y, f, system, 0)
     if sticking_1:
-        b1 = _slip_change(y, f, system, 1)
+        b1 = _corrected_slip_rate(y, f, system, 1)
     a00 = 1.0
     a01 = 0.0
     a10 = 0.0
@@ -580,16 +602,16 @@ def accelerate_sticking(y, f, system):
         out.friction_force[0] = 1.0
         out.friction_force[1] = 0.0
         accelerate(y, f, system)
-        a00 = _slip_change(y, f, system, 0) - b0
+        a00 = _corrected_slip_rate(y, f, system, 0) - b0
         if sticking_1:
-            a10 = _slip_change(y, f, system, 1) - b1
+            a10 = _corrected_slip_rate(y, f, system, 1) - b1
     if sticking_1:
         out.friction_force[0] = 0.0
         out.friction_force[1] = 1.0
         accelerate(y, f, system)
-        a11 = _slip_change(y, f, system, 1) - b1
+        a11 = _corrected_slip_rate(y, f, system, 1) - b1
         if sticking_0:
-            a01 = _slip_change(y, f, system, 0) - b0
+            a01 = _corrected_slip_rate(y, f, system, 0) - b0
     determinant = a00 * a11 - a01 * a10
     out.friction_force[0] = -(b0 * a11 - b1 * a01) / determinant
     out.friction_force[1] = -(b1 * a00 - b0 * a10) / determinant
@@ -597,10 +619,10 @@ def accelerate_sticking(y, f, system):
 
 
 @kernel
-def balance(y, f, system):
-    """Do what :func:`accelerate` does, with the friction that holds a sticking tip."""
+def solve_accelerations(y, f, system):
+    """Write the accelerations f[8:16] and ``system.out``, with or without sticking walls."""
     if system.mode.touch[0].sticking or system.mode.touch[1].sticking:
-        accelerate_sticking(y, f, system)
+        solve_sticking(y, f, system)
     else:
         accelerate(y, f, system)
 
@@ -610,7 +632,7 @@ def rate_of_change(t, y, f, system):
     """Write dy/dt (26,) of the free phases into ``f``."""
     for i in range(8):
         f[i] = y[8 + i]
-    balance(y, f, system)
+    solve_accelerations(y, f, system)
     out = system.out
     f[AXIAL] = out.axial
     f[TORSION] = out.torsion

@@ -1,4 +1,4 @@
-"""Geometry of the cone: where the tip meets its walls.
+"""Geometry of the cone: distance of the tip to its walls.
 
 In the target's frame the line BE lies at x = -L_T.  Both walls are described in
 (u, Y): u is the distance ahead of BE, towards the chaser; Y the offset from the axis
@@ -34,7 +34,7 @@ def nearest_on_wall(
         return -across, -sin_b, cos_b
     distance = math.sqrt(du * du + dY * dY)
     if distance == 0.0:
-        # centre exactly on the edge: any normal will do, take the face's
+        # the centre is exactly on the edge: every normal is valid; use that of the face
         return 0.0, sin_b, -cos_b
     return distance, du / distance, dY / distance
 
@@ -43,7 +43,7 @@ def nearest_on_wall(
 def wall_curvature(
     u: float, Y: float, distance: float, R_c: float, L_c: float, cos_b: float, sin_b: float
 ) -> float:
-    """Return the curvature of a wall's distance across the normal, 1/m: none over its face.
+    """Return the curvature of a wall's distance across the normal, 1/m; zero over its face.
 
     ``distance`` (m) is that of the tip's centre, see :func:`nearest_on_wall`.
     """
@@ -63,28 +63,11 @@ def travel_to_wall(
     L_c: float,
     beta: float,
 ) -> float:
-    """Return how far a tip moves along a straight line until it touches a wall, m.
+    """Return the travel of a tip of radius ``reach`` (m) along a line to its touch of a wall, m.
 
-    Parameters
-    ----------
-    u, Y
-        Where the tip's centre starts, m.
-    du, dY
-        Unit direction of its motion.
-    reach
-        The tip's radius R_t, m.
-    R_c, L_c, beta
-        The cone, m and rad.
-
-    Returns
-    -------
-    float
-        Distance >= 0; ``inf`` if the line passes the wall by.
-
-    Notes
-    -----
-    Closed form: the set of centres that touch is the wall's two offset lines, closed by
-    circles round its ends.
+    Its centre starts at (u, Y), m, in the unit direction (du, dY); ``inf`` if it misses the wall.
+    Closed form: the centres that touch are two lines parallel to the wall, joined by circles about
+    its ends.
     """
     cos_b, sin_b = math.cos(beta), math.sin(beta)
     hits = [math.inf]

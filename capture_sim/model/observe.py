@@ -1,4 +1,4 @@
-"""One sample of everything: strokes, forces and the energy ledger from the state."""
+"""Samples: strokes, forces and the energy ledger from the state."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from capture_sim.model.equations import (
     STOP,
     TORSION,
     axial_force,
-    balance,
     buffer_energy,
     gap_and_rate,
     hinge_torque,
+    latch_energy,
+    solve_accelerations,
+    stop_energy,
     tip_forces,
     tip_in_cone,
 )
@@ -54,6 +56,22 @@ def elastic_contact_energy(gap, K):
     if gap >= 0.0:
         return 0.0
     return 0.4 * K * gap * gap * math.sqrt(-gap)
+
+
+@kernel
+def mechanical_energy(y, system):
+    """Return the kinetic energy and that of all springs of buffer, stops, contact and latch, J."""
+    par, mode = system.par, system.mode
+    stroke = y[4] - par.h_0
+    axial, torsion = buffer_energy(stroke, y[3] - y[2], par)
+    px, py, wx, wy = tip_in_cone(y, par)
+    energy = kinetic_energy(y, par) + axial + torsion
+    energy += stop_energy(stroke, mode.stop, par) + latch_energy(px, py, mode, par)
+    for i in range(2):
+        if mode.touch[i].on:
+            gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
+            energy += elastic_contact_energy(gap, par.K)
+    return energy
 
 
 @kernel
@@ -94,11 +112,11 @@ def observe(t, y, w, sample):
         out.normal[i] = 0.0
         out.friction_force[i] = 0.0
     if mode.seated and rail.on:
-        # as on the rail the buffer's load is neglected
+        # on the rail the load of the buffer is neglected
         sample.axial_force = 0.0
     elif mode.seated or mode.touch[0].sticking or mode.touch[1].sticking:
-        # fills the friction forces that hold the tip, and the force through the seat
-        balance(y, system.spare[0], system)
+        # writes the friction forces that hold the tip, and the force of the seat
+        solve_accelerations(y, system.spare[0], system)
         if mode.seated:
             sample.axial_force = out.axial_force
     fx, fy, tip, _ = tip_forces(y, system, px, py, wx, wy)
@@ -121,17 +139,9 @@ def observe(t, y, w, sample):
     sample.latch_force[0] = gx if mode.latched else 0.0
     sample.latch_force[1] = gy if mode.latched else 0.0
     sample.elastic_contact = contact
-    latch = 0.0
-    if mode.latched:
-        dx = px - mode.latch_x
-        dy = py - mode.latch_y
-        latch = 0.5 * par.k_L * (dx * dx + dy * dy)
+    latch = latch_energy(px, py, mode, par)
     sample.elastic_latch = latch
-    stop = 0.0
-    if mode.stop:
-        end = par.stop_compressed if mode.stop < 0 else par.stop_extended
-        beyond = max(mode.stop * (stroke - end), 0.0)
-        stop = 0.5 * par.k_stop * beyond * beyond
+    stop = stop_energy(stroke, mode.stop, par)
     sample.elastic_stop = stop
 
     kinetic = kinetic_energy(y, par)

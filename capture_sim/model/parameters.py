@@ -1,4 +1,4 @@
-"""A scene's numbers in the form the kernels read: one record, SI units."""
+"""A scene's numbers as one record for the kernels, SI units."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ PARAMETERS = np.dtype(
 
 
 def chaser_com_offset(scene: Scene) -> float:
-    """Return how far the whole chaser's centre of mass lies ahead of the body's, m."""
+    """Return the distance from the body's centre of mass forward to the whole chaser's, m."""
     cylinder = scene.buffer.hinge_offset - scene.cylinder.length / 2.0
     probe = scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset
     moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe
@@ -100,7 +100,7 @@ def chaser_com_offset(scene: Scene) -> float:
 def loads(scene: Scene, vehicle: str) -> np.ndarray:
     """Return the loads (3,) of the balls under ``"chaser"`` or ``"target"``, N.
 
-    The buffer stands at rest; its stroke moves the loads too little to follow it.
+    The buffer is at rest; the loads are not updated with its stroke, which changes them little.
     """
     assert scene.supports is not None
     if vehicle == "chaser":
@@ -118,7 +118,7 @@ def loads(scene: Scene, vehicle: str) -> np.ndarray:
 def _cached_loads(
     balls: tuple[tuple[float, float], ...], weight: float, com_offset: float
 ) -> np.ndarray:
-    # checked and packed for every scene, and the same in most runs of a study
+    # needed twice per scene, and equal in most runs of a study
     load = ball_loads(np.array(balls), weight, com_offset, 0.0)
     load.flags.writeable = False
     return load
@@ -127,9 +127,9 @@ def _cached_loads(
 def pack(
     scene: Scene, hanging_mass: float, drop_height: float, impact_speed: float = 0.0
 ) -> np.ndarray:
-    """Return the (1,) record of a scene launched with this mass (kg) and height (m).
+    """Return the (1,) record of a scene with the launch's hanging mass (kg) and drop height (m).
 
-    ``impact_speed`` (m/s) is that of the launch's plan; errors are measured against it.
+    ``impact_speed`` (m/s) is that of the launch plan, for the error scale.
     """
     # written into the record at once: its fields one by one take four times as long
     p: dict[str, Any] = dict.fromkeys(PARAMETERS.names or (), 0)
@@ -202,28 +202,28 @@ def pack(
     return np.array([tuple(p.values())], PARAMETERS)
 
 
-#: m/s: vehicles that float free and approach slower than this are measured against it; rounding of
-#: the places (1e-17 m) over a touch's time (seconds, at such speeds) lies far below.
-_SLOWEST = 1e-8
-#: Likewise on the floor, whose resistance may set vehicles against each other that are at rest to
-#: each other at the release.
-_SLOWEST_ON_FLOOR = 1e-3
+#: Lower limit of the speed scale of free vehicles, m/s; round-off of positions (1e-17 m) over the
+#: duration of a touch (seconds, at such speeds) is far smaller.
+_MIN_SPEED = 1e-8
+#: The same on supports, whose resistance may accelerate vehicles that have no relative speed at the
+#: release.
+_MIN_SPEED_ON_FLOOR = 1e-3
 
 
 def speed_scale(scene: Scene, impact_speed: float) -> float:
-    """Return the speed that errors are measured against, m/s: the fastest that the plan knows.
+    """Return the speed scale of the error control, m/s.
 
-    Those of the vehicles against each other at the release and at the impact, and of the tip and
-    of the line BE by the vehicles' spins.
+    It is the largest of the relative speeds at the release and at the impact, and of the speeds of
+    tip and line BE due to the vehicles' spins.
     """
     c, t = scene.initial.chaser, scene.initial.target
     if scene.string is None:
-        # the plan's speed is that in the world, and slower than at the release
+        # the planned speed is in the world frame, and lower than at the release
         impact_speed = 0.0
     elif scene.string.impact_speed is not None:
         impact_speed = scene.string.impact_speed
     return max(
-        _SLOWEST if scene.supports is None else _SLOWEST_ON_FLOOR,
+        _MIN_SPEED if scene.supports is None else _MIN_SPEED_ON_FLOOR,
         math.hypot(c.vx - t.vx, c.vy - t.vy),
         impact_speed,
         abs(c.omega) * (scene.buffer.hinge_offset + scene.rest_length),

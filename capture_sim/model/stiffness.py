@@ -1,4 +1,4 @@
-"""What makes a scene stiff: the shortest time that any of its springs and dampers has."""
+"""Stiffness of a scene: the shortest time constant of its springs and dampers."""
 
 from __future__ import annotations
 
@@ -14,21 +14,11 @@ def stiffest_part(
     force: float = 0.0,
     y: np.ndarray | None = None,
 ) -> tuple[str, float] | None:
-    """Return the part of the bench with the shortest time, what sets it, and that time (s).
+    """Return the part with the shortest time constant, its fields in parentheses, and that time, s.
 
-    None if no spring and no damper acts.
-
-    A spring k at a mass m has the time sqrt(m / k), a damper c the time m / c: steps of an
-    explicit method cannot be much longer.
-
-    Parameters
-    ----------
-    par
-        Record of dtype :data:`capture_sim.model.parameters.PARAMETERS`.
-    penetration, chi, force
-        Of the contact: penetration (m), hysteresis damping (N s/m^2.5) and normal force (N).
-    y
-        State, from coordinates and rates on; None: the buffer is relaxed.
+    None without springs and dampers.  A spring k at a mass m has sqrt(m / k), a damper c has m / c;
+    steps of an explicit method cannot be much longer.  ``penetration`` (m), ``chi`` (N s/m^2.5) and
+    ``force`` (N) are those of the contact; without the state ``y`` the buffer is at rest.
     """
     stroke = rate = torsion = twist = 0.0
     if y is not None:

@@ -1,9 +1,9 @@
-"""Three ball-shaped supports: loads, rolling resistance, and when a vehicle stays put.
+"""Three ball-shaped supports: loads, rolling resistance, and the limit at rest.
 
-Each ball resists by c_rr N against its own velocity.  At rest the three forces are
-whatever balances the applied wrench, as long as none has to exceed c_rr N; the wrenches
-that can be balanced form a convex set (the friction limit surface of Goyal, Ruina and
-Papadopoulos, 1991).  ``load_factor`` tells how much of it an applied wrench uses.
+The resistance of each ball is c_rr N against its velocity.  At rest, the three forces balance the
+applied wrench as long as none exceeds c_rr N; the wrenches that can be balanced form a convex set
+(the friction limit surface of Goyal, Ruina and Papadopoulos, 1991).  ``load_factor`` returns the
+share of this limit that an applied wrench uses.
 """
 
 from __future__ import annotations
@@ -16,26 +16,10 @@ from capture_sim.kernels import inline_kernel, kernel
 
 
 def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> np.ndarray:
-    """Return the normal load of each ball by static equilibrium, N.
+    """Return the normal loads (3,) of the balls by static equilibrium, N; negative if it tips over.
 
-    Parameters
-    ----------
-    balls
-        (3, 2) positions in the vehicle's frame, m.
-    weight
-        N.
-    x_com, y_com
-        Centre of mass in the same frame, m.
-
-    Returns
-    -------
-    ndarray
-        (3,) N; a negative one means that the vehicle tips over.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the balls stand in one line.
+    ``balls`` (3, 2) and the centre of mass are in the vehicle's frame, m; ``weight`` in N.
+    numpy.linalg.LinAlgError if the balls are in one line.
     """
     matrix = np.vstack([np.ones(3), balls[:, 0], balls[:, 1]])
     loads: np.ndarray = np.linalg.solve(matrix, weight * np.array([1.0, x_com, y_com]))
@@ -88,18 +72,18 @@ def fastest_ball(
 def load_factor(
     fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray
 ) -> float:
-    """Return which share of the supports' limit a wrench uses; above 1 the vehicle moves.
+    """Return the share of the supports' limit that a wrench uses; above 1 the vehicle moves.
 
-    It is the largest of (power of the wrench) / (power the balls can take) over all motions of
-    the body.  A turn about one of the balls, where that ratio has a corner, has a closed form;
-    all other motions are searched by iteratively reweighted least squares, which comes from below.
+    It is the maximum of (power of the wrench) / (power that the balls dissipate) over all motions
+    of the body.  For a turn about one of the balls, where that ratio has a corner, there is a
+    closed form; all other motions are searched by iteratively reweighted least squares.
     """
     limit = balls[0, 2] + balls[1, 2] + balls[2, 2]
     if limit <= 0.0:
         return math.inf
     if fx == 0.0 and fy == 0.0 and torque == 0.0:
         return 0.0
-    # in the vehicle's frame, lengths in those of the farthest ball
+    # in the vehicle's frame, with the distance of the farthest ball as unit of length
     arm = 0.0
     for i in range(3):
         arm = max(arm, math.hypot(balls[i, 0], balls[i, 1]))
@@ -117,9 +101,9 @@ def load_factor(
 
 @kernel
 def share_by_turn(w0, w1, w2, balls, i, arm):
-    """Return the share of the limit for a turn about ball ``i``, and whether it is the largest.
+    """Return the share of the limit for a turn about ball ``i``, and whether it is the maximum.
 
-    It is if all balls together balance the wrench, the one that does not move with what is left.
+    It is the maximum if ball ``i``, which does not move, can balance the rest of the wrench.
     """
     resisted = f0 = f1 = 0.0
     for j in range(3):
@@ -139,7 +123,7 @@ def share_by_turn(w0, w1, w2, balls, i, arm):
 
 @kernel
 def share_by_search(w0, w1, w2, balls, arm):
-    """Return the largest share of the limit over all motions, from below."""
+    """Return the largest share of the limit over all motions, by an iteration from below."""
     norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm
     best = math.inf

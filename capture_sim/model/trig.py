@@ -76,7 +76,7 @@ def hyperbolic_tangent(x):
         bottom = 135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0))
         return x * top / bottom
     if size > 20.0:
-        # 1 to the last bit; what is not a number fails all comparisons and goes on
+        # 1 to the last bit; NaN fails all comparisons and is returned below
         return math.copysign(1.0, x)
     y = 2.0 * size
     if not y < 42.0:

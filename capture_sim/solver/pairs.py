@@ -18,40 +18,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Room that every pair fits into: evaluations of a step and its dense output, rows of the latter.
-MOST_STAGES, MOST_ROWS = 16, 7
+#: Largest number of evaluations of a step with its dense output, and of rows of the latter.
+MAX_STAGES, MAX_ROWS = 16, 7
 
 
 class Pair(NamedTuple):
-    """Coefficients of an explicit pair with ``s`` stages, ``e`` extra ones for dense output.
+    """Coefficients of an explicit pair with ``s`` stages and ``e`` extra ones for dense output."""
 
-    Attributes
-    ----------
-    A : ndarray (s + 1 + e, s + 1 + e)
-        Stage weights; row ``s`` are the weights of the step itself (first same as last).
-    C : ndarray (s + 1 + e,)
-        Stage times.
-    E5, E3 : ndarray (s + 1,)
-        Error estimates, combined as e5^2 / sqrt(e5^2 + 0.01 e3^2); E3 is zero where a
-        pair has one estimate only.
-    G : ndarray (rows, s + 1 + e)
-        Dense output.
-    stages : int
-        s, evaluations per step.
-    order : int
-        Order of the result.
-    error_order : int
-        Order of the error estimate; 0: there is none, steps are of fixed length.
-    """
-
-    A: np.ndarray
-    C: np.ndarray
-    E5: np.ndarray
-    E3: np.ndarray
-    G: np.ndarray
-    stages: int
-    order: int
-    error_order: int
+    A: np.ndarray  # (s + 1 + e, s + 1 + e) stage weights; row s: the step (first same as last)
+    C: np.ndarray  # (s + 1 + e,) stage times
+    E5: np.ndarray  # (s + 1,) error estimates, combined as e5^2 / sqrt(e5^2 + 0.01 e3^2)
+    E3: np.ndarray  # (s + 1,) zero for a pair with one estimate
+    G: np.ndarray  # (rows, s + 1 + e) dense output
+    stages: int  # s, evaluations per step
+    order: int  # of the result
+    error_order: int  # of the error estimate; 0: none, steps of fixed length
 
 
 def _matrix(rows: Iterable[Mapping[int, float]], columns: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Cubic look-ahead for event functions of which value and slope are known at two points."""
+"""Cubic interpolation of event functions whose value and slope are known at two points."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from capture_sim.kernels import kernel
 
 @kernel
 def cubic_minimum(g_a, d_a, g_b, d_b):
-    """Return place (0..1) and value of the interior minimum of the Hermite cubic.
+    """Return fraction (0..1) and value of the interior minimum of the Hermite cubic.
 
-    ``d`` are slopes per unit of the interval.  Without an interior minimum the place is
-    -1 and the value that of the lower end.
+    ``g`` are values and ``d`` slopes per interval at both ends.  Without an interior minimum, the
+    fraction is -1 and the value that of the lower end.
     """
     c2 = 3.0 * (g_b - g_a) - 2.0 * d_a - d_b
     c3 = d_a + d_b - 2.0 * (g_b - g_a)
@@ -32,9 +32,9 @@ def cubic_minimum(g_a, d_a, g_b, d_b):
 
 @kernel
 def may_cross(g_a, d_a, g_b, d_b, margin):
-    """Return whether a function that starts at or above zero may go below within the interval.
+    """Return True if a function that starts at or above zero may fall below within the interval.
 
-    The cubic through both ends is trusted up to ``margin`` times the size of its changes.
+    The error of the cubic through both ends is at most ``margin`` times its changes.
     """
     if g_b < 0.0:
         return True
@@ -42,9 +42,9 @@ def may_cross(g_a, d_a, g_b, d_b, margin):
     # no cubic dips below its ends by more than 4/27 of its slopes
     if min(g_a, g_b) > (0.25 + margin) * changes + margin * abs(g_b - g_a):
         return False
-    place, low = cubic_minimum(g_a, d_a, g_b, d_b)
+    x_dip, dip = cubic_minimum(g_a, d_a, g_b, d_b)
     slack = margin * (changes + abs(g_b - g_a))
-    if place >= 0.0:
-        return low < slack
-    # no dip between the ends: only one that the cubic cannot see matters
+    if x_dip >= 0.0:
+        return dip < slack
+    # no dip of the cubic: the function itself may dip within the slack
     return min(g_a, g_b) < 0.1 * slack and g_a > 0.0

@@ -1,8 +1,8 @@
-"""Weighted sums of rows, kept in the processor's vector registers.
+"""Weighted sums of rows in vector registers.
 
-``out = base + h (w_0 K_0 + w_1 K_1 + ...)`` is what a Runge-Kutta step does between the
-evaluations.  Written as a loop the compiler passes over ``out`` once for each few rows; here
-all partial sums stay in registers and every row is read once, which takes a quarter of the time.
+Between its evaluations, a Runge-Kutta step computes ``out = base + h (w_0 K_0 + w_1 K_1 + ...)``.
+Compiled from a loop, this passes over ``out`` once for every few rows.  Here all partial sums stay
+in registers and every row is read once, in a quarter of the time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _FLAGS = ("contract", "nsz")
 
 
 def _blocks(n: int) -> list[tuple[int, int]]:
-    """Cut ``n`` places into (start, width) of 4, 2 and 1."""
+    """Divide ``n`` numbers into blocks (start, width) of 4, 2 and 1."""
     blocks = []
     start = 0
     for width in (_LANES, 2, 1):
@@ -33,7 +33,7 @@ def _blocks(n: int) -> list[tuple[int, int]]:
 
 
 def _add_rows_plainly(out, base, rows, weights, count, h, n):  # type: ignore[no-untyped-def]
-    """Do what :func:`add_rows` does, where Numba is switched off."""
+    """Replace :func:`add_rows` if Numba is switched off."""
     sums = h * (weights[:count] @ rows[:count, :n])
     out[:n] = sums if base is None else base[:n] + sums
 
@@ -63,23 +63,23 @@ def add_rows(
         index = ir.IntType(64)
         byte = ir.IntType(8).as_pointer()
 
-        def kind_of(width: int) -> Any:
+        def type_of(width: int) -> Any:
             return double if width == 1 else ir.VectorType(double, width)
 
-        def place(pointer: Any, start: int, width: int) -> Any:
-            at = builder.gep(pointer, [ir.Constant(index, start)])
-            return builder.bitcast(at, kind_of(width).as_pointer())
+        def pointer_to(pointer: Any, start: int, width: int) -> Any:
+            element = builder.gep(pointer, [ir.Constant(index, start)])
+            return builder.bitcast(element, type_of(width).as_pointer())
 
-        def spread(value: Any, width: int) -> Any:
+        def broadcast(value: Any, width: int) -> Any:
             if width == 1:
                 return value
-            vector = ir.Constant(kind_of(width), ir.Undefined)
+            vector = ir.Constant(type_of(width), ir.Undefined)
             vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), 0))
             zeros = ir.Constant(ir.VectorType(ir.IntType(32), width), None)
             return builder.shuffle_vector(vector, vector, zeros)
 
         def load(pointer: Any, start: int, width: int) -> Any:
-            value = builder.load(place(pointer, start, width))
+            value = builder.load(pointer_to(pointer, start, width))
             value.align = 8
             return value
 
@@ -93,35 +93,37 @@ def add_rows(
         builder.position_at_end(body)
         j = builder.phi(index)
         row = builder.phi(byte)
-        sums = [builder.phi(kind_of(width)) for _, width in blocks]
+        sums = [builder.phi(type_of(width)) for _, width in blocks]
         j.add_incoming(zero, before)
         row.add_incoming(start_row, before)
         for (_, width), total in zip(blocks, sums, strict=True):
-            total.add_incoming(ir.Constant(kind_of(width), None if width > 1 else 0.0), before)
+            total.add_incoming(ir.Constant(type_of(width), None if width > 1 else 0.0), before)
         weight = builder.load(builder.gep(weights_p, [j]))
-        places = builder.bitcast(row, double.as_pointer())
-        grown = []
+        row_values = builder.bitcast(row, double.as_pointer())
+        new_totals = []
         for (start, width), total in zip(blocks, sums, strict=True):
-            term = builder.fmul(load(places, start, width), spread(weight, width), flags=_FLAGS)
-            grown.append(builder.fadd(total, term, flags=_FLAGS))
+            term = builder.fmul(
+                load(row_values, start, width), broadcast(weight, width), flags=_FLAGS
+            )
+            new_totals.append(builder.fadd(total, term, flags=_FLAGS))
         next_j = builder.add(j, ir.Constant(index, 1))
         next_row = builder.gep(row, [stride])
         builder.cbranch(builder.icmp_signed("<", next_j, count_v), body, after)
         j.add_incoming(next_j, body)
         row.add_incoming(next_row, body)
-        for total, value in zip(sums, grown, strict=True):
+        for total, value in zip(sums, new_totals, strict=True):
             total.add_incoming(value, body)
 
         builder.position_at_end(after)
-        for (_, width), value in zip(blocks, grown, strict=True):
-            final = builder.phi(kind_of(width))
-            final.add_incoming(ir.Constant(kind_of(width), None if width > 1 else 0.0), before)
+        for (_, width), value in zip(blocks, new_totals, strict=True):
+            final = builder.phi(type_of(width))
+            final.add_incoming(ir.Constant(type_of(width), None if width > 1 else 0.0), before)
             final.add_incoming(value, body)
         for (start, width), final in zip(blocks, list(after.instructions), strict=True):
-            moved = builder.fmul(final, spread(h_v, width), flags=_FLAGS)
+            result = builder.fmul(final, broadcast(h_v, width), flags=_FLAGS)
             if base_p is not None:
-                moved = builder.fadd(load(base_p, start, width), moved, flags=_FLAGS)
-            store = builder.store(moved, place(out_p, start, width))
+                result = builder.fadd(load(base_p, start, width), result, flags=_FLAGS)
+            store = builder.store(result, pointer_to(out_p, start, width))
             store.align = 8
         return context.get_dummy_value()
 
@@ -130,7 +132,7 @@ def add_rows(
 
 @kernel
 def _add_rows_in_a_loop(out, base, rows, weights, count, h, n):
-    """Do what :func:`add_rows` does, where Numba's internals are not known."""
+    """Replace :func:`add_rows` if Numba's internals are unknown."""
     for i in range(n):
         total = 0.0
         for j in range(count):

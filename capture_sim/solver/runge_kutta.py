@@ -1,8 +1,8 @@
 """One step of an explicit Runge-Kutta pair: stages, error, dense output, step size.
 
 Works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
-``system`` is whatever it needs besides.  ``y`` holds ``n`` states followed by integrals that the
-right-hand side does not read; error control looks at the states and at some of the integrals.
+``system`` is its record of parameters.  ``y`` has the states first, then integrals that the
+right-hand side does not read; the states and some of the integrals are under error control.
 """
 
 from __future__ import annotations
@@ -14,46 +14,46 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capture_sim.kernels import inline_kernel, kernel
-from capture_sim.solver.pairs import MOST_ROWS, MOST_STAGES, Pair
+from capture_sim.solver.pairs import MAX_ROWS, MAX_STAGES, Pair
 from capture_sim.solver.rows import add_rows
 
 # step control as in DOPRI5 and DOP853 (Hairer, Norsett and Wanner 1993, II.4)
 SAFETY = 0.9
-SHRINK_MOST = 0.2
-GROW_MOST = 6.0
+MIN_FACTOR = 0.2
+MAX_FACTOR = 6.0
 BETA = 0.04  # share of the previous error: Gustafsson's PI control
-#: Smallest previous error that the control reckons with.
-LEAST_ERROR = 1e-4
-#: An error at or above this, or not a number, says nothing about how much to shrink.
+#: Lower limit of the previous error in the step control.
+MIN_PREVIOUS_ERROR = 1e-4
+#: At an error from this on, or NaN, the step shrinks by the smallest factor.
 OVERFLOW = 1e300
 
 
 def stepper_type(total: int, watched: int) -> np.dtype:
-    """Return the dtype of a stepper's memory: a pair's coefficients and what a step leaves.
+    """Return the dtype of a stepper's memory: a pair's coefficients and the data of a step.
 
-    ``total`` is the length of the state with its integrals, ``watched`` how much of it the error
-    control looks at.
+    ``total`` is the length of the state with its integrals, ``watched`` the number of its first
+    entries under error control.
     """
-    square, room = (MOST_STAGES, MOST_STAGES), (MOST_STAGES,)
+    square, room = (MAX_STAGES, MAX_STAGES), (MAX_STAGES,)
     return np.dtype(
         [
             ("A", "f8", square),
             ("C", "f8", room),
             ("E5", "f8", room),
             ("E3", "f8", room),
-            ("G", "f8", (MOST_ROWS, MOST_STAGES)),
+            ("G", "f8", (MAX_ROWS, MAX_STAGES)),
             ("stages", "i8"),
-            ("total_stages", "i8"),  # those of the dense output included
+            ("total_stages", "i8"),  # with those of the dense output
             ("rows", "i8"),
             ("order", "i8"),
             ("y", "f8", (total,)),  # at the start of the step
             ("y_new", "f8", (total,)),  # at its end
             ("y_stage", "f8", (total,)),
-            ("K", "f8", (MOST_STAGES, total)),  # dy/dt at the stages
-            ("F", "f8", (MOST_ROWS, total)),  # dense output
+            ("K", "f8", (MAX_STAGES, total)),  # dy/dt at the stages
+            ("F", "f8", (MAX_ROWS, total)),  # dense output
             ("e_5", "f8", (watched,)),
             ("e_3", "f8", (watched,)),
-            ("weights", "f8", (watched,)),  # 1 / error allowed per step
+            ("weights", "f8", (watched,)),  # 1 / permitted error of a step
         ],
         align=True,
     )
@@ -72,21 +72,21 @@ def set_pair(memory: Any, pair: Pair) -> None:
 
 @kernel
 def next_factor(error, previous, order):
-    """Return by what to multiply the step after ``error`` (accepted if <= 1)."""
+    """Return the factor for the next step after an ``error`` (accepted if <= 1)."""
     if error == 0.0:
-        return GROW_MOST
+        return MAX_FACTOR
     if not error < OVERFLOW:
-        return SHRINK_MOST
+        return MIN_FACTOR
     growth = -(1.0 / order - 0.75 * BETA) * math.log(error)
     if error <= 1.0:
-        growth += BETA * math.log(max(previous, LEAST_ERROR))
+        growth += BETA * math.log(max(previous, MIN_PREVIOUS_ERROR))
     factor = SAFETY * math.exp(growth)
-    return min(GROW_MOST, max(SHRINK_MOST, factor))
+    return min(MAX_FACTOR, max(MIN_FACTOR, factor))
 
 
 @inline_kernel
 def dense(step, x, y_x, n):
-    """Write the first ``n`` places at the fraction ``x`` (0..1) of the step into ``y_x``."""
+    """Write the first ``n`` entries of y at the fraction ``x`` (0..1) of the step into ``y_x``."""
     y, F, rows = step.y, step.F, step.rows
     for i in range(n):
         y_x[i] = 0.0
@@ -107,22 +107,12 @@ class Stepper(NamedTuple):
 
 
 def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int) -> Stepper:
-    """Compile the steps for a right-hand side.
+    """Compile the steps for a compiled right-hand side ``rhs(t, y, f, system)``.
 
-    Parameters
-    ----------
-    rhs
-        ``rhs(t, y, f, system)``, compiled; reads the first places of ``y``, the
-        states, and writes dy/dt of all into ``f``; those beyond the states are integrals.
-
-    states, total, watched
-        Lengths: of the states, of all of ``y``, and of what the error control looks at.
-
-    Notes
-    -----
-    Right-hand side and lengths are bound here and not passed at run time: Numba keeps no
-    compiled code on disk that takes functions as arguments, and with lengths known the sums
-    stay in registers (:mod:`capture_sim.solver.rows`).
+    ``states``, ``total`` and ``watched`` are the lengths of the states, of ``y`` and of its entries
+    under error control.  They are bound here, not passed at run time: Numba's cache on disk does
+    not accept functions as arguments, and sums of known length stay in registers
+    (:mod:`capture_sim.solver.rows`).
     """
 
     @kernel

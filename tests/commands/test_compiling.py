@@ -5,13 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from capture_sim.commands import output
-from capture_sim.compile_progress import _Compiling
+from capture_sim.compile_progress import _CompilationCounter
 from capture_sim.engine import loop, segment, steps
 
 
 def test_kernels_are_counted_once_each_and_never_beyond_their_number():
     shown = []
-    compiling = _Compiling(lambda done, count: shown.append((done, count)))
+    compiling = _CompilationCounter(lambda done, count: shown.append((done, count)))
     kernels = [k for m in (steps, segment, loop) for k in vars(m).values() if hasattr(k, "py_func")]
     for kernel in [*kernels, *kernels]:  # for other types, or again
         event = SimpleNamespace(data={"dispatcher": kernel})

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from elastic_loop import advanced
 from four_bodies import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
 from capture_sim import SceneError, load_scene, simulate
@@ -162,18 +163,63 @@ def test_stops_and_latch_are_met_as_by_the_offline_bench(until):
     """The elastic law of the walls in the loop's steps, against the bench's located events."""
     scene = load_scene("paper_designed", [*CAUGHT, "buffer.c_A=60", "initial.chaser.vx=0.3"])
     run = simulate(scene, t_end=until)
-    stage = LoopStage(scene, 1e-3, 1000)
-    stage.set_law(WallLaw(scene.contact_stiffness, 1.5))
-    energy = stage.energy
-    for _ in range(round(until / 1e-3)):
-        stage.advance(0.0, 0.0, 0.0)
+    stage, energy_change = advanced(scene, until)
     assert stage.q == pytest.approx(run.q[-1], abs=2e-6)
     assert stage.v == pytest.approx(run.v[-1], abs=2e-4)
-    assert stage.energy - energy == pytest.approx(0.0, abs=1e-7)
+    assert energy_change == pytest.approx(0.0, abs=1e-7)
     assert stage.latched == any(event.kind == EventKind.LATCHED for event in run.events)
     met = {event.kind for event in run.events}
     assert EventKind.STOP_HIT in met
     assert (EventKind.LATCHED in met) == (until > 0.17)
+
+
+@pytest.mark.parametrize("past", [1e-9, 1e-6, 1e-4])
+@pytest.mark.parametrize(
+    "changes, side",
+    [
+        (["stops={compression: 0.004, extension: 0.002, stiffness: 5.0e+4, damping: 0}"], 1),
+        (["stops={compression: 0.004, extension: 0.002, stiffness: 5.0e+4, damping: 0}"], -1),
+        (["buffer.preload=5"], 1),
+    ],
+)
+def test_a_stop_or_seat_that_is_already_passed_acts_in_the_next_step(changes, side, past):
+    """A step locates eight events; the probe may be past the next one at its end."""
+    scene = load_scene("paper_designed", [*changes, "buffer.c_A=0"])
+    stage = LoopStage(scene, 1e-5, 10)
+    q, v = scene.initial_coordinates()
+    end = {1: scene.outward_stroke, -1: -0.004}[side]
+    q[4] += end + side * past
+    v[:] = 0.0
+    v[4] = side * 0.05
+    at(stage, q, v)
+    stage._system["mode"]["seated"] = 0
+    energy = stage.energy
+    beyond = 0.0
+    for _ in range(2000):
+        stage.advance(0.0, 0.0, 0.0)
+        beyond = max(beyond, side * (stage.q[4] - scene.rest_length - end))
+    # half m v^2 in a stop is 0.1 mm
+    assert beyond < past + (3e-4 if scene.stops is not None else 0.0)
+    pushed_in = 0.5 * 5e4 * past**2 if scene.stops is not None else 0.0
+    assert stage.energy - energy == pytest.approx(pushed_in, rel=1e-3, abs=1e-9)
+
+
+def test_a_tip_in_the_zone_of_the_latch_is_caught_in_the_first_step():
+    """As by the offline bench, see test_floor_and_launch."""
+    scene = load_scene(
+        "paper_designed",
+        [
+            "latch={radius: 0.02, stiffness: 2.0e+4, damping: 80.0}",
+            "initial.target.x=0.4465",
+            "initial.target.y=0",
+            "initial.target.theta=0",
+        ],
+    )
+    (caught,) = [e for e in simulate(scene, t_end=0.01).events if e.kind is EventKind.LATCHED]
+    assert caught.t == 0.0
+    stage = LoopStage(scene, 1e-5, 10)
+    stage.advance(0.0, 0.0, 0.0)
+    assert stage.latched
 
 
 def test_the_law_in_the_vehicles_steps_is_the_law():
