@@ -412,6 +412,7 @@ class NoisyDetector:
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)
                 memory.outwards = end.axial * end.axial_rate + end.lateral * end.lateral_rate
                 memory.speed = math.hypot(end.axial_rate, end.lateral_rate)
+                memory.distance = math.hypot(end.axial, end.lateral)
             # a source that stopped before the end: the rest of the run is unknown
             is_blind = self.aligner.newest - last.t > self._path.gap
             decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 import os
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -417,6 +418,28 @@ def test_clocks_that_differ_do_so_when_the_machine_halts_too():
     assert detector.finish()[-1].reason == "clocks of the sources differ by 400 ms"
 
 
+def test_a_node_that_halts_again_and_again_gives_the_verdict():
+    """What has come meanwhile is evaluated at once, source by source."""
+    stream = list(approach(hold=2.0))
+    for seed in range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "3"))):
+        rng = np.random.default_rng(seed)
+        detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
+        halts, end = [], 0.0
+        while end < 5.0:
+            begin = end + rng.uniform(0.1, 1.5)
+            end = begin + rng.choice([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+            halts.append((begin, end))
+        rank = dict(zip(Source, rng.permutation(3), strict=True))
+        queue = []
+        for source, t, values, arrival in stream:
+            late = next((end for begin, end in halts if begin < arrival < end), arrival)
+            queue.append((late, rank[source] if late > arrival else 0, source, t, values))
+        for late, _, source, t, values in sorted(queue, key=lambda item: item[:2]):
+            detector.measure(source, 1.2e9 + t, values, late)
+            assert not detector.clocks_differ
+        assert detector.finish()[-1].state is CaptureState.CAPTURED
+
+
 def test_latency_of_a_driver_is_no_clock_that_differs():
     detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
     rng = np.random.default_rng(3)
@@ -478,6 +501,17 @@ def test_a_trial_may_begin_with_the_tip_in_the_cone():
         states.append(detector.update(seen).state)
     assert set(states[:600]) == {CaptureState.APPROACH}
     assert states[-1] is CaptureState.CAPTURED
+
+
+def test_the_end_of_a_run_is_evaluated_by_a_fit():
+    """The tip ends 1.1 mm beyond the limit: the last position errs by 0.9 mm, a fit by 0.4."""
+    result = simulate(load_scene("paper_case_3"))
+    labels = Counter()
+    for seed in range(8):
+        last, _ = judge(result.scene, disturbed(result, Disturbance(), np.random.default_rng(seed)))
+        labels[last.label] += 1
+    assert labels["rebound"] >= 6
+    assert labels.keys() <= {"rebound", "undecided"}
 
 
 def test_a_source_that_stops_leaves_the_run_undecided():
