@@ -15,19 +15,28 @@ _HALVINGS = 8
 
 
 class Limits(NamedTuple):
-    """What stops the loop."""
+    """What stops the loop; :data:`LIMITS` describes all but the latency."""
 
-    # J, that vehicles, buffer and law may have above their energy at the touch
     energy: float = 0.02
-    # force, torque: N and N m, of the rig's wrench without its bias
     force: float = 300.0
     torque: float = 30.0
-    # speed, acceleration: m/s and m/s^2, of the commanded position
     speed: float = 0.5
     acceleration: float = 100.0
     latency: float = 0.05  # s, from a position to the use of its wrench
-    angular_speed: float = 3.0  # rad/s, of the commanded heading
-    bias: float = 10.0  # N, of the load cell at rest
+    angular_speed: float = 3.0
+    bias: float = 10.0
+
+
+#: By field of :class:`Limits`: what it bounds, with its unit, and its largest value.
+LIMITS = {
+    "energy": ("energy that the loop may add to the vehicles, J", 1e6),
+    "force": ("force on the rig, N", 1e9),
+    "torque": ("torque on the rig, N m", 1e9),
+    "speed": ("speed of the commanded position, m/s", 1e3),
+    "acceleration": ("acceleration of the commanded position, m/s^2", 1e6),
+    "angular_speed": ("angular speed of the commanded position, rad/s", 1e3),
+    "bias": ("bias of the load cell at rest, N", 1e9),
+}
 
 
 def check_limit(name: str, value: float, unit: str, limit: float) -> None:

@@ -55,7 +55,7 @@ class CaptureDetectorNode(Participant):
         self.open(topics_of(CAPTURE_DETECTOR))
         self._readers = {topic: MeasurementReader(topic) for topic in READ[CAPTURE_DETECTOR]}
         for topic in self._readers:
-            self.follow(topic, partial(self._take, topic), raw=True)
+            self.follow(topic, partial(self._receive_measurement, topic), raw=True)
         self._scene = self.declare_scene(
             "evaluate by this scene from the start, for a bench where no node announces runs; "
             "empty to wait for a run"
@@ -156,7 +156,7 @@ class CaptureDetectorNode(Participant):
             ]
         )
 
-    def _take(self, topic: Topic, data: bytes) -> None:
+    def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         source = self._sources.get(topic)
         if source is None:
             return

@@ -122,7 +122,7 @@ class LauncherNode(Participant):
         # a simulator sends where the tip touches; on a bench the target's pose shows it
         targets = TARGET if actuator == "output" else ()
         for topic in (*READ[LAUNCHER], *targets):
-            self.follow(topic, partial(self._take, topic), raw=True)
+            self.follow(topic, partial(self._receive_measurement, topic), raw=True)
         self.create_service(Trigger, "~/launch", self._asked_to_launch)
         self.create_service(Trigger, "~/abort", self._asked_to_abort)
         self.add_post_set_parameters_callback(self._parameters_set)
@@ -183,7 +183,7 @@ class LauncherNode(Participant):
         self.publish(*self._telemetry.status(t, launcher.status))
         self.get_logger().error(f"{self.run.name}: aborted: {launcher.status.reason}")
 
-    def _take(self, topic: Topic, data: bytes) -> None:
+    def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         sec, nanosec, *numbers = self._numbers[topic](data).item()
         stamp = sec * 1_000_000_000 + nanosec
         if self.simulated:

@@ -16,7 +16,7 @@ import numpy as np
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
 from capture_sim.files import why_no_file
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
-from capture_sim.hardware.limits import Limits
+from capture_sim.hardware.limits import LIMITS, Limits
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
     LOOP_SIMULATOR,
@@ -66,29 +66,13 @@ class LoopSimulatorNode(BenchNode):
             "rtf", 1.0, "real-time factor: simulated seconds per second", low=0.001, high=1.0
         )
         limits = Limits(
-            number(
-                "energy_limit",
-                Limits().energy,
-                "energy that the loop may add to the vehicles, J",
-                high=1e6,
+            latency=self.declare(
+                "timeout", Limits().latency, "latency of the wrench in use, s", low=0.001, high=10.0
             ),
-            number("force_limit", Limits().force, "force on the rig, N", high=1e9),
-            number("torque_limit", Limits().torque, "torque on the rig, N m", high=1e9),
-            number("speed_limit", Limits().speed, "speed of the commanded position, m/s", high=1e3),
-            number(
-                "acceleration_limit",
-                Limits().acceleration,
-                "acceleration of the commanded position, m/s^2",
-                high=1e6,
-            ),
-            self.declare("timeout", 0.05, "latency of the wrench in use, s", low=0.001, high=10.0),
-            number(
-                "angular_speed_limit",
-                Limits().angular_speed,
-                "angular speed of the commanded position, rad/s",
-                high=1e3,
-            ),
-            number("bias_limit", Limits().bias, "bias of the load cell at rest, N", high=1e9),
+            **{
+                name: number(f"{name}_limit", getattr(Limits(), name), text, high=largest)
+                for name, (text, largest) in LIMITS.items()
+            },
         )
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
@@ -151,7 +135,7 @@ class LoopSimulatorNode(BenchNode):
             self._loop.answers.reject("in another frame")
             raise
 
-    def _take_answers(self) -> None:
+    def _hand_over_answers(self) -> None:
         """Give the loop what has arrived."""
         while self._inbox:
             arrival, stamp, wrench = self._inbox.popleft()
@@ -196,7 +180,7 @@ class LoopSimulatorNode(BenchNode):
             self.send(TIP, tip_message(self.messages, 0.0, self._stage.tip))
             if STOP.wait(FIRST_POSE_PERIOD):
                 raise KeyboardInterrupt
-            self._take_answers()
+            self._hand_over_answers()
         self._loop.begin()
         self._rig_tips.clear()
         bias = ", ".join(f"{value:.3g}" for value in self._loop.answers.bias[:3])
@@ -221,7 +205,7 @@ class LoopSimulatorNode(BenchNode):
                         f"lateness of a step = {lateness:.3g} s: must be <= {self._max_lateness:g} "
                         "(lateness_limit)"
                     )
-            self._take_answers()
+            self._hand_over_answers()
             pose = self._loop.advance()
             self._ages.append(self._stage.t - self._stage.step - self._loop.answers.latest.stamp)
             self._sent[round(pose.t, 9)] = time.monotonic()

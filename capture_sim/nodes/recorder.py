@@ -82,7 +82,7 @@ class RecorderNode(Participant):
         for topic in READ[RECORDER]:
             if topic is not STREAM_COUNTS:  # which every participant listens to
                 # what is kept for latecomers may be of a run before
-                self.listen(topic, partial(self._take, topic), latched=False, raw=True)
+                self.listen(topic, partial(self._record, topic), latched=False, raw=True)
         if self._sought:
             self._seek()
             self.create_timer(0.5, self._seek, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -178,7 +178,7 @@ class RecorderNode(Participant):
                     self.get_logger().warning(f"{name}: {type_name} is not installed: not recorded")
                     continue
                 topic = Topic(name, type_name, (), Rate.EVENT, stamp=Stamp.NONE)
-                self.listen(topic, partial(self._take, topic), raw=True)
+                self.listen(topic, partial(self._record, topic), raw=True)
                 self._topics.append(topic)
 
     def _pause(self, paused: bool, _: Any, response: Any) -> Any:
@@ -189,7 +189,7 @@ class RecorderNode(Participant):
             self._recorder.paused = paused
         return response
 
-    def _take(self, topic: Topic, data: bytes) -> None:
+    def _record(self, topic: Topic, data: bytes) -> None:
         if self._recorder is None or self.run is None:
             self._early.append((time.time_ns(), topic, data))
             self._forget_early()
@@ -219,7 +219,7 @@ class RecorderNode(Participant):
     def _counted(self, data: bytes) -> None:
         publisher = from_bytes(STREAM_COUNTS, data).publisher
         if self.run is None or publisher in self.run.publishers:  # not another recorder's
-            self._take(STREAM_COUNTS, data)
+            self._record(STREAM_COUNTS, data)
         super()._counted(data)
 
 

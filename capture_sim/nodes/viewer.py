@@ -90,11 +90,11 @@ class ViewerNode(Participant):
                 f"the viewer needs rerun ({error}); run it from an environment that has it"
             ) from None
         if self._geometry is None:
-            self.listen(BENCH_STATE, self._take_state, raw=True)
+            self.listen(BENCH_STATE, self._receive_state, raw=True)
         else:
             self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
             for topic in (*OF_A_BENCH, *EXTRA_TOPICS):
-                self.listen(topic, partial(self._take, topic), raw=True)
+                self.listen(topic, partial(self._receive_measurement, topic), raw=True)
         self.listen(BENCH_EVENT, self._receive_event)
         self.listen(CAPTURE_STATUS, self._receive_status, raw=True)
         # what came last is also shown when nothing follows: the run may stand still
@@ -143,7 +143,7 @@ class ViewerNode(Participant):
         self._last_slot[topic] = slot
         return True
 
-    def _take_state(self, data: bytes) -> None:
+    def _receive_state(self, data: bytes) -> None:
         if not self._is_shown(BENCH_STATE, data):
             return
         message = from_bytes(BENCH_STATE, data)
@@ -152,7 +152,7 @@ class ViewerNode(Participant):
             sample[name] = getattr(message, name)
         self._view.take(sample)
 
-    def _take(self, topic: Topic, data: bytes) -> None:
+    def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         if not self._is_shown(topic, data):
             return
         what: Any = OF_A_BENCH.get(topic, topic)

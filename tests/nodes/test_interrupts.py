@@ -166,13 +166,13 @@ def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
         import threading
         from capture_sim.nodes import process
         process.SHUTDOWN_TIMEOUT = 2.0
-        take = node.RecorderNode._take
+        take = node.RecorderNode._record
         def stall(self, topic, data):
             take(self, topic, data)
             if self.run is not None:
                 print("stalled", flush=True)
                 threading.Event().wait()
-        node.RecorderNode._take = stall
+        node.RecorderNode._record = stall
     """
     recorder = start("recorder", stalled, out=tmp_path)
     simulator = start("simulator", consumers="[recorder]", consumer_timeout=1.0)

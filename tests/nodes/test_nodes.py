@@ -453,13 +453,13 @@ def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
 def test_reader_that_stalls_is_dropped_by_name(start_all, tmp_path):
     stuck = """
         import time
-        take = node.RecorderNode._take
+        take = node.RecorderNode._record
         def wait(self, topic, data):
             if topic.name == "bench/state" and self.run is not None:
                 print("stalled", flush=True)
                 time.sleep(20.0)
             take(self, topic, data)
-        node.RecorderNode._take = wait
+        node.RecorderNode._record = wait
     """
     nodes = start_all(
         recorder_change=stuck,
@@ -503,11 +503,11 @@ def test_foreign_reader_that_does_not_read_is_named_and_fails_nothing(start_all,
 def test_slow_reader_loses_nothing(start):
     slow = """
         import time
-        follow = node.LauncherNode._take
+        follow = node.LauncherNode._receive_measurement
         def late(self, name, message):
             time.sleep(5e-4)
             follow(self, name, message)
-        node.LauncherNode._take = late
+        node.LauncherNode._receive_measurement = late
     """
     launcher = start("launcher", slow)
     simulator = start(
