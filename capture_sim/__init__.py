@@ -80,7 +80,16 @@ _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    try:
+        module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
+        errors = importlib.import_module(f"{__name__}.errors")
+        raise errors.MissingPackageError(
+            f"{name}() needs matplotlib: pip install 'capture_sim[view]'"
+        ) from None
+    return getattr(module, name)
 
 
 def __dir__() -> list[str]:
