@@ -21,7 +21,7 @@ from capture_sim.commands.inputs import (
     quantity,
     reader,
 )
-from capture_sim.commands.output import drawing, echo, print_table, write_json, write_text
+from capture_sim.commands.output import Progress, drawing, echo, print_table, write_json, write_text
 from capture_sim.errors import SceneError
 from capture_sim.results import LOADS
 from capture_sim.scene.parts import Scene
@@ -105,11 +105,7 @@ def run(options: argparse.Namespace) -> int:
         design = design_buffer(scene, target, candidates.show)
     _report(design)
     _keep(design, options.out)
-    designs = []
-    for factor in options.trade_off:
-        stroke = factor * target.axial_stroke
-        designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
-        echo(_line(designs[-1]))
+    designs = _trade_off(scene, target, options.trade_off)
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design, draw_trade_off
@@ -118,6 +114,19 @@ def run(options: argparse.Namespace) -> int:
         if designs:
             echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED
+
+
+def _trade_off(scene: Scene, target: DesignTarget, factors: list[float]) -> list[Design]:
+    """Return a design for each multiple of the target's axial stroke."""
+    designs = []
+    with Progress("designs") as progress:
+        for done, factor in enumerate(factors):
+            progress.at("trade-off", done, len(factors))
+            stroke = factor * target.axial_stroke
+            designs.append(design_buffer(scene, dataclasses.replace(target, axial_stroke=stroke)))
+    for design in designs:
+        echo(_line(design))
+    return designs
 
 
 def _target(options: argparse.Namespace, scene: Scene) -> DesignTarget:
