@@ -333,7 +333,7 @@ def simulate(
     scene = dataclasses.replace(scene, run=run)
     bench = Bench(scene)
     times = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
-    _check_memory(run, run.t_end * run.state_rate if times is None else times.size)
+    check_memory(run, run.t_end * run.state_rate if times is None else times.size)
     compile_kernels()
     start = time.perf_counter()
     if times is None:
@@ -372,13 +372,15 @@ def simulate(
 MAX_MEMORY = 4_000_000_000
 
 
-def _check_memory(run: Run, count: float) -> None:
-    """Reject a run whose samples would fill the memory."""
+def check_memory(
+    run: Run, count: float, rate: Literal["state_rate", "rate"] = "state_rate"
+) -> None:
+    """Raise SceneError if so many samples, at one of the run's rates, would fill the memory."""
     # in pieces as they are computed, then joined
     needed = 2.0 * count * SAMPLE.itemsize
     if needed > MAX_MEMORY:
         raise SceneError(
-            f"run.t_end = {run.t_end:g} s at run.state_rate = {run.state_rate:g} Hz: {count:.3g} "
+            f"run.t_end = {run.t_end:g} s at run.{rate} = {getattr(run, rate):g} Hz: {count:.3g} "
             f"samples need {needed / 1e9:.3g} GB of memory: must be "
             f"at most {MAX_MEMORY / 1e9:g} GB"
         )

@@ -79,7 +79,11 @@ def read_cases(path: Path) -> pandas.DataFrame:
         if path.suffix == ".parquet":
             table = pandas.read_parquet(path)
         else:
-            table = pandas.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True)
+            # pandas would rename a column that is given twice
+            cells = pandas.read_csv(
+                path, header=None, dtype=str, keep_default_na=False, skipinitialspace=True
+            )
+            table = cells[1:].set_axis(cells.iloc[0], axis="columns")
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, ImportError) as error:
@@ -89,6 +93,10 @@ def read_cases(path: Path) -> pandas.DataFrame:
     for head, values in table.items():
         named_unit = _HEAD.fullmatch(str(head))
         name, unit = named_unit.groups() if named_unit else (str(head).strip(), "1")
+        if name in columns:
+            raise RecordingError(f"{path}: column {name}: must be given once")
+        if ";" in name:
+            raise RecordingError(f"{path}: columns must be separated by commas")
         # a blank has no unit, nor has a number of a column "friction.mu [1]"
         columns[name] = [
             _number(cell) if unit == "1" or cell == "" else f"{cell} {unit}" for cell in values

@@ -70,7 +70,7 @@ def field_names(part: Any, prefix: str = "") -> list[str]:
     return names
 
 
-def alike(names: Sequence[str], name: str, cutoff: float = 0.0) -> list[str]:
+def alike(names: Sequence[str], name: str, cutoff: float = 0.5) -> list[str]:
     """Return the fields that an unknown name may mean, at most five; none below the cutoff.
 
     They are the fields of a part with that name, or the fields whose own name is most similar, of
@@ -87,7 +87,9 @@ def alike(names: Sequence[str], name: str, cutoff: float = 0.0) -> list[str]:
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return the hint that lists similar names."""
+    """Return the hint that lists similar names; without any, where to find the names."""
+    if not names:
+        return "capture-sim show lists the fields of a scene"
     *others, final = names
     return f"did you mean {', '.join(others)} or {final}?" if others else f"did you mean {final}?"
 

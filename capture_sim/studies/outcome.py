@@ -19,6 +19,7 @@ from capture_sim.errors import SimulationError
 from capture_sim.results import first_cluster, first_contact_end, loads_of
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
+from capture_sim.simulation import check_memory
 
 #: Measurements of the detector per call into the engine: more would run on too far after a
 #: verdict, fewer cost calls.
@@ -77,6 +78,7 @@ class StudyRun:
     """
 
     def __init__(self, scene: Scene) -> None:
+        check_memory(scene.run, scene.run.t_end * scene.run.rate, "rate")
         self._bench, self._detector = Bench(scene), ExactDetector(scene)
         self._times = _measured_at(scene.run.t_end, scene.run.rate)
         self._energy_residual, self._failure = 0.0, ""

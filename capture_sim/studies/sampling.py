@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,11 @@ def make_samples(
     """
     grid, drawn = ([a for a in axes if not a.distribution], [a for a in axes if a.distribution])
     _check(grid, drawn, runs, sample, edges)
+    draws_of_base = len(drawn) + 2 if sample == "saltelli" else 1
+    draws_of_point = max(runs * draws_of_base + edges, 1)
+    count = math.prod(len(axis.values) for axis in grid) * draws_of_point
+    if count not in (allowed := Range(1, MAX_RUNS)):
+        raise refuse("number of runs", count, "", allowed)
     points = list(itertools.product(*(axis.values for axis in grid)))
     draws: list[tuple[float, ...]] = [()]
     designs = [PLAIN]
@@ -49,9 +55,6 @@ def make_samples(
         columns = [axis.quantile(u).tolist() for axis, u in zip(drawn, shares.T, strict=True)]
         draws = list(zip(*columns, strict=True))
         designs = [PLAIN] * len(plain) + [EDGES] * len(edge)
-    count = len(points) * len(draws)
-    if count not in (allowed := Range(1, MAX_RUNS)):
-        raise refuse("runs", count, "", allowed)
     # as the user named them
     order = [axis.name for axis in (*grid, *drawn)]
     pick = [order.index(axis.name) for axis in axes]

@@ -90,7 +90,10 @@ def draw_sweep(
         if indices:
             figures["indices"] = draw_indices(indices, [axis.name for axis in drawn], title)
         elif len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
-            figures["tornado"] = draw_tornado(table, numbers, title)
+            inputs = [axis.name for axis in numbers if table[axis.name].nunique() > 1]
+            correlations = rank_correlations(table, inputs).dropna(axis=1, how="all")
+            if not correlations.empty:
+                figures["tornado"] = draw_tornado(table, correlations, title)
     return figures
 
 
@@ -260,18 +263,16 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
     return figure
 
 
-def draw_tornado(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figure:
+def draw_tornado(table: pandas.DataFrame, correlations: pandas.DataFrame, title: str) -> Figure:
     """Return the rank correlation of each input with the main loads and with capture, as bars."""
-    inputs = [axis.name for axis in axes if table[axis.name].nunique() > 1]
-    found = rank_correlations(table, inputs)
-    columns = [name for name in found if found[name].notna().any()]
-    height = 2.0 + 0.45 * len(inputs)
+    columns = list(correlations)
+    height = 2.0 + 0.45 * len(correlations)
     figure, panels = subplots(
         3.0 + 3.4 * len(columns), height, 1, len(columns), grid="x", font=12.0, sharey=True
     )
-    order = found[columns].abs().max(axis=1).sort_values().index
+    order = correlations.abs().max(axis=1).sort_values().index
     for panel, name in zip(panels.flat, columns, strict=True):
-        values = found.loc[order, name].fillna(0.0)
+        values = correlations.loc[order, name].fillna(0.0)
         colours = [style.VERMILION if value < 0 else style.BLUE for value in values]
         panel.barh(range(len(order)), values, color=colours, height=0.7)
         panel.axvline(0.0, color=style.BLACK, lw=0.8)

@@ -19,6 +19,7 @@ from scipy import stats
 import capture_sim
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.errors import RecordingError
 from capture_sim.recording.sweep_file import METADATA, read_cases
 from capture_sim.results import LOADS
 from capture_sim.scene import paths
@@ -347,6 +348,7 @@ BAD = [
     ({"buffer.c_A": "-5:30:3"}, "buffer.c_A = -5.0 N s/m: must be >= 0"),
     ({"buffer.c_A": "5 mm:30 mm:3"}, "must be LOW:HIGH:COUNT in N s/m"),
     ({"buffer.c_A": []}, "must be 1 to"),
+    ({"buffer.c_A": "1:2:9999", "buffer.k_A": "1:2:9999"}, "number of runs = 99980001: must be"),
     ({"buffer.k_A": "normal(500)"}, r"must be normal\(MEAN, STD\) in N/m"),
     ({"buffer.k_A": "normal(500, 0)"}, "must have a width > 0"),
     ({"buffer.k_A": "uniform(2, 1)"}, "must have a width > 0"),
@@ -578,3 +580,35 @@ def test_saltellis_runs_are_drawn_as_their_indices(tmp_path, capsys):
     assert main(["sweep", "tilt_0", *vary, *design, f"--out={tmp_path / 'a.csv'}"]) == 0
     assert "Sobol indices of max_normal_force, 4 base samples" in capsys.readouterr().out
     assert {path.name for path in tmp_path.glob("*.png")} == {"a_loads.png", "a_indices.png"}
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("buffer.c_A,buffer.c_A\n5,6\n", "column buffer.c_A: must be given once"),
+        ("buffer.c_A,buffer.c_A [N s/m]\n5,6\n", "column buffer.c_A: must be given once"),
+        ("buffer.c_A;buffer.k_A\n5;6\n", "columns must be separated by commas"),
+        ("", "is not a table"),
+        ("buffer.c_A\n5,6\n", "is not a table"),
+    ],
+)
+def test_a_table_that_is_no_cases_is_rejected(text, message, tmp_path):
+    path = tmp_path / "cases.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=message):
+        read_cases(path)
+
+
+def test_runs_without_a_touch_are_drawn():
+    vary = {"buffer.k_A": "normal(500, 5%)"}
+    samples = samples_of(load_scene("tilt_0"), vary, 12)
+    table = capture_sim.sweep("tilt_0", vary, ["run.t_end=0.5"], runs=12, executor=HERE)
+    figures = draw_sweep(table, samples.axes, "tilt_0")
+    assert "loads" in figures
+    assert "tornado" not in figures
+
+
+def test_a_run_that_would_fill_the_memory_is_a_row_with_its_reason():
+    table = capture_sim.sweep("tilt_0", {"run.t_end": [1e6, 0.5]}, executor=HERE)
+    assert table["verdict"].tolist() == ["failed", "undecided"]
+    assert "run.t_end = 1e+06 s at run.rate = 100 Hz" in table["failure"][0]
