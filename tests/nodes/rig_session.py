@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench_processes import wait_until
+from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from capture_sim.cli import main
 from capture_sim.detection.exact import CaptureState
+from capture_sim.hardware.messages import stamp_of
 from capture_sim.messages.topics import CAPTURE_STATUS
 
 RIG = Path(__file__).parents[2] / "examples" / "fake_rig.py"
@@ -50,20 +51,23 @@ class Session:
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
         self.statuses = client.listen(CAPTURE_STATUS)
-        self.joints = []
+        self.stamps = []  # s by the bench's clock, of the load cell, which never falls silent
         client.node.create_subscription(
-            JointState, "joint_states", self.joints.append, qos_profile_sensor_data
+            WrenchStamped,
+            "load_cell/wrench",
+            lambda sample: self.stamps.append(stamp_of(sample)),
+            qos_profile_sensor_data,
         )
 
     @contextmanager
     def bench(self, *remaps, pace=PACE, **disturbances):
         """Run the bench, disturbed."""
-        self.pace, disturbances["pace"] = pace, pace
+        disturbances["pace"] = pace
         values = [w for key, value in disturbances.items() for w in ("-p", f"{key}:={value}")]
         rig = subprocess.Popen([sys.executable, str(RIG), "--ros-args", *values, *remaps])
         try:
-            self.joints.clear()
-            wait_until(lambda: self.joints or rig.poll() is not None)
+            self.stamps.clear()
+            wait_until(lambda: self.stamps or rig.poll() is not None)
             assert rig.poll() is None, "the bench has ended"
             time.sleep(DISCOVERY)
             yield
@@ -72,8 +76,9 @@ class Session:
             rig.wait()
 
     def wait(self, seconds):
-        """Wait so many seconds of the bench."""
-        time.sleep(seconds / self.pace)
+        """Wait so many seconds of the bench, which is slower than its pace on a busy machine."""
+        end = self.stamps[-1] + seconds
+        wait_until(lambda: self.stamps[-1] >= end)
 
     def launch(self, after=BACK):
         self.wait(after)
