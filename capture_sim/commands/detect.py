@@ -12,11 +12,9 @@ from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scen
 from capture_sim.commands.output import echo
 from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import SceneError, one_line
-from capture_sim.recording.detect import detect_again, with_criteria
+from capture_sim.recording.detect import TICK, detect_again, with_criteria
 from capture_sim.scene.parts import Detector
 
-# s: as fine as a float is for stamps that count from 1970
-_TICK = 1e-6
 # s: a bench's messages reach detector and recorder in different orders
 _BENCH_TOLERANCE = 0.1
 
@@ -62,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         if status.label != label:
             since = _since(status, released)
             reported = status.t - released
-            late = f", reported at {reported:.3f} s" if status.time_in_state > _TICK else ""
+            late = f", reported at {reported:.3f} s" if status.time_in_state > TICK else ""
             echo(f"{since:10.3f} s  {status.label:9} {one_line(status.reason)}{late}")
             label = status.label
     verdict = statuses[-1]
@@ -78,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         return OK
     before = recorded.statuses[-1]
     since_before = _since(before, released)
-    tolerance = _TICK if recorded.is_simulated else _BENCH_TOLERANCE
+    tolerance = TICK if recorded.is_simulated else _BENCH_TOLERANCE
     # a bench's undecided trial has no time of its own: detector and recorder begin and end apart
     is_timed = verdict.state.is_verdict or recorded.is_simulated
     is_near = abs(since_before - since) < tolerance

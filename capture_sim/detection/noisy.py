@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Iterable
 from itertools import pairwise
 from statistics import mean, median
 from types import SimpleNamespace
@@ -289,11 +290,13 @@ class NoisyDetector:
 
     The scene gives the geometry of buffer and cone, and the criteria.  ``is_released``: the run
     begins with the chaser's release, as simulated ones do.  Otherwise nothing is evaluated before
-    the tip has approached BE by ``detector.capture_radius``.
+    the tip has approached BE by ``detector.capture_radius``.  ``last``: no later instant is
+    evaluated, s.
     """
 
-    def __init__(self, scene: Scene, *, is_released: bool = True) -> None:
+    def __init__(self, scene: Scene, *, is_released: bool = True, last: float = math.inf) -> None:
         part = scene.detector
+        self._last_instant = last
         self.aligner = Aligner(part.max_data_gap)
         #: The source whose clock differs from the others' by more than :data:`WARN_OFFSET`, and
         #: by how much, s; None if none does.
@@ -348,7 +351,7 @@ class NoisyDetector:
             self._compare_clocks(source, t, arrival)
         if self.clocks_differ:
             return []
-        return [self.update(observation) for observation in self.aligner.add(source, t, values)]
+        return self._update_all(self.aligner.add(source, t, values))
 
     @property
     def clocks_differ(self) -> bool:
@@ -362,6 +365,9 @@ class NoisyDetector:
             worst = self._clocks.worst()
             if worst is not None:  # a machine that halts for a moment does not set clocks right
                 self.clock_offset = worst if abs(worst[1]) > WARN_OFFSET else None
+
+    def _update_all(self, observations: Iterable[Observation]) -> list[CaptureStatus]:
+        return [self.update(each) for each in observations if each.t <= self._last_instant]
 
     def update(self, observation: Observation) -> CaptureStatus:
         """Add measurements of all sources at one instant; return the status."""
@@ -386,7 +392,7 @@ class NoisyDetector:
         unless a cut run has no verdict.  If nothing was measured, its numbers are NaN and its
         time is the earliest stamp.  ``cut``: the run was ended before its time.
         """
-        remaining = [self.update(observation) for observation in self.aligner.flush()]
+        remaining = self._update_all(self.aligner.flush())
         memory = self._memory
         if self._last is None:
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED

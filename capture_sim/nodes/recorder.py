@@ -39,9 +39,10 @@ from capture_sim.recording.live import LiveRecorder, RecordingReport
 from capture_sim.scene.parts import Scene
 
 #: Messages that came so shortly before the announcement of a run belong to it, ns (wall): those of
-#: other publishers may overtake it.
+#: other publishers may overtake it.  Those that come so shortly after the end of a bench's trial
+#: may have reached the detector before it.
 OVERTAKING = 500_000_000
-#: What is still recorded after the end of a bench's trial: the last messages of its participants.
+#: What is recorded later too: the last messages of the participants.
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
@@ -76,6 +77,7 @@ class RecorderNode(Participant):
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._failure = ""  # of the disk: why the recording ended before the run
         self._early: deque[tuple[int, Topic, bytes]] = deque()  # the first: arrival, ns (wall)
+        self._first_after_end: int | None = None  # ns (wall), arrival of the first measurement
         self.open((STREAM_COUNTS,))
         self.create_service(Trigger, "~/pause", partial(self._pause, True))
         self.create_service(Trigger, "~/resume", partial(self._pause, False))
@@ -94,7 +96,7 @@ class RecorderNode(Participant):
             self.get_logger().warning(f"{info.name}: {name} is not recorded: it has no publisher")
         recorder = LiveRecorder(self._out, topics=self._topics, remaps=self._remaps)
         recorder.paused = self._paused
-        self._recorder, self._failure = recorder, ""
+        self._recorder, self._failure, self._first_after_end = recorder, "", None
         self._write(RUN_INFO, serialize_message(info))
         self._forget_early()
         for arrival, topic, data in self._early:
@@ -196,7 +198,10 @@ class RecorderNode(Participant):
             return
         is_after_end = self.state.stage is Stage.ENDED and not self.simulated
         if is_after_end and topic not in AFTER_END:
-            return  # the detector has not used it either
+            now = time.time_ns()
+            self._first_after_end = self._first_after_end or now
+            if now - self._first_after_end > OVERTAKING:
+                return
         self._write(topic, data)
         self.end_if_complete()
 

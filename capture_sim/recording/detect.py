@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -11,9 +12,12 @@ from capture_sim.detection.noisy import NoisyDetector
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.convert import stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
-from capture_sim.messages.topics import RUN_INFO, Topic
+from capture_sim.messages.topics import CAPTURE_STATUS, RUN_INFO, Topic
 from capture_sim.recording.read import Run
 from capture_sim.scene.parts import Detector, Scene
+
+#: As fine as a float is for stamps that count from 1970, s.
+TICK = 1e-6
 
 
 def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:
@@ -38,14 +42,20 @@ def detect_again(run: Run, scene: Scene | None = None) -> list[CaptureStatus]:
     sources = _sources_in(run, scene)
     readers = {topic: MeasurementReader(topic) for topic in sources}
     is_simulated = run.is_simulated
-    detector = NoisyDetector(scene, is_released=is_simulated)
-    # what arrived before the announcement of a bench's trial, the live detector has not used
-    begin = 0 if is_simulated else int(run.log_times(RUN_INFO)[:1].sum())
+    # what arrived before the announcement of a bench's trial, or after its end, the live detector
+    # has not used; each node has its own moment of both
+    begin, end, last = 0.0, math.inf, math.inf  # ns (wall), twice; s, the last instant
+    if not is_simulated:
+        begin = float(run.log_times(RUN_INFO)[:1].sum())
+        if run.statuses and run.statuses[-1].final:
+            end = float(run.log_times(CAPTURE_STATUS)[-1])
+            last = run.statuses[-1].t + TICK
+    detector = NoisyDetector(scene, is_released=is_simulated, last=last)
     stored = [
         (int(time), i, topic, data)
         for topic in sources
         for i, (time, data) in enumerate(zip(run.log_times(topic), run.raw(topic), strict=True))
-        if time >= begin
+        if begin <= time <= end
     ]
     # in the order of recording; within a topic that is the order of arrival
     stored.sort(key=lambda item: item[:2])

@@ -12,7 +12,10 @@ from bags import STANDARD, copied, later, of_a_bench
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import Messages
+from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.recording.comparing import comparable
+from capture_sim.recording.detect import detect_again
 from capture_sim.recording.export import table
 from capture_sim.recording.measured_run import run_from_bag
 from capture_sim.recording.offline import write_run
@@ -129,6 +132,36 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
         f"verdict: captured since {decided_at(run):.3f} s; closest approach in the samples" in told
     )
     assert told.rstrip().endswith("the same")
+
+
+def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, tmp_path):
+    """The recorder hears of a trial's end later than the detector, and then of a contact."""
+    scene = capture_sim.load_scene("tilt_p10")
+    end = first_touch(run).t - 0.05
+
+    def until(last, statuses):
+        telemetry = DetectorTelemetry(Messages(), "")
+        left = list(statuses)
+
+        def change(topic, data):
+            seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+            t = seconds - 1 + nanoseconds * 1e-9
+            if topic == "/capture/status":
+                if left and t > left[0].t - 1e-6:
+                    (sent, *_) = telemetry.status(left[0].t, left.pop(0))
+                    yield topic, "cdr", sent.data
+            elif t < last:
+                yield topic, "cdr", data
+
+        return change
+
+    topics = (*STANDARD, "/capture/status")
+    cut = copied(recorded, tmp_path / "cut.mcap", topics=topics, change=until(end, ()))
+    live = detect_again(read_run(cut), scene)
+    assert (live[-1].label, live[-1].final) == ("undecided", True)
+    longer = copied(recorded, tmp_path / "on.mcap", topics=topics, change=until(end + 0.5, live))
+    again = detect_again(read_run(longer), scene)
+    assert again[-1] == read_run(longer).statuses[-1]
 
 
 @pytest.mark.parametrize("wall", [1, -1, 0])
