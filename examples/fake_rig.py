@@ -86,7 +86,7 @@ class FakeRig(Node):
                 self.since_contact = (self.x - STOP) / SPEED
                 self.speed = -RETURNED * SPEED if outcome == "rebound" else 0.0
                 self.x = STOP + self.speed * self.since_contact
-        elif self.t > self.held + 1.0:
+        elif self.t > self.held + 0.5:
             self.x = max(0.0, self.x - BACK * self.dt)
             self.y = ASIDE if outcome == "missed" else 0.0
 
