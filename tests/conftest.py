@@ -37,7 +37,8 @@ hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
 
 #: Files of a few long tests: begun last, one runs on while the other workers have nothing left.
-LONG = ("test_other_numba.py", "test_install.py", "test_nodes.py", "test_rig_flows.py")
+LONG = ("test_other_numba.py", "test_install.py", "test_nodes.py")
+LONG += ("test_rig_flows.py", "test_rig_disturbances.py")
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()

@@ -57,8 +57,8 @@ def test_six_trials_in_a_session_without_launcher(tmp_path, capsys):
         with session.bench(outcomes=f"[{', '.join(OUTCOMES)}]"):
             for trial, outcome in enumerate(OUTCOMES * 2):
                 if trial == 1:
-                    session.recorder.process.kill()
-                    session.recorder.process.wait()
+                    session.recorder.process.send_signal(signal.SIGINT)
+                    assert session.recorder.status() == 0
                 session.wait(IDLE)
                 session.statuses.clear()
                 begin = client.ask(BeginTrial, "/capture_detector/begin_trial", scene="tilt_0")
