@@ -91,7 +91,9 @@ def agree(found, other, times, exact):
 @pytest.mark.parametrize("name", CASES)
 def test_maximal_coordinates_agree(name):
     scene_name, overrides, times = CASES[name]
-    scene = load_scene(scene_name, [*overrides, "run.rtol=1e-12"])
+    # steps go over the kink of the rebound's damping wherever the stroke turns
+    tolerance = "1e-13" if "buffer.c_A_rebound=40" in overrides else "1e-12"
+    scene = load_scene(scene_name, [*overrides, f"run.rtol={tolerance}"])
     found = simulate(scene, t_end=times[-1] + 1e-3, t_eval=np.array(times))
     # where the tip hammers the edges an error grows with every touch, the model's own as well
     rtol, atol = (1e-13, 1e-14) if name == "inner edges" else (1e-12, 1e-15)
