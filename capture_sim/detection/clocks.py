@@ -28,6 +28,7 @@ class ClockOffsets:
 
     def __init__(self) -> None:
         self._arrivals: dict[Source, deque[tuple[float, float]]] = {s: deque() for s in Source}
+        self._worst: tuple[Source, float] | None = None  # while all sources send
 
     def add(self, source: Source, stamp: float, arrival: float) -> None:
         """Note the stamp of a message and its arrival, s, each by any clock."""
@@ -40,21 +41,22 @@ class ClockOffsets:
         """Return the source whose clock differs most from the others', and by how much, s.
 
         The middle one of the three offsets is the reference.  None while a source lacks recent
-        messages, or if stamps do not advance with arrival (a replay).
+        messages.  Where stamps do not advance with arrival, the offset is the last that was known:
+        a busy machine has halted, or a replay has never shown any.
         """
         latest = max((r[-1][0] for r in self._arrivals.values() if r), default=0.0)
         offsets = {}
         for source, recent in self._arrivals.items():
-            if (
-                len(recent) < MIN_ARRIVALS
-                or recent[-1][0] < latest - WINDOW
-                or not _is_live(recent)
-            ):
+            if len(recent) < MIN_ARRIVALS or recent[-1][0] < latest - WINDOW:
+                self._worst = None
                 return None
             offsets[source] = median(stamp - arrival for arrival, stamp in recent)
+        if not all(map(_is_live, self._arrivals.values())):
+            return self._worst
         middle = median(offsets.values())
         source = max(offsets, key=lambda name: abs(offsets[name] - middle))
-        return source, offsets[source] - middle
+        self._worst = source, offsets[source] - middle
+        return self._worst
 
 
 def _is_live(recent: deque[tuple[float, float]]) -> bool:

@@ -363,8 +363,7 @@ class NoisyDetector:
         if arrival - self._clocks_compared >= _CLOCK_PERIOD:
             self._clocks_compared = arrival
             worst = self._clocks.worst()
-            if worst is not None:  # a machine that halts for a moment does not set clocks right
-                self.clock_offset = worst if abs(worst[1]) > WARN_OFFSET else None
+            self.clock_offset = worst if worst and abs(worst[1]) > WARN_OFFSET else None
 
     def _update_all(self, observations: Iterable[Observation]) -> list[CaptureStatus]:
         return [self.update(each) for each in observations if each.t <= self._last_instant]

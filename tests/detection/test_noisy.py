@@ -440,6 +440,19 @@ def test_a_node_that_halts_again_and_again_gives_the_verdict():
         assert detector.finish()[-1].state is CaptureState.CAPTURED
 
 
+def test_a_source_that_falls_silent_has_no_clock_that_differs():
+    """Its offset would hide that it is silent."""
+    detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
+    stream = list(approach(offset=-0.08, source=Source.BUFFER, hold=4.0))
+    silent_from = stream[-1][3] - 3.0
+    for source, t, values, arrival in stream:
+        if source is not Source.BUFFER or arrival < silent_from:
+            detector.measure(source, 1.2e9 + t, values, arrival)
+        assert not 1.0 < arrival < silent_from or detector.clock_offset is not None
+    assert detector.clock_offset is None
+    assert detector.aligner.silent(2.0) == [Source.BUFFER]
+
+
 def test_latency_of_a_driver_is_no_clock_that_differs():
     detector = NoisyDetector(load_scene("tilt_0"), is_released=False)
     rng = np.random.default_rng(3)
