@@ -375,7 +375,7 @@ MAX_MEMORY = 4_000_000_000
 def check_memory(
     run: Run, count: float, rate: Literal["state_rate", "rate"] = "state_rate"
 ) -> None:
-    """Raise SceneError if so many samples, at one of the run's rates, would fill the memory."""
+    """Raise SceneError if the samples at one of the run's rates would fill the memory."""
     # in pieces as they are computed, then joined
     needed = 2.0 * count * SAMPLE.itemsize
     if needed > MAX_MEMORY:

@@ -1,4 +1,4 @@
-"""A disk that is full after so many bytes, for what is written to it."""
+"""A disk that is full after a given number of bytes."""
 
 import contextlib
 import resource

@@ -22,7 +22,7 @@ STREAMS = ["/joint_states", "/load_cell/wrench", "/launcher/command", "/launcher
 STREAMS += ["/capture/status", "/capture/criteria"]
 POSES = ["/motion_capture/chaser", "/motion_capture/target"]
 OUTCOMES = ("captured", "rebound", "missed")
-#: The bench's clock runs so many times as fast as ours, unless the clocks are what is tested.
+#: Speed of the bench's clock compared with ours, except in tests of the clocks.
 PACE = 3.0
 #: After the chaser was held, the bench has pulled it back by then, s of the bench.
 BACK = 2.0
@@ -76,7 +76,7 @@ class Session:
             rig.wait()
 
     def wait(self, seconds):
-        """Wait so many seconds of the bench, which is slower than its pace on a busy machine."""
+        """Wait by the bench's clock (s), which is slower than its pace on a busy machine."""
         end = self.stamps[-1] + seconds
         wait_until(lambda: self.stamps[-1] >= end)
 

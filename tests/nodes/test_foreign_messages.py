@@ -145,7 +145,7 @@ def bench(tmp_path_factory):
 
 @pytest.fixture
 def foreign(bench):
-    """A node that publishes; nobody spins it.
+    """A node that publishes and that no executor spins.
 
     An executor that waits for the events of a publisher fails when that is destroyed meanwhile.
     """
