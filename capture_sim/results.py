@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
+import functools
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.exact import CaptureStatus, Criteria
+from capture_sim.detection.criteria import CaptureStatus, Criteria
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_in_cone
 from capture_sim.samples import EXTREMES, Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene
+from capture_sim.series import at_rate
 
 
 def first_cluster(touches: np.ndarray) -> np.ndarray:
@@ -27,39 +28,39 @@ def first_cluster(touches: np.ndarray) -> np.ndarray:
     that follows.
     """
     ordered = touches[np.argsort(touches["start"], kind="stable")]
-    start, end = ordered["start"], ordered["end"]
-    count = _count_chatter(start, end, ordered["wall"])
+    # as plain numbers: NumPy is slow with single ones
+    start, end, wall = (ordered[name].tolist() for name in ("start", "end", "wall"))
+    count = _count_chatter(start, end, wall)
     return ordered[: _count_first_contact(start, end, count)]
 
 
 def first_contact_end(events: Iterable[Event], now: float) -> float | None:
     """Return the end of the first contact, s; None if it has not ended at time ``now``, s."""
     starts = [event for event in events if event.kind is EventKind.TOUCH]
-    start = np.array([event.t for event in starts])
-    end = np.full(start.size, math.inf)
+    start = [event.t for event in starts]
+    end = [math.inf] * len(start)
     for touch in (event.touch for event in events if event.touch is not None):
-        end[start == touch["start"]] = touch["end"]
-    count = _count_chatter(start, end, np.array([event.wall for event in starts]))
+        end = [touch["end"] if t == touch["start"] else e for t, e in zip(start, end, strict=True)]
+    count = _count_chatter(start, end, [event.wall for event in starts])
     if count == 0:
         return None
     may_continue = count < 2 or now - end[count - 1] <= start[count - 1] - start[0]
-    if may_continue and count == start.size:
+    if may_continue and count == len(start):
         return None
     contact_end = float(end[_count_first_contact(start, end, count) - 1])
     return contact_end if math.isfinite(contact_end) else None
 
 
-def _count_chatter(start: np.ndarray, end: np.ndarray, wall: np.ndarray) -> int:
+def _count_chatter(start: Sequence[float], end: Sequence[float], wall: Sequence[int]) -> int:
     """Return the number of touches from the first to the end of its chatter, by their starts."""
-    other_wall = np.flatnonzero(wall != wall[:1])
-    size = int(other_wall[0]) if other_wall.size else start.size
+    size = next((k for k, side in enumerate(wall) if side != wall[0]), len(start))
     for count in range(2, size):
         if start[count] - end[count - 1] > start[count - 1] - start[0]:
             return count
     return size
 
 
-def _count_first_contact(start: np.ndarray, end: np.ndarray, count: int) -> int:
+def _count_first_contact(start: Sequence[float], end: Sequence[float], count: int) -> int:
     """Return how many of the first ``count`` touches are the first contact: one, or all."""
     is_single = count > 1 and start[1] - end[0] > end[count - 1] - start[1]
     return 1 if is_single else count
@@ -122,6 +123,10 @@ LOADS = (
 )
 
 
+#: A stroke or an angle below this is round-off, m and rad.
+_ROUND_OFF = 1e-15
+
+
 def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     """Return the loads of a run by name, SI units.
 
@@ -133,24 +138,69 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     dtype TOUCH.
     """
     # as plain numbers: access to the fields of a record is slow
-    names = EXTREMES.names or ()
-    rows = [dict(zip(names, row.item(), strict=True)) for row in extremes if row is not None]
+    rows: list[Any] = [row.item() for row in extremes if row is not None]
     loads: dict[str, Any] = {}
-    for load in LOADS:
-        for period, parts in (("", rows), ("_before_latch", rows[:1])):
-            value = t = None
-            for row in parts:
-                for name in load.extremes:
-                    number = row[name]
-                    is_peak = value is None or (number < value if load.least else number > value)
-                    if is_peak and math.isfinite(number):
-                        value, t = number, row[f"{name}_time"]
-            loads[f"{load.key}{period}"] = value
-            loads[f"{load.key}{period}_time"] = t if value or load.least else None
+    for load, columns in _columns_of_loads():
+        whole = _peak(load, columns, rows)
+        before = whole if len(rows) == 1 else _peak(load, columns, rows[:1])
+        loads[load.key], loads[f"{load.key}_time"] = whole
+        loads[f"{load.key}_before_latch"], loads[f"{load.key}_before_latch_time"] = before
     del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
     loads["touches"] = int(touches.size)
     loads["first_contact_impulse"] = _if_measured(first_cluster(touches)["impulse"].sum())
     return loads
+
+
+@functools.cache
+def _columns_of_loads() -> list[tuple[Load, list[tuple[int, int]]]]:
+    """Return each load with the positions of its extremes in EXTREMES, and of their times."""
+    names = EXTREMES.names or ()
+    return [
+        (load, [(names.index(name), names.index(f"{name}_time")) for name in load.extremes])
+        for load in LOADS
+    ]
+
+
+def _peak(
+    load: Load, columns: Sequence[tuple[int, int]], rows: Sequence[tuple[float, ...]]
+) -> tuple[float | None, float | None]:
+    """Return a load in some rows of extremes, and its time."""
+    value = t = None
+    for row in rows:
+        for column, time_column in columns:
+            number = row[column]
+            is_peak = value is None or (number < value if load.least else number > value)
+            if is_peak and math.isfinite(number):
+                value, t = number, row[time_column]
+    if value is not None and value < _ROUND_OFF and load.unit in ("m", "rad"):
+        value = 0.0
+    return value, t if value or load.least else None
+
+
+#: Share of the cylinder behind the probe beyond which a stroke inwards is implausible: a real
+#: spring or damper needs the rest.
+_USABLE_SHARE = 0.5
+
+
+def plausible_stroke(scene: Scene) -> float:
+    """Return the stroke inwards that the cylinder plausibly has room for, m.
+
+    It is half of the room behind the probe at rest; infinite with stops, which end the stroke.
+    """
+    if scene.stops is not None:
+        return math.inf
+    behind_hinge = scene.probe.length + scene.probe.tip_radius - scene.rest_length
+    return _USABLE_SHARE * max(scene.cylinder.length - behind_hinge, 0.0)
+
+
+def implausible_stroke(scene: Scene, stroke: float | None) -> str:
+    """Return a warning on a stroke inwards (m) that the cylinder has no room for; else empty."""
+    if not stroke or stroke <= plausible_stroke(scene):
+        return ""
+    return (
+        f"stroke inwards {stroke * 1e3:.4g} mm is more than half of the cylinder's room, and "
+        "nothing ends it: set stops.compression, or a stiffer buffer"
+    )
 
 
 def sampled_extremes(
@@ -241,6 +291,7 @@ def extremes_from_text(text: str) -> Extremes:
 
 
 def summarize(
+    name: str,
     scene: Scene,
     samples: np.ndarray,
     touches: np.ndarray,
@@ -249,23 +300,27 @@ def summarize(
     wall_time: float | None,
     extremes: Extremes | None = None,
     problems: Sequence[str] = (),
+    made_by: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the main results of a run, SI units; None without contact, verdict or wall time.
 
     The loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they come from the
-    samples, and ``loads_from`` names the sample rate.  ``problems`` are the reasons why the run or
-    its recording is incomplete, which may change every result.
+    samples, and ``loads_from`` names the sample rate.  ``energy_residual`` is the largest residual
+    of the ledger at the samples of ``run.rate``, as in the tables of sweeps.  ``problems`` are the
+    reasons why the run or its recording is incomplete, which may change every result.  ``made_by``
+    is what made the run.
     """
-    sampled = extremes is None
+    sampled, rate = extremes is None, scene.run.rate
     if extremes is None:
         extremes = sampled_extremes(scene, samples, touches, events)
     first = first_cluster(touches)
     has_contact = first.size > 0
     simulated = float(samples["t"][-1]) if samples.size else 0.0
     return {
-        "name": scene.name,
+        "name": name,
         "verdict": None if status is None else status.state.label,
         "left_again": status is not None and status.left_again,
+        "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
         "impact_speed": impact_speed(events),
         "first_contact_time": float(first["start"].min()) if has_contact else None,
@@ -279,9 +334,10 @@ def summarize(
         "normal_impulse": _if_measured(touches["impulse"].sum()),
         **loads_of(extremes, touches),
         "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
-        "energy_residual": _largest(samples["energy_residual"]),
+        "energy_residual": _largest(samples["energy_residual"][at_rate(samples["t"], rate)]),
         "wall_time": wall_time,
         "real_time_factor": simulated / wall_time if wall_time else None,
+        "made_by": dict(made_by or {}),
     }
 
 
@@ -315,12 +371,12 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("", "experiment", "", "name", "{}"),
     _Column("", "verdict", "", "verdict", "{}"),
-    _Column("first contact", "speed", "m/s", "impact_speed", "{:.4f}"),
-    _Column("first contact", "time", "s", "first_contact_time", "{:.3f}"),
-    _Column("first contact", "lasts", "ms", "first_contact_duration", "{:.1f}", 1e3),
-    _Column("first contact", "n", "", "first_contact_touches", "{}"),
-    _Column("touches", "n", "", "touches", "{}"),
-    _Column("touches", "peak", "N", "max_normal_force", "{:.1f}"),
+    _Column("contact", "speed", "m/s", "impact_speed", "{:.4f}"),
+    _Column("contact", "time", "s", "first_contact_time", "{:.3f}"),
+    _Column("contact", "lasts", "ms", "first_contact_duration", "{:.1f}", 1e3),
+    _Column("contact", "n", "", "first_contact_touches", "{}"),
+    _Column("touch", "n", "", "touches", "{}"),
+    _Column("touch", "peak", "N", "max_normal_force", "{:.1f}"),
     _Column("buffer", "in", "mm", "max_axial_stroke_in", "{:.2f}", 1e3),
     _Column("buffer", "out", "mm", "max_axial_stroke_out", "{:.2f}", 1e3),
     _Column("buffer", "torsion", "mrad", "max_torsion", "{:.2f}", 1e3),
@@ -336,7 +392,7 @@ _INCOMPLETE = "  INCOMPLETE"
 #: Meaning of the heads of the table.
 LEGEND = (
     "Loads are peak values of the whole run; a second row has those until the latch closed.",
-    "n: touches. First contact: with the wall met first, until the tip stops chattering.",
+    "n: touches. Contact: the first one, with the wall met first, until the chatter ends.",
     "Buffer: strokes inwards and outwards, torsion, axial force of spring, damper and stops.",
     "To BE: closest approach of the tip's centre to that of BE, the inner edge of the cone.",
 )
@@ -381,34 +437,20 @@ def _text(column: _Column, value: Any) -> str:
 
 
 def table(summaries: Sequence[dict[str, Any]]) -> str:
-    """Return summaries as a text table with units in its head.
+    """Return summaries as a text table with units in its head, and notes.
 
     It fits 100 columns unless the name of a scene is longer than 17 letters.
     """
-    cells = [[c.name for c in _COLUMNS], [c.unit for c in _COLUMNS], *rows(summaries)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(_COLUMNS))]
-    # the columns of a group are close together, and at least as wide as its name
-    gaps = [
-        "" if i == 0 else " " if c.group and c.group == _COLUMNS[i - 1].group else "  "
-        for i, c in enumerate(_COLUMNS)
+    from capture_sim.tables import table_text  # rich: only where a table is printed
+
+    # the group is over the column of its longest name, so that it needs no room
+    widest = {column.group: column for column in sorted(_COLUMNS, key=lambda c: len(c.name))}
+    head = [
+        f"{column.group if column is widest[column.group] else ''}\n{column.name}\n{column.unit}"
+        for column in _COLUMNS
     ]
-    groups = []
-    for group, members in itertools.groupby(range(len(_COLUMNS)), lambda i: _COLUMNS[i].group):
-        inside = list(members)
-        span = sum(widths[i] for i in inside) + sum(len(gaps[i]) for i in inside[1:])
-        if len(group) > span:
-            widths[inside[0]] += len(group) - span
-        groups.append(gaps[inside[0]] + group.rjust(max(span, len(group))))
-    lines = ["".join(groups).rstrip()]
-    for row in cells:
-        padded = (
-            gap + (cell.ljust(w) if i < 2 else cell.rjust(w))
-            for i, (gap, cell, w) in enumerate(zip(gaps, row, widths, strict=True))
-        )
-        lines.append("".join(padded).rstrip())
-    lines.insert(3, "-" * max(map(len, lines)))
-    lines += ["", *LEGEND, *notes(summaries)]
-    return "\n".join(lines)
+    text = table_text(head, rows(summaries), left=2, gap=1)
+    return "\n".join([text, "", *LEGEND, *notes(summaries)])
 
 
 def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
@@ -432,4 +474,17 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         low, high = (f"{f:.0f}" if f >= 10 else f"{f:.1f}" for f in (min(factors), max(factors)))
         span_text = low if low == high else f"{low} to {high}"
         lines.append(f"Run at {span_text} times real time.")
-    return lines
+    return lines + [made_by_text(s["name"], s["made_by"]) for s in summaries if s.get("made_by")]
+
+
+def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:
+    """Return what made a run as a line: scene, hash, overrides, seed and version."""
+    parts = [f"scene {made_by['scene']}"] if "scene" in made_by else []
+    if "scene_sha256" in made_by:
+        parts[0] += f" ({made_by['scene_sha256'][:12]})"
+        if made_by["overrides"]:
+            parts.append("with " + ", ".join(made_by["overrides"]))
+    if made_by.get("seed") is not None:
+        parts.append(f"seed {made_by['seed']}")
+    own = [line for line in made_by.get("software", ()) if line.startswith("capture_sim ")]
+    return f"{name}: {made_by['source']}: {'; '.join([*parts, *own])}."

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO
 
 import yaml
 from mcap.writer import Writer
@@ -145,15 +144,6 @@ def qos_profile(topic: Topic) -> dict[str, object]:
         "liveliness_lease_duration": _UNLIMITED,
         "avoid_ros_namespace_conventions": False,
     }
-
-
-def profiles_in(text: str) -> list[Any]:
-    """Return the recorded qualities of service of a topic; empty if they are not a list."""
-    with suppress(yaml.YAMLError, ValueError, RecursionError):
-        profiles = yaml.safe_load(text)
-        if isinstance(profiles, list):
-            return profiles
-    return []
 
 
 def dump(data: object) -> str:

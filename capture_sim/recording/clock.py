@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS, stamp_seconds
-from capture_sim.studies.measurements import Series
+from capture_sim.run import Release
 
 #: A release whose stamp is further than this from its arrival, ns, is stamped by another clock.
 _MAX_STAMP_DELAY = 1_000_000_000
 #: Number of poses whose median relates stamps to log times.
 _N_OFFSETS = 20
-
-
-class Origin(Enum):
-    """How the release was found."""
-
-    STAMP = auto()  # recorded, and stamped by the clock of the poses
-    ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place
-    GIVEN = auto()  # by the user, after the first pose
-    BEGINNING = auto()  # not recorded: the first pose, without poses the first message
 
 
 class Logged(NamedTuple):
@@ -37,7 +27,7 @@ class Logged(NamedTuple):
 class Clock(NamedTuple):
     """The release, t = 0, on every clock that a recording has times of."""
 
-    origin: Origin
+    origin: Release
     release: int  # stamp by the clock of the poses, ns
     log_time: int  # when it was logged, or would have been, ns
     trial_release: int  # stamp by the clock of launcher and announcement, ns
@@ -71,16 +61,6 @@ class Clock(NamedTuple):
     def since_by_log(self, log_times: np.ndarray) -> np.ndarray:
         """Return log times, ns, as times since the release, s."""
         return (log_times - self.log_time) / 1e9
-
-    def series(self, columns: Mapping[str, np.ndarray], values: np.ndarray) -> Series:
-        """Return what a topic's messages measure, (n,) or (n, m) values, as a series.
-
-        Values that are not finite, and further ones of the same stamp, are left out.
-        """
-        t = self.since(stamps_of(columns))
-        finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
-        t, first = np.unique(t[finite], return_index=True)
-        return Series(t, values[finite][first])
 
 
 def has_stamps(columns: Mapping[str, np.ndarray]) -> bool:
@@ -126,18 +106,18 @@ def find_clock(
     trial_release = EPOCH_NS if release is None else int(release.stamps[0])
     arrival = begin if release is None else int(release.log_times[0])
     if given_release is not None:
-        origin, stamp = Origin.GIVEN, _after_first_pose(poses, given_release)
+        origin, stamp = Release.GIVEN, _after_first_pose(poses, given_release)
     elif is_simulated:
-        origin, stamp = Origin.STAMP, EPOCH_NS
+        origin, stamp = Release.STAMP, EPOCH_NS
     elif release is not None and poses is not None:
         stamp = arrival + _stamp_offset(poses, poses.log_times - arrival)
-        origin = Origin.ARRIVAL
+        origin = Release.ARRIVAL
         if abs(trial_release - stamp) <= _MAX_STAMP_DELAY:
-            origin, stamp = Origin.STAMP, trial_release
+            origin, stamp = Release.STAMP, trial_release
     elif release is not None:
-        origin, stamp = Origin.STAMP, trial_release
+        origin, stamp = Release.STAMP, trial_release
     else:
-        origin, stamp = Origin.BEGINNING, begin if poses is None else int(poses.stamps.min())
+        origin, stamp = Release.BEGINNING, begin if poses is None else int(poses.stamps.min())
     if poses is None:
         return Clock(origin, stamp, arrival, trial_release, stamp)
     log_time = stamp - _stamp_offset(poses, poses.stamps - stamp)

@@ -21,6 +21,15 @@ class TopicCount:
     gaps: list[tuple[int, int]] = field(default_factory=list)
     missing: int = 0  # messages known to be missing from gaps in the sequence
     out_of_order: int = 0  # messages whose number was lower than expected
+    first: int | None = None  # log time of the first message, ns
+    last: int = 0  # ... and of the last
+    longest_gap: int = 0  # longest time between two messages, ns
+
+    @property
+    def rate(self) -> float:
+        """Messages per second between the first and the last, Hz; 0 for fewer than two."""
+        span = 0 if self.first is None else self.last - self.first
+        return 1e9 * (self.received - 1) / span if span else 0.0
 
 
 #: Gaps that are remembered of each topic; further ones are only counted.
@@ -31,24 +40,39 @@ class Completeness:
     """Counts messages by topic, follows their sequence, and compares with what was sent.
 
     ``publishers`` are the nodes that have to report how many messages they sent; ``topics`` are
-    the topics whose reported numbers count, None for all.
+    the topics whose reported numbers count, None for all; ``required`` those that must have
+    messages, unless their publisher reports that it has sent none.  ``names`` are the names of
+    topics that do not have the bench's.
     """
 
     def __init__(
-        self, publishers: Sequence[str] = (), topics: Collection[Topic] | None = None
+        self,
+        publishers: Sequence[str] = (),
+        topics: Collection[Topic] | None = None,
+        required: Collection[Topic] = (),
+        names: Mapping[Topic, str] | None = None,
     ) -> None:
         self.publishers = tuple(publishers)
         self._counted_topics = topics
+        self._required = tuple(required)
+        self._names = names or {}
         self._topics: dict[Topic, TopicCount] = {}
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
-    def add(self, topic: Topic, seq: int | None, *, written: bool = True) -> None:
-        """Count a message and its sequence number, None where the type has none."""
+    def add(
+        self, topic: Topic, seq: int | None, time: int | None = None, *, written: bool = True
+    ) -> None:
+        """Count a message, its sequence number, None without one, and its log time, ns."""
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = TopicCount()
         entry.received += 1
         entry.written += written
+        if time is not None:
+            if entry.first is None:
+                entry.first = entry.last = time
+            entry.longest_gap = max(entry.longest_gap, time - entry.last)
+            entry.last = time
         if seq is None:
             return
         if seq == entry.next_seq:
@@ -88,9 +112,28 @@ class Completeness:
             for entry in self._topics.values()
         )
 
+    def summary(self) -> list[str]:
+        """Return a line for each required topic: its messages, rate and longest gap."""
+        counts = [(topic, self._topics.get(topic, TopicCount())) for topic in self._required]
+        return [
+            f"{self._name(topic)}: {count.received} messages, {count.rate:.4g} Hz, "
+            f"longest gap {count.longest_gap / 1e9:.3g} s"
+            for topic, count in counts
+            if count.received
+        ]
+
+    def _empty(self) -> list[Topic]:
+        """Return the required topics without a message that have no publisher of ours."""
+        counts = [(topic, self._topics.get(topic, TopicCount())) for topic in self._required]
+        return [t for t, count in counts if not count.received and count.expected is None]
+
+    def _name(self, topic: Topic) -> str:
+        return self._names.get(topic, topic.name)
+
     def problems(self) -> list[str]:
-        """Return one line for everything that was lost, repeated, disordered or cut short."""
-        lines = [
+        """Return one line for everything that is missing, repeated, disordered or cut short."""
+        lines = [f"{self._name(topic)}: no message" for topic in self._empty()]
+        lines += [
             # a follower reports it in these words itself
             f"{publisher} ended the run early: {reason.removeprefix('ended early: ')}"
             for publisher, reason in self._ended.items()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from capture_sim.errors import RecordingError
 from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE
 from capture_sim.messages.units import unit_of
-from capture_sim.recording.read import Run
+from capture_sim.recording.bag import Bag
 from capture_sim.recording.sweep_file import arrow, head_of, with_units
+from capture_sim.run import Table
 from capture_sim.samples import TOUCH, TRACE, columns_of
+from capture_sim.series import LazyMapping
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
 TIME = "t"
@@ -28,85 +31,105 @@ KINDS = ("csv", "npz", "parquet")
 
 
 def save_tables(
-    run: Run,
+    tables: Mapping[str, Table],
     folder: Path,
     to: str,
+    *,
+    name: str,
     topics: Collection[str] = (),
     columns: Collection[str] = (),
-) -> list[Path]:
-    """Write a recording as tables of one of KINDS into a folder; return the paths of the files.
+    scene: str = "",
+) -> Iterator[Path]:
+    """Write tables as files of one of KINDS into a folder; yield the path of each complete file.
 
-    Each topic makes a file; for ``npz`` there is one, ``<name>.npz``, with arrays named
-    ``topic/field``, texts as Unicode strings, the scene in ``scene`` and units by column as JSON
-    in ``units``; none needs pickle.  Numbers in CSV are written so that reading gives the same
-    bits.  Units are in the header of a CSV (``t [s]``) and in the metadata of a Parquet's columns.
+    Each table makes a file; for ``npz`` there is one, ``<name>.npz``, with arrays named
+    ``topic/field``, texts as Unicode strings, the text of the scene in ``scene`` and units by
+    column as JSON in ``units``; none needs pickle.  Numbers in CSV are written so that reading
+    gives the same bits.  Units are in the header of a CSV (``t [s]``) and in the metadata of a
+    Parquet's columns.
 
-    Without ``topics`` all that make tables are written, and the touches.  Without ``columns`` all
-    are; ``q`` stands for ``q.x_S`` and the other columns of ``q``.  The time is always written.
-    RecordingError if a topic or column is not recorded, or if a file cannot be written.
+    ``tables`` are those of a run or bag, which can all be read; only ``topics`` of these are
+    written, if given.  Without ``columns`` all are; ``q`` stands for ``q.x_S`` and the other
+    columns of ``q``.  The time is always written.  RecordingError if a topic or column is not
+    recorded, or if a file cannot be written.
     """
-    exportable = exported(run)[0]
-    names = ["/" + name.lstrip("/") for name in topics] or exportable
-    if unknown := [name for name in names if name not in exportable]:
-        raise RecordingError(
-            f"{run.path}: no table of {', '.join(unknown)}: must be one of {', '.join(exportable)}"
-        )
-    tables = {topic: _selected(columns, table(run, topic)) for topic in names}
-    if run.touches.size and not topics:
-        recorded = [name for name in TOUCH.names or () if name != "rate_ratio"]  # in no message
-        tables[TOUCHES] = _selected(columns, {name: run.touches[name] for name in recorded})
-    available = {name for fields in tables.values() for name in columns_of(fields)}
-    if missing := [name for name in columns if not any(_covers(name, each) for each in available)]:
-        raise RecordingError(f"{run.path}: no table has a column {', '.join(missing)}")
-    tables = {topic: fields for topic, fields in tables.items() if fields.keys() - {TIME}}
+    if topics:
+        names = [topic if topic in tables else "/" + topic.lstrip("/") for topic in topics]
+        if unknown := [topic for topic in names if topic not in tables]:
+            available = ", ".join(tables)
+            raise RecordingError(f"no table of {', '.join(unknown)}: must be one of {available}")
+        tables = {topic: tables[topic] for topic in names}
+    fields = {topic: _selected(columns, table.fields) for topic, table in tables.items()}
+    available_columns = {column for each in fields.values() for column in columns_of(each)}
+    if missing := [c for c in columns if not any(_covers(c, each) for each in available_columns)]:
+        raise RecordingError(f"no table has a column {', '.join(missing)}")
+    fields = {topic: each for topic, each in fields.items() if each.keys() - {TIME}}
+    units = {topic: tables[topic].units for topic in fields}
     if to == "npz":
-        path = folder / f"{file_name(run.path.stem)}.npz"
-        _save_npz(run, tables, path)
-        return [path]
-    paths = _paths(tables, folder, to)
+        path = folder / f"{file_name(name)}.npz"
+        _save_npz(fields, units, scene, path)
+        yield path
+        return
     save = _save_csv if to == "csv" else _save_parquet
-    for topic, path in paths.items():
-        fields = _selected(columns, columns_of(tables[topic]))
-        save(fields, _units(run, topic, fields), path)
-    return list(paths.values())
+    for topic, path in _paths(fields, folder, to).items():
+        save(_selected(columns, columns_of(fields[topic])), units[topic], path)
+        yield path
 
 
-def exported(run: Run) -> tuple[list[str], list[str]]:
-    """Return the topics with messages that make tables, and a line for each that does not."""
-    topics, problems = [], []
-    for topic, count in run.topics.items():
-        if count:
-            try:
-                run.columns(topic)
-            except RecordingError as error:
+def tables_of(bag: Bag) -> LazyMapping[Table]:
+    """Return the tables of a bag by topic, and the touches; decoded at their first use."""
+    makers = {topic: partial(_table, bag, topic) for topic, count in bag.topics.items() if count}
+    if bag.has(BENCH_EVENT):
+        makers[TOUCHES] = partial(_touch_table, bag)
+    return LazyMapping(makers)
+
+
+def readable(tables: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
+    """Return the tables that can be read and are not empty, and a line for each unreadable one."""
+    kept, problems = {}, []
+    for topic in tables:
+        try:
+            table = tables[topic]
+        except RecordingError as error:
+            if topic != TOUCHES:  # the topic of the events has its line
                 problems.append(f"{topic} is left out: {error}")
-            else:
-                topics.append(topic)
-    return topics, problems
+        else:
+            if any(len(column) for column in table.fields.values()):
+                kept[topic] = table
+    return kept, problems
 
 
-def table(run: Run, topic: str) -> dict[str, np.ndarray]:
+def _table(bag: Bag, topic: str) -> Table:
     """Return a topic's fields, (n,) or (n, m), times first.
 
     The contact's trace has a row for every point.
     """
-    columns, logged = run.columns(topic), run.log_times(topic)
+    columns, logged = bag.columns(topic), bag.log_times(topic)
     if topic.strip("/") == CONTACT_TRACE.name and columns:
         logged = np.repeat(logged, [len(t) for t in columns["t"]])
-        columns = {name: run.trace[name] for name in TRACE.names or ()}
+        columns = {name: bag.trace[name] for name in TRACE.names or ()}
     if TIME in columns and columns[TIME].shape == logged.shape:
         t = columns[TIME]
     else:
-        t = run.times(topic)
-    return {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
+        t = bag.times(topic)
+    fields = {TIME: t, LOG_TIME: logged, **{n: c for n, c in columns.items() if n != TIME}}
+    times = {TIME: "s", LOG_TIME: "ns"}
+    return Table(fields, _units(bag.types[topic], fields, times))
 
 
-def _units(run: Run, topic: str, names: Iterable[str]) -> dict[str, str]:
-    """Return the units of the columns of a table, of those that have one."""
+def _touch_table(bag: Bag) -> Table:
+    """Return the located touches as a table."""
+    names = [name for name in TOUCH.names or () if name != "rate_ratio"]  # in no message
+    fields = {name: bag.touches[name] for name in names}
     # a touch is sent in the event that ends it
-    type_name = BENCH_EVENT.type_name if topic == TOUCHES else run.types[topic]
-    times = {TIME: "s", LOG_TIME: "ns", **({"start": "s", "end": "s"} if topic == TOUCHES else {})}
-    units = {name: times.get(name) or unit_of(type_name, name) for name in names}
+    return Table(fields, _units(BENCH_EVENT.type_name, fields, {"start": "s", "end": "s"}))
+
+
+def _units(
+    type_name: str, fields: Mapping[str, np.ndarray], times: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the units of a table's columns, of those that have one."""
+    units = {name: times.get(name) or unit_of(type_name, name) for name in columns_of(fields)}
     return {name: unit for name, unit in units.items() if unit}
 
 
@@ -158,20 +181,26 @@ def _save_parquet(columns: Mapping[str, np.ndarray], units: Mapping[str, str], p
         parquet.write_table(with_units(pa.table(arrays), units), part, compression="zstd")
 
 
-def _save_npz(run: Run, tables: Mapping[str, Mapping[str, np.ndarray]], path: Path) -> None:
+def _save_npz(
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    units: Mapping[str, Mapping[str, str]],
+    scene: str,
+    path: Path,
+) -> None:
     arrays = {
         f"{topic.strip('/')}/{name}": np.array(_texts(c)) if c.dtype == object else c
         for topic, columns in tables.items()
         for name, c in columns.items()
     }
-    units = {
-        f"{topic.strip('/')}/{name}": unit
+    named_units = {
+        f"{topic.strip('/')}/{name}": units[topic][name]
         for topic, columns in tables.items()
-        for name, unit in _units(run, topic, columns_of(columns)).items()
+        for name in columns_of(columns)
+        if name in units[topic]
     }
-    arrays["units"] = np.array(json.dumps(units))
-    if run.has_scene:
-        arrays["scene"] = np.array(run.scene_text)
+    arrays["units"] = np.array(json.dumps(named_units))
+    if scene:
+        arrays["scene"] = np.array(scene)
     with whole_file(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # names may be any text
 

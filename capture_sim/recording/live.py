@@ -54,6 +54,7 @@ class RecordingReport:
     # messages received, written, expected and missing, by topic name
     topics: Mapping[str, TopicCount]
     problems: tuple[str, ...]  # one line for each; empty if the recording is complete
+    summary: tuple[str, ...] = ()  # messages, rate and longest gap of each required topic
 
 
 class LiveRecorder:
@@ -65,9 +66,10 @@ class LiveRecorder:
     written last, since they carry no time.
 
     ``topics`` are recorded, the bench's or others, and always RunInfo and StreamCounts; other
-    topics are ignored.  ``metadata`` are further entries for the file's metadata record,
-    ``remaps`` the names in the file of topics that do not have the bench's.  The waiting messages
-    need at most ``queue_bytes`` of memory, and as much again while they are written.
+    topics are ignored.  Each of ``required`` must have messages for a complete recording.
+    ``metadata`` are further entries for the file's metadata record, ``remaps`` the names in the
+    file of topics that do not have the bench's.  The waiting messages need at most ``queue_bytes``
+    of memory, and as much again while they are written.
 
     :meth:`take` may be called from any one thread.  Use it as a context manager or call
     :meth:`close`.  The methods raise RecordingError if the file cannot be written.
@@ -80,6 +82,7 @@ class LiveRecorder:
         queue_bytes: int = QUEUE_BYTES,
         *,
         topics: Sequence[Topic] = TOPICS,
+        required: Sequence[Topic] = (),
         remaps: Mapping[Topic, str] | None = None,
     ) -> None:
         self._directory = Path(directory)
@@ -88,7 +91,10 @@ class LiveRecorder:
         others = [topic for topic in topics if topic not in TOPICS]
         self._topics = (*(topic for topic in TOPICS if topic in chosen), *others)
         self._remaps = remaps or {}
-        self._completeness = Completeness(topics=self._topics)
+        self._completeness = Completeness(
+            topics=self._topics, required=required, names=self._remaps
+        )
+        self._closing: dict[str, str] = {}  # known at the end only
         self._simulated = True  # a simulator takes part
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
         self._early_counts: list[bytes] = []  # received before the run was announced
@@ -125,7 +131,7 @@ class LiveRecorder:
             self._take_counts(data)
         elif topic in self._topics:
             stamp, paused = self._log_time(topic, data, arrival), self.paused
-            self._completeness.add(topic, sequence_of(topic, data), written=not paused)
+            self._completeness.add(topic, sequence_of(topic, data), stamp, written=not paused)
             if not paused:
                 self._queue.put(topic, data, stamp)
 
@@ -140,13 +146,13 @@ class LiveRecorder:
                 complete=not problems,
                 topics={topic.name: entry for topic, entry in self._completeness.topics.items()},
                 problems=tuple(problems),
+                summary=tuple(self._completeness.summary()),
             )
             for data in self._counts.values():
                 self._queue.put(STREAM_COUNTS, data, None)
-            closing = {}
             if self._first_state is not None:
-                closing["wall_time"] = repr(self._last_message - self._first_state)
-            self._queue.close(closing)
+                self._closing["wall_time"] = repr(self._last_message - self._first_state)
+            self._queue.close(self._closing)
         return self._report
 
     def __enter__(self) -> Self:
@@ -201,6 +207,8 @@ class LiveRecorder:
             self._early_counts.append(data)
         elif ended.run_id == self.run.run_id:  # else kept from an earlier run
             self._counts.setdefault(ended.publisher, data)
+            if ended.extremes:
+                self._closing["extremes"] = ended.extremes
             counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
             self._completeness.end(
                 ended.publisher, counts, complete=ended.complete, reason=ended.reason

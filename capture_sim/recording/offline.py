@@ -14,13 +14,15 @@ from mcap.records import Metadata
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, is_device, whole_file
-from capture_sim.launch.watch import Launcher, LauncherStatus
+from capture_sim.launch.watch import Launcher, LauncherStatus, LaunchObservation
 from capture_sim.messages.convert import (
     LaunchAction,
     Messages,
     RunDescription,
     StringPhase,
     speeds_along_rail,
+    stamp_seconds,
+    stamps_ns,
     string_phases,
 )
 from capture_sim.messages.telemetry import (
@@ -32,12 +34,12 @@ from capture_sim.messages.telemetry import (
 )
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
 from capture_sim.recording.scan import Damage, scan
-from capture_sim.recording.write import RUN_METADATA, RunWriter
+from capture_sim.recording.write import RUN_METADATA, RunWriter, describing
 from capture_sim.results import extremes_to_text
 
 if TYPE_CHECKING:
+    from capture_sim.run import Run
     from capture_sim.scene.parts import Scene
-    from capture_sim.simulation import Result
 
 #: The nodes whose streams a run is made of.
 PUBLISHERS = (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR)
@@ -48,20 +50,21 @@ BLOCK = 4096
 
 
 def write_run(
-    result: Result, path: Path | str, run_id: str | None = None, *, replace: bool = True
+    result: Run, path: Path | str, run_id: str | None = None, *, overwrite: bool = False
 ) -> Path:
     """Write a simulated run as one MCAP file: what simulator, launcher and detector send.
 
-    The file gets its name when it is complete.  An earlier simulated run of that name is replaced
-    if ``replace``; next to any other recording, which could not be made again, the file gets a
-    number after its name.  Return its path.  RecordingError if it cannot be written, or if the
-    result is not sampled on the grid of ``scene.run.state_rate``.
+    The file gets its name when it is complete.  An earlier file of that name is replaced if it is
+    the same simulated run, of one scene and software, or any simulated run with ``overwrite``.
+    Next to any other recording the file gets a number after its name.  Return its path.
+    RecordingError if it cannot be written, or if the result is not sampled on the grid of
+    ``scene.run.state_rate``.
     """
     _check_grid(result)
     path = Path(path)
     run = RunDescription.of(result.scene, uuid4().hex if run_id is None else run_id, PUBLISHERS)
     while True:
-        replaced = is_device(path) or (replace and is_repeatable(path))
+        replaced = is_device(path) or _is_repeatable(path, None if overwrite else run)
         target = path if replaced else free_path(path)
         try:
             with whole_file(target, replace=replaced) as part:
@@ -71,7 +74,7 @@ def write_run(
         return target
 
 
-def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
+def _write(result: Run, run: RunDescription, part: Path, name: str) -> None:
     with RunWriter(part, run, {"origin": SIMULATED}, name=name) as writer:
         for topic, stamp, data in run_stream(result, run):
             writer.write(topic, data, stamp)
@@ -79,19 +82,26 @@ def _write(result: Result, run: RunDescription, part: Path, name: str) -> None:
         writer.closing["extremes"] = extremes_to_text(result.extremes)
 
 
-def is_repeatable(path: Path) -> bool:
-    """Return True if a file is a run that was simulated without ROS: it can be made again."""
+def _is_repeatable(path: Path, run: RunDescription | None) -> bool:
+    """Return True if a file is a run that was simulated without ROS: it can be made again.
+
+    With a run, only if the file is that run, of the same scene and software.
+    """
     with suppress(Exception):  # whatever it is, it is no such file
         for block in scan(path, 1.0):
             if isinstance(block, Damage) or block.messages:
                 break
             for entry in block.entries:
                 if isinstance(entry, Metadata) and entry.name == RUN_METADATA:
-                    return entry.metadata.get("origin") == SIMULATED
+                    made_by = ("scene_sha256", "software")
+                    return entry.metadata.get("origin") == SIMULATED and (
+                        run is None
+                        or all(entry.metadata[key] == describing(run)[key] for key in made_by)
+                    )
     return False
 
 
-def run_stream(result: Result, run: RunDescription) -> Iterator[Sent]:
+def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:
     """Yield all messages of a simulated run, in the order in which nodes send them.
 
     RecordingError if the result is not sampled on the grid of ``scene.run.state_rate``.
@@ -142,14 +152,16 @@ def _launched(
 ) -> Iterator[tuple[float, LauncherStatus]]:
     """Yield the launcher's status after each sample, with the sample's time, s."""
     speeds = speeds_along_rail(samples, scene).tolist()
+    travels = [launcher.travelled(x, y) for x, y in samples["q"][:, :2].tolist()]
     slack = (string_phases(samples, scene) == StringPhase.SLACK).tolist()
     touched = (samples["touches"] > 0).tolist()
-    columns = zip(samples["t"].tolist(), speeds, slack, touched, strict=True)
-    for t, speed, is_slack, has_touched in columns:
-        yield t, launcher.observe(speed, is_slack, touched=has_touched)
+    # as in the node, which has the times of stamps
+    times = [stamp_seconds(stamp) for stamp in stamps_ns(samples["t"]).tolist()]
+    for t, values in zip(times, zip(speeds, travels, slack, touched, strict=True), strict=True):
+        yield t, launcher.observe(LaunchObservation(t, *values))
 
 
-def _check_grid(result: Result) -> None:
+def _check_grid(result: Run) -> None:
     scene, samples = result.scene, result.samples
     if not np.array_equal(samples["t"], np.arange(len(samples)) / scene.run.state_rate):
         raise RecordingError(

@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import decoded, typestore
-from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, topic_named
+from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, RunSource, topic_named
+from capture_sim.recording.bag import remap
 from capture_sim.recording.contents import read_contents
-from capture_sim.recording.read import remap
 
 
 class Playback:
     """A file, or a bag's folder of files, to be played.
 
-    ``remaps`` are those of :func:`capture_sim.recording.read.read_run`.  RecordingError if it
+    ``remaps`` are those of :func:`capture_sim.recording.bag.read_bag`.  RecordingError if it
     cannot be read or contains no message.
     """
 
@@ -82,45 +83,51 @@ class Playback:
         return max(0, first - topic.depth) if topic is not None and topic.latched else first
 
 
-class Rewritten:
-    """Adapts the announcement and the counts of a recorded run to what is played of it.
+class PlayedCounts:
+    """Adapts the counts of a recorded run to what is played of it.
 
-    ``consumers`` are the nodes that take part: they are announced in place of the recorded ones,
-    and the counts of what they publish themselves are left out.  Without any, the announcement
-    stays as recorded.  ``skipped`` are the numbers of messages that are not played, by topic: the
-    counts are lowered by them.
+    ``roles`` take part themselves: their recorded counts are left out.  ``skipped`` are the numbers
+    of messages that are not played, by topic: the counts are lowered by them.
     """
 
-    def __init__(
-        self, consumers: Sequence[str] = (), skipped: Mapping[str, int] | None = None
-    ) -> None:
-        self._consumers = list(consumers)
+    def __init__(self, roles: Sequence[str] = (), skipped: Mapping[str, int] | None = None) -> None:
+        self._roles = list(roles)
         self._skipped = {name.lstrip("/"): n for name, n in (skipped or {}).items()}
 
-    def __call__(self, name: str, data: bytes) -> bytes | None:
-        """Return the message as it is to be sent; None when it is left out."""
-        topic = topic_named(name)
-        unchanged = not (self._consumers or self._skipped)
-        if topic not in (RUN_INFO, STREAM_COUNTS) or topic is None or unchanged:
+    def __call__(self, data: bytes) -> bytes | None:
+        """Return a serialised StreamCounts as it is to be sent; None when it is left out."""
+        if not (self._roles or self._skipped):
             return data
-        message = decoded(topic, data)
-        if topic is RUN_INFO and self._consumers:
-            message.consumers = self._consumers
-        if topic is STREAM_COUNTS:
-            if message.publisher in self._consumers:
-                return None
-            # a topic that is not played at all is not counted
-            counts = zip(message.topics, message.counts.tolist(), strict=True)
-            played = {
-                name: count - skipped
-                for name, count in counts
-                if (skipped := self._skipped.get(name.lstrip("/"), 0)) < count or count == 0
-            }
-            message.topics = list(played)
-            message.counts = np.array(list(played.values()), dtype=np.uint64)
-        return bytes(typestore().serialize_cdr(message, topic.type_name))
+        message = decoded(STREAM_COUNTS, data)
+        if message.publisher in self._roles:
+            return None
+        # a topic that is not played at all is not counted
+        counts = zip(message.topics, message.counts.tolist(), strict=True)
+        played = {
+            name: count - skipped
+            for name, count in counts
+            if (skipped := self._skipped.get(name.lstrip("/"), 0)) < count or count == 0
+        }
+        message.topics = list(played)
+        message.counts = np.array(list(played.values()), dtype=np.uint64)
+        return bytes(typestore().serialize_cdr(message, STREAM_COUNTS.type_name))
 
 
-def run_id_of(data: bytes) -> str:
-    """Return the run's id in a serialised RunInfo."""
-    return str(decoded(RUN_INFO, data).run_id)
+def replayed(
+    data: bytes, announcer: str, participants: Sequence[str], roles: Sequence[str]
+) -> tuple[RunDescription, bytes]:
+    """Return a recorded RunInfo as a player announces it: its description, and serialised.
+
+    ``roles`` are those of the participants that have streams of their own.
+    """
+    message = decoded(RUN_INFO, data)
+    message.source, message.announcer = str(RunSource.REPLAY), announcer
+    message.participants = list(participants)
+    message.publishers = list(dict.fromkeys([*message.publishers, *roles]))
+    data = bytes(typestore().serialize_cdr(message, RUN_INFO.type_name))
+    return RunDescription.of_message(message), data
+
+
+def publisher_of(data: bytes) -> str:
+    """Return the publisher of a serialised StreamCounts."""
+    return str(decoded(STREAM_COUNTS, data).publisher)

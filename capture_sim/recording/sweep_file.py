@@ -8,14 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import RecordingError, install_hint
 from capture_sim.files import whole_file
+from capture_sim.launch.scenes import load_scene_text
+from capture_sim.run import scene_origin
+from capture_sim.software import software_versions
 
 if TYPE_CHECKING:
     import pandas
 
-#: Key in a Parquet file's metadata: how the table was made, as JSON.
-METADATA = b"capture_sim.sweep"
 _HEAD = re.compile(r"(.*\S)\s*\[(.*)\]")
 
 
@@ -31,27 +32,27 @@ def check_format(path: Path) -> None:
 def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -> Path:
     """Write the table of :func:`capture_sim.sweep` in the format of the path's suffix; return it.
 
-    ``about`` tells how the table was made; a Parquet file has it in its metadata, as JSON.
-    RecordingError if the file cannot be written or pyarrow is not installed.
+    ``about`` is what made the table, with the text of its scene in ``scene``.  It is written with
+    the scene's name, overrides and hash and the software: in a Parquet file as the table's
+    ``attrs["made_by"]``, next to a CSV as ``<name>_made_by.json``.  RecordingError if the file
+    cannot be written or pyarrow is not installed.
     """
     check_format(path)
+    scene = about["scene"]
+    origin = {**scene_origin(load_scene_text(scene)), "software": list(software_versions())}
+    made_by = {**origin, **about, "scene": origin["scene"], "scene_text": scene}
     units = table.attrs["units"]
     with whole_file(path) as part:
-        if path.suffix == ".csv":
-            heads = {name: head_of(name, unit) for name, unit in units.items()}
-            table.rename(columns=heads).to_csv(part)
-        else:
-            _write_parquet(table, units, part, about)
+        if path.suffix == ".parquet":
+            table = table.copy(deep=False)
+            table.attrs = {"units": units, "made_by": made_by}
+            table.to_parquet(part, compression="zstd")
+            return path
+        heads = {name: head_of(name, unit) for name, unit in units.items()}
+        table.rename(columns=heads).to_csv(part)
+    with whole_file(path.with_name(f"{path.stem}_made_by.json")) as part:
+        part.write_text(json.dumps(made_by, indent=2) + "\n", encoding="utf-8")
     return path
-
-
-def _write_parquet(
-    table: pandas.DataFrame, units: Mapping[str, str], path: Path, about: Mapping[str, Any]
-) -> None:
-    pa, parquet = arrow()
-    columns = with_units(pa.Table.from_pandas(table.reset_index()), units)
-    kept = {**(columns.schema.metadata or {}), METADATA: json.dumps(dict(about)).encode()}
-    parquet.write_table(columns.replace_schema_metadata(kept), path, compression="zstd")
 
 
 def head_of(name: str, unit: str) -> str:
@@ -116,7 +117,7 @@ def _pandas() -> Any:
     try:
         import pandas
     except ImportError:
-        raise RecordingError("sweep needs pandas: pip install 'capture_sim[study]'") from None
+        raise RecordingError(f"sweep needs pandas: {install_hint('study')}") from None
     return pandas
 
 
@@ -126,5 +127,5 @@ def arrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise RecordingError("Parquet needs pyarrow: pip install 'capture_sim[study]'") from None
+        raise RecordingError(f"Parquet needs pyarrow: {install_hint('study')}") from None
     return pyarrow, pyarrow.parquet

@@ -24,8 +24,6 @@ RUN_METADATA = "capture_sim"
 REMAPS = "remaps"
 #: Name of the metadata record that is written last, with what is known at the end only.
 END_METADATA = "capture_sim_end"
-#: Name of the metadata record that says what a recovered file lacks.
-RECOVERY_METADATA = "capture_sim_recovery"
 
 
 class RunWriter:

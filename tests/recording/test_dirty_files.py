@@ -8,7 +8,6 @@ from collections import Counter
 import numpy as np
 import pytest
 from bags import copied, of_a_bench
-from full_disk import file_size_limit
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -18,13 +17,13 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CHASER_ODOMETRY, JOINT_STATES
-from capture_sim.recording.detect import detect_again
-from capture_sim.recording.measured import measurements
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
-from capture_sim.recording.recover import recover
 from capture_sim.recording.write import RunWriter
+from capture_sim.run import detect
+from capture_sim.series import PARTS
 
 #: Commands that read a recording, with the least that they need.
 COMMANDS = {
@@ -34,8 +33,6 @@ COMMANDS = {
     "identify": ["mu", "--scene", "tilt_0", "--starts", "1"],
     "compare": [],
     "export": [],
-    "recover": [],
-    "resimulate": [],
 }
 
 
@@ -49,8 +46,8 @@ def answers(file, folder, capsys, commands=tuple(COMMANDS)):
     """Yield each command with its status, lines of standard error, and standard output."""
     for command in commands:
         options = COMMANDS[command]
-        if command not in ("detect", "identify", "resimulate"):
-            suffix = {"report": ".html", "recover": ".mcap"}.get(command, "")
+        if command not in ("detect", "identify"):
+            suffix = ".html" if command == "report" else ""
             options = [*options, "--out", str(folder / f"{command}{suffix}")]
         others = [str(file)] if command == "compare" else []
         status = main([command, str(file), *others, *options])
@@ -78,9 +75,8 @@ def test_recording_cut_before_its_first_message_names_file_and_byte(path, tmp_pa
     file.write_bytes(path.read_bytes()[:100])
     damage = f"{file}: read up to byte 46 of 100 (incomplete record): 0 messages"
     for command, status, errors, _ in answers(file, tmp_path, capsys):
-        assert status == (1 if command == "recover" else 2), command
-        if command != "recover":
-            assert errors[0] == f"capture-sim: {damage}", command
+        assert status == 2, command
+        assert errors[0] == f"capture-sim: {damage}", command
         assert len(errors) <= 3, command
     with pytest.raises(RecordingError, match="nothing to play: read up to byte 46 of 100"):
         Playback(file)
@@ -91,10 +87,10 @@ def test_two_recordings_one_behind_the_other_are_not_read_as_one(path, tmp_path,
     file, size = tmp_path / "both.mcap", path.stat().st_size
     file.write_bytes(path.read_bytes() * 2)
     line = f"read up to byte {size} of {2 * size} (more bytes follow the end mark)"
-    for command, _, errors, printed in answers(file, tmp_path, capsys, ("detect", "recover")):
-        assert line in "\n".join([*errors, printed]), command
-    run = read_run(file)
-    assert run.topics == read_run(path).topics
+    for _, _, errors, _ in answers(file, tmp_path, capsys, ("detect",)):
+        assert line in "\n".join(errors)
+    run = read_bag(file)
+    assert run.topics == read_bag(path).topics
     assert not run.complete
     assert run.extremes is not None  # what precedes the end mark has its checksum
 
@@ -118,10 +114,9 @@ def test_two_runs_merged_into_one_file_are_named_as_two(path, tmp_path, capsys):
                     writer.add_message(ids[channel.topic], *times)
         writer.finish()
     for command, status, errors, _ in answers(file, tmp_path, capsys):
-        assert status == (0 if command in ("export", "recover") else 2), command
-        if command != "recover":
-            assert len(errors) == 1, command
-            assert errors[0].startswith(f"capture-sim: {file}: contains 2 runs"), command
+        assert status == (0 if command == "export" else 2), command
+        assert len(errors) == 1, command
+        assert errors[0].startswith(f"capture-sim: {file}: contains 2 runs"), command
 
 
 def test_bag_of_another_robot_is_named_with_what_is_missing(path, tmp_path, capsys):
@@ -136,7 +131,6 @@ def test_bag_of_another_robot_is_named_with_what_is_missing(path, tmp_path, caps
         "detect": f"{file}: contains no chaser/odom, which the detector needs",
         "identify": "nothing to fit to",
         "compare": f"{file}: contains no contact to align it by",
-        "resimulate": f"{file}: contains no scene",
     }
     for command, status, errors, printed in answers(file, tmp_path, capsys):
         assert status == (2 if command in expected else 0), command
@@ -224,12 +218,14 @@ def test_joints_of_other_nodes_on_the_topic_are_left_out(path, tmp_path):
             yield topic, "cdr", bytes(store.serialize_cdr(message, JOINT_STATES.type_name))
 
     bare = of_a_bench(path, tmp_path / "bare.mcap")
-    run, both = read_run(bare), read_run(copied(bare, tmp_path / "both.mcap", change=beside))
-    assert len(both.raw(JOINT_STATES)) == len(run.raw(JOINT_STATES)) + other.total()
-    for mine, theirs in zip(measurements(both).items(), measurements(run).items(), strict=True):
-        np.testing.assert_array_equal(mine[1].values, theirs[1].values)
+    beside_others = copied(bare, tmp_path / "both.mcap", change=beside)
+    count = len(read_bag(bare).raw(JOINT_STATES))
+    assert len(read_bag(beside_others).raw(JOINT_STATES)) == count + other.total()
     scene = capture_sim.load_scene("tilt_0")
-    assert detect_again(both, scene) == detect_again(run, scene)
+    run, both = (read_run(file, scene=scene) for file in (bare, beside_others))
+    for name in PARTS:
+        np.testing.assert_array_equal(both.measured(name).values, run.measured(name).values)
+    assert detect(both) == detect(run)
 
 
 def test_recording_that_is_being_written_is_read_up_to_what_is_there(tmp_path, capsys):
@@ -245,7 +241,7 @@ def test_recording_that_is_being_written_is_read_up_to_what_is_there(tmp_path, c
         assert status == 0, command
         assert len(errors) == 1, command
         assert f"{file}: read up to byte {file.stat().st_size} of" in errors[0], command
-    assert sum(read_run(file).topics.values()) == len(stream) // 2
+    assert sum(read_bag(file).topics.values()) == len(stream) // 2
     writer.close()
 
 
@@ -262,27 +258,14 @@ def test_file_that_shrinks_while_it_is_read_ends_no_process(path, tmp_path, monk
         check(*args)
 
     monkeypatch.setattr(scan, "_check", shrink)
-    (line,) = read_run(file).damage
+    (line,) = read_bag(file).damage
     assert "read up to byte" in line
 
 
-def test_full_disk_is_reported_of_the_new_file(path, tmp_path):
-    """Not of the one that is read, nor as a loss of one file of a bag."""
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for part in range(2):
-        (folder / f"bag_{part}.mcap").write_bytes(path.read_bytes())
-    with file_size_limit(50_000):
-        for source in (path, folder):
-            with pytest.raises(RecordingError, match=r"out.mcap: cannot write: File too large"):
-                recover(source, tmp_path / "out.mcap")
-    assert not (tmp_path / "out.mcap").exists()
-
-
-@pytest.mark.parametrize("command", ["view", "report", "compare", "export", "recover"])
+@pytest.mark.parametrize("command", ["view", "report", "compare", "export"])
 def test_folder_that_nothing_can_be_written_to_is_named(command, path, capsys):
     """/proc refuses every user, root included."""
-    name = {"report": "x.html", "recover": "x.mcap"}.get(command, "x")
+    name = "x.html" if command == "report" else "x"
     others = [str(path)] if command == "compare" else []
     assert main([command, str(path), *others, "--out", f"/proc/{name}"]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -47,10 +47,10 @@ from capture_sim.messages.topics import (
     TOPICS,
 )
 from capture_sim.recording import live as live_module
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
-from capture_sim.recording.read import read_run
 from capture_sim.recording.write import RunWriter
 from capture_sim.samples import SAMPLE, TOUCH
 
@@ -110,7 +110,7 @@ def test_a_live_recording_is_not_overwritten(result, sent, tmp_path):
 
 
 def test_run_read_back_is_the_run(result, path):
-    run = read_run(path)
+    run = read_bag(path)
     assert run.complete
     assert run.problems == ()
     assert bits(run.samples) == bits(result.samples)
@@ -137,7 +137,7 @@ def test_run_read_back_is_the_run(result, path):
 
 
 def test_scene_inside_is_the_one_that_made_the_run(result, path):
-    run = read_run(path)
+    run = read_bag(path)
     assert run.scene == result.scene
     assert load_scene_text(run.scene_text) == result.scene
     assert run.metadata["scene_sha256"] == hashlib.sha256(run.scene_text.encode()).hexdigest()
@@ -146,7 +146,7 @@ def test_scene_inside_is_the_one_that_made_the_run(result, path):
 
 
 def test_columns_of_every_topic_agree_with_a_decoder_of_messages(path):
-    run = read_run(path)
+    run = read_bag(path)
     store = typestore()
     for topic in TOPICS:
         found = run.columns(topic.name)
@@ -196,12 +196,12 @@ def test_mcap_ros2_decoder_sees_the_same_numbers(path, result):
             seen += 1
     assert seen == len(result.samples)
     assert kinds == [event.kind.label for event in result.events]
-    assert every == sum(read_run(path).topics.values())
+    assert every == sum(read_bag(path).topics.values())
 
 
 def test_rosbags_knows_quality_of_service_and_types(path):
     with Reader(path) as reader:
-        assert reader.message_count == sum(read_run(path).topics.values())
+        assert reader.message_count == sum(read_bag(path).topics.values())
         durable = {
             connection.topic
             for connection in reader.connections
@@ -258,7 +258,7 @@ def test_rosbag2_metadata_is_embedded_and_right(path):
         entry["topic_metadata"]["name"]: entry["message_count"]
         for entry in info["topics_with_message_count"]
     }
-    assert counts == read_run(path).topics
+    assert counts == read_bag(path).topics
     assert all(
         entry["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
         for entry in info["topics_with_message_count"]
@@ -276,9 +276,9 @@ def test_file_cut_anywhere_gives_its_complete_chunks_and_says_so(path, result, t
         broken.write_bytes(left)
         if cut < 8:
             with pytest.raises(RecordingError, match="not an MCAP file"):
-                read_run(broken)
+                read_bag(broken)
             continue
-        run = read_run(broken)
+        run = read_bag(broken)
         assert not run.complete
         assert run.damage
         n = len(run.samples)
@@ -292,14 +292,14 @@ def test_file_cut_anywhere_gives_its_complete_chunks_and_says_so(path, result, t
 
 def test_messages_come_in_the_order_of_their_times_whatever_the_files(path, tmp_path):
     # as two recorders' parts put together, or a bag of a reliable but late network
-    run = read_run(path)
+    run = read_bag(path)
     times, data = run.log_times("bench/state").tolist(), run.raw("bench/state")
     with BagWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         name, kind = BENCH_STATE.absolute_name, BENCH_STATE.type_name
         topic = writer.add_connection(name, kind, typestore=typestore())
         for i in np.random.default_rng(3).permutation(len(times)).tolist():
             writer.write(topic, times[i], data[i])
-    mixed = read_run(tmp_path / "bag")
+    mixed = read_bag(tmp_path / "bag")
     assert mixed.raw("bench/state") == data
     assert mixed.log_times("bench/state").tolist() == times
 
@@ -309,7 +309,7 @@ def test_not_a_recording_is_refused_in_one_line(tmp_path):
     text.write_text("hello")
     for path in (text, tmp_path / "nowhere.mcap", tmp_path):
         with pytest.raises(RecordingError) as caught:
-            read_run(path)
+            read_bag(path)
         assert "\n" not in str(caught.value)
         assert str(path) in str(caught.value)
 
@@ -352,7 +352,7 @@ def test_an_error_in_the_middle_leaves_a_whole_file(run, sent, tmp_path):
 
     with pytest.raises(RuntimeError, match="mine"):
         write_some()
-    found = read_run(path)
+    found = read_bag(path)
     assert not found.damage
     assert sum(found.topics.values()) == 3000
 
@@ -382,7 +382,7 @@ def test_live_recording_holds_the_same_as_the_offline_one(path, sent, tmp_path):
     assert report.complete
     assert report.problems == ()
     assert report.path == tmp_path / f"{NAME}.mcap"
-    live, offline = read_run(report.path), read_run(path)
+    live, offline = read_bag(report.path), read_bag(path)
     assert live.complete
     assert live.topics == offline.topics
     for name in offline.topics:
@@ -410,7 +410,7 @@ def test_a_dropped_message_of_each_topic_is_reported(part, sent, tmp_path):
     }
     assert set(report.problems) == wanted
     # and it is seen again when the file is read
-    assert set(read_run(report.path).problems) == wanted
+    assert set(read_bag(report.path).problems) == wanted
 
 
 def test_repeated_and_disordered_messages_are_reported(sent, tmp_path):
@@ -426,7 +426,7 @@ def test_messages_before_the_announcement_are_kept(sent, tmp_path):
     mixed += [m for m in sent[40:] if m[0] is not STREAM_COUNTS]
     report = record(tmp_path, mixed).close()
     assert report.problems == ()
-    assert read_run(report.path).complete
+    assert read_bag(report.path).complete
 
 
 def test_publisher_that_never_ends_is_named(sent, tmp_path):
@@ -434,7 +434,7 @@ def test_publisher_that_never_ends_is_named(sent, tmp_path):
     assert not recorder.done
     report = recorder.close()
     assert [line.split(":")[0] for line in report.problems] == list(PUBLISHERS)
-    assert read_run(report.path).problems == report.problems
+    assert read_bag(report.path).problems == report.problems
 
 
 def test_counts_and_announcements_of_another_run(sent, run, tmp_path):
@@ -454,7 +454,7 @@ def test_run_that_ended_early_is_reported(sent, run, tmp_path):
     ended = make.stream_counts("simulator", run.run_id, {}, complete=False, reason="Ctrl-C")
     report = record(tmp_path, [sent[0], (STREAM_COUNTS, make.serialise(ended))]).close()
     assert "simulator ended the run early: Ctrl-C" in report.problems
-    assert "simulator ended the run early: Ctrl-C" in read_run(report.path).problems
+    assert "simulator ended the run early: Ctrl-C" in read_bag(report.path).problems
 
 
 def test_simulation_that_failed_is_recorded_as_far_as_it_came(tmp_path):
@@ -462,7 +462,7 @@ def test_simulation_that_failed_is_recorded_as_far_as_it_came(tmp_path):
     with pytest.raises(capture_sim.SimulationError) as caught:
         capture_sim.simulate(scene)
     partial = caught.value.result
-    run = read_run(write_run(partial, tmp_path / "x.mcap"))
+    run = read_bag(write_run(partial, tmp_path / "x.mcap"))
     assert len(run.samples) > 1000
     assert bits(run.samples) == bits(partial.samples)
     assert len(run.problems) == len(PUBLISHERS)
@@ -515,7 +515,7 @@ def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, mon
         with pytest.raises(RecordingError) as later:
             call()
         assert later.value is first.value
-    assert sum(read_run(tmp_path / f"{NAME}.mcap").topics.values()) == 1000
+    assert sum(read_bag(tmp_path / f"{NAME}.mcap").topics.values()) == 1000
     stalled.set()
 
 
@@ -535,7 +535,7 @@ def test_unwritable_folder_stops_the_live_recorder(sent, tmp_path):
 def test_disk_that_fills_stops_the_live_recorder(sent, tmp_path):
     with file_size_limit(300_000), pytest.raises(RecordingError, match="cannot write"):
         record(tmp_path, sent).close()
-    assert len(read_run(tmp_path / f"{NAME}.mcap").samples) > 0
+    assert len(read_bag(tmp_path / f"{NAME}.mcap").samples) > 0
 
 
 def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
@@ -559,7 +559,7 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
     stalled.set()
     counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
-    assert sum(read_run(copy).topics.values()) == len(sent) - counts
+    assert sum(read_bag(copy).topics.values()) == len(sent) - counts
 
 
 def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypatch):
@@ -575,7 +575,7 @@ def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypa
     counts = [message for message in sent if message[0] is STREAM_COUNTS]
     report = record(tmp_path, [*sent[:100], *counts]).close()
     assert time.monotonic() - began > 1.0
-    assert sum(read_run(report.path).topics.values()) == 100 + len(counts)
+    assert sum(read_bag(report.path).topics.values()) == 100 + len(counts)
 
 
 def test_killed_recorder_leaves_all_but_the_last_half_second(sent, tmp_path, monkeypatch):
@@ -585,7 +585,7 @@ def test_killed_recorder_leaves_all_but_the_last_half_second(sent, tmp_path, mon
     copy, deadline = tmp_path / "copy.mcap", time.monotonic() + 60.0
     while True:
         copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
-        run = read_run(copy)
+        run = read_bag(copy)
         if sum(run.topics.values()) == 5000:
             break
         assert time.monotonic() < deadline
@@ -622,7 +622,7 @@ def test_paused_recorder_counts_what_it_does_not_write(sent, tmp_path):
     assert not report.complete
     seen = Counter(topic.name for topic, _ in sent)
     skipped = Counter(topic.name for topic, _ in sent[4000:6000])
-    run = read_run(report.path)
+    run = read_bag(report.path)
     for name, entry in report.topics.items():
         if name != "bench/stream_counts":
             assert (entry.received, entry.written) == (seen[name], seen[name] - skipped[name])
@@ -637,7 +637,7 @@ def test_recorder_told_which_topics(sent, tmp_path):
     assert recorder.done
     report = recorder.close()
     assert report.complete
-    run = read_run(report.path)
+    run = read_bag(report.path)
     assert run.complete
     kept = {"/bench/state", "/capture/status", "/bench/run_info", "/bench/stream_counts"}
     assert set(run.topics) == kept
@@ -658,9 +658,9 @@ def test_name_that_another_recorder_takes_first(sent, tmp_path, monkeypatch):
 
 def test_folder_is_read_in_order_with_and_without_metadata(path, tmp_path):
     folder = in_two_files(path, tmp_path / "bag", 3.0)
-    whole = read_run(path)
+    whole = read_bag(path)
     for _ in range(2):
-        run = read_run(folder)
+        run = read_bag(folder)
         assert run.complete
         for name in run.topics:
             assert run.raw(name) == whole.raw(name)
@@ -668,7 +668,7 @@ def test_folder_is_read_in_order_with_and_without_metadata(path, tmp_path):
         (folder / "metadata.yaml").unlink(missing_ok=True)  # as a kill leaves it
     (folder / "bag_1.mcap").rename(folder / "bag_10.mcap")
     copied(path, folder / "bag_9.mcap", topics=["/nothing"])
-    assert bits(read_run(folder).samples) == bits(whole.samples)
+    assert bits(read_bag(folder).samples) == bits(whole.samples)
 
 
 # small parts
@@ -746,5 +746,5 @@ def test_topic_of_another_type_does_not_tell_how_the_run_ended(tmp_path):
         topic = writer.add_connection("/bench/stream_counts", kind, typestore=typestore())
         data = typestore().serialize_cdr(typestore().types[kind](1.0), kind)
         writer.write(topic, 10**9, bytes(data))
-    run = read_run(tmp_path / "bag")
+    run = read_bag(tmp_path / "bag")
     assert (run.problems, run.cut) == ((), False)

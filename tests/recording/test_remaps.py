@@ -10,11 +10,10 @@ import capture_sim
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.messages.topics import CHASER_ODOMETRY, TARGET_ODOMETRY, topic_named
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
-from capture_sim.recording.read import read_run
-from capture_sim.recording.recover import recover
 
 NAMES = {"/chaser/odom": "/mocap/rb1/odom", "/target/odom": "/mocap/rb2/odom"}
 REMAPS = [part for pair in NAMES.items() for part in ("--remap", ":=".join(pair).lstrip("/"))]
@@ -62,20 +61,18 @@ def test_every_command_reads_remapped_topics(path, rig_bag, tmp_path, capsys):
 
 
 def test_remaps_that_the_recorder_noted_are_applied_by_themselves(path, tmp_path):
-    run = read_run(path)
+    run = read_bag(path)
     remaps = {CHASER_ODOMETRY: "/mocap/rb1/odom", TARGET_ODOMETRY: "/mocap/rb2/odom"}
     recorder = LiveRecorder(tmp_path, remaps=remaps)
     for _, name, data in Playback(path).messages():
         recorder.take(topic_named(name), data)
     file = recorder.close().path
-    recorded = recover(file).path  # keeps the note
-    for each in (file, recorded):
-        again = read_run(each)
-        assert again.complete
-        assert again.topics == run.topics
-        assert again.raw("chaser/odom") == run.raw("chaser/odom")
-        assert main(["detect", str(each)]) == 0
-    info = json.dumps(read_run(file).metadata)
+    again = read_bag(file)
+    assert again.complete
+    assert again.topics == run.topics
+    assert again.raw("chaser/odom") == run.raw("chaser/odom")
+    assert main(["detect", str(file)]) == 0
+    info = json.dumps(read_bag(file).metadata)
     assert "/chaser/odom:=/mocap/rb1/odom" in info
     # other tools see the names that the rig has
     with file.open("rb") as stream:
@@ -93,7 +90,7 @@ def test_remaps_that_the_recorder_noted_are_applied_by_themselves(path, tmp_path
 )
 def test_remap_that_does_not_fit_is_rejected(remaps, reason, rig_bag):
     with pytest.raises(RecordingError, match=reason):
-        read_run(rig_bag, remaps=remaps)
+        read_bag(rig_bag, remaps=remaps)
 
 
 @pytest.mark.parametrize("text", ["chaser/odom", "chaser/odom:=", "no/topic:=/x", ":=/x"])

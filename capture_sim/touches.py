@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from capture_sim.scene.parts import Cone
 
@@ -52,7 +51,7 @@ class Touches:
         return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
     def later(self, by: float) -> Touches:
-        """Return the same with all times later by so much, s."""
+        """Return these touches with all times shifted by so much, s."""
         return replace(self, start=self.start + by, peak_time=self.peak_time + by)
 
     def within(self, contact: float, window: float) -> Touches:
@@ -110,8 +109,10 @@ def quiet_before_contact(force: np.ndarray) -> Quiet | None:
 
 def above(size: np.ndarray, threshold: float) -> list[slice]:
     """Return where a magnitude (n,) passes the threshold; each slice ends below half of it."""
-    labels, _ = ndimage.label(size > 0.5 * threshold)
-    return [part for (part,) in ndimage.find_objects(labels) if size[part].max() > threshold]
+    inside = np.concatenate([[False], size > 0.5 * threshold, [False]])
+    starts, ends = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2).T.tolist()
+    parts = [slice(start, end) for start, end in zip(starts, ends, strict=True)]
+    return [part for part in parts if size[part].max() > threshold]
 
 
 def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
