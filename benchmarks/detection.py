@@ -9,12 +9,14 @@ import dataclasses
 import functools
 import math
 import zlib
+from collections import Counter
 
 import numpy as np
 from scipy.stats import beta
 
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, simulate
+from tests.injections import QUALITIES, walk
 from tests.noisy_replay import Disturbance, disturbed, judge
 
 _AS_THEY_ARE = (
@@ -121,11 +123,39 @@ def sweep(asked, _):
     ]
 
 
+#: Kinds of wrong frames, and the largest number of frames; 0: 0.05 to 0.3 s.
+_WRONG_FRAMES = {"1 to 3 frames": 3, "1 to 5 frames": 5, "swapped for 0.05 to 0.3 s": 0}
+_OUTCOMES = ("equal", "another time", "undecided", "wrong")
+
+
+def injections(asked, _):
+    """Wrong frames injected into the trials of a bench."""
+    rows, lines = [], []
+    for kind, longest in _WRONG_FRAMES.items():
+        for name, quality in QUALITIES.items():
+            outcomes = Counter()
+            for rate in (60.0, 120.0, 240.0):
+                rng = np.random.default_rng([zlib.crc32(kind.encode()), int(rate)])
+                result = walk(quality, rate, rng, asked.injections, longest=longest)
+                outcomes += result.outcomes
+                lines += result.lines
+            counts = [outcomes[outcome] for outcome in _OUTCOMES]
+            rows.append([kind, name, sum(counts), *counts])
+    print(*lines, sep="\n")
+    head = ["wrong frames", "noise", "trials", "equal", "other time", "undecided", "wrong"]
+    return [
+        f"{asked.injections} injections in each of 5 runs at 60, 120 and 240 Hz:",
+        "",
+        table(head, rows),
+    ]
+
+
 if __name__ == "__main__":
     write_parts(
         "detection",
         __doc__,
-        {"standard": standard, "sweep": sweep},
+        {"standard": standard, "sweep": sweep, "injections": injections},
         replays=(340, "of each run, standard disturbance"),
         sweep=(20, "of each run, other disturbances"),
+        injections=(20, "of wrong frames in each run, at each rate"),
     )

@@ -1,199 +1,34 @@
-"""Decisions of the capture detector, and the detector for exact measurements.
+"""The detector for exact samples: the criteria in compiled code, a block of samples at a time.
 
-The criteria (:func:`decide`) are evaluated at one position of the tip after the other.  Where
-poses and buffer are known exactly, as in a simulated run, :class:`ExactDetector` evaluates them in
-compiled code, a block of samples at a time; :mod:`capture_sim.detection.noisy` evaluates the same
-criteria at positions that it has estimated.
+Poses and buffer of a simulated run are known exactly, at common instants: of the pipeline in
+:mod:`capture_sim.detection.detector` only the criteria remain.
 """
 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from capture_sim.kernels import entry_kernel, kernel, plain, records
+from capture_sim.detection.criteria import (
+    MEMORY,
+    CaptureState,
+    CaptureStatus,
+    Cause,
+    Criteria,
+    Place,
+    decide,
+    decide_at_end,
+    new_memory,
+    note_push,
+    reason,
+)
+from capture_sim.kernels import entry_kernel, records
 from capture_sim.model.equations import tip_in_cone
-from capture_sim.model.geometry import nearest_on_wall
-from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
 
-#: Standard deviations by which a decision must hold,
-GUARD = 3.0
-#: ... and at the border of the capture zone, where errors to either side weigh alike.
-ZONE_GUARD = 1.0
-# s; time stamps are decimal fractions: 0.2 s may come out one round-off error short
-_TICK = 1e-9
-
-
-class CaptureState(Named):
-    """State of the capture, as in msg/CaptureStatus.msg."""
-
-    APPROACH = 0
-    CONTACT = 1
-    CAPTURED = 2
-    REBOUND = 3
-    MISSED = 4
-    STUCK = 5
-    UNDECIDED = 6
-
-    @property
-    def is_verdict(self) -> bool:
-        """True for captured, rebound, missed and stuck."""
-        return CaptureState.CONTACT < self < CaptureState.UNDECIDED
-
-
 _STATES = tuple(CaptureState)
-
-
-class Cause(IntEnum):
-    """The rule that gave the state; its words are in :func:`reason`."""
-
-    NO_CONTACT = 0
-    AT_CONE = 1
-    PASSED_THROAT = 2
-    DWELT = 3
-    RETREATED = 4
-    PASSED_BESIDE = 5
-    AT_REST = 6
-    MOVED_AWAY = 7
-    LEFT_ZONE = 8
-    CAME_OUT = 9
-    END_NOT_APPROACHING = 10
-    END_MOVING_OUT = 11
-    END_AT_REST = 12
-    END_BEFORE_CONTACT = 13
-    END_AFTER_CONTACT = 14
-    NOT_APPROACHED = 15
-    NOT_MEASURED = 16
-    CLOCKS_DIFFER = 17
-    CONTACT_UNSEEN = 18
-
-
-#: In the reason of a capture whose tip is outside the capture zone again.
-_OUTSIDE_AGAIN = "but outside again"
-
-
-class CaptureStatus(NamedTuple):
-    """The detector's view; fields and units as in msg/CaptureStatus.msg."""
-
-    t: float
-    state: CaptureState
-    final: bool
-    distance: float
-    axial_offset: float
-    lateral_offset: float
-    relative_attitude: float
-    relative_speed: float
-    nearest_distance: float
-    time_in_state: float
-    reason: str
-
-    @property
-    def left_again(self) -> bool:
-        """True if the tip was captured and is outside the capture zone again."""
-        return self.state is CaptureState.CAPTURED and _OUTSIDE_AGAIN in self.reason
-
-    @property
-    def label(self) -> str:
-        """The state for tables; of a capture also that the tip has left the zone again."""
-        return f"{self.state.label}, left" if self.left_again else self.state.label
-
-
-class Criteria(NamedTuple):
-    """The criteria and the geometry that they use, m, s and rad.
-
-    See the scene's ``detector``, ``buffer`` and ``cone``.
-    """
-
-    radius: float
-    dwell: float
-    leave: float
-    contact_gap: float
-    still_speed: float
-    still_time: float
-    tip_radius: float
-    rest_length: float
-    a: float
-    R_c: float
-    L_c: float
-    cos_b: float
-    sin_b: float
-
-    @classmethod
-    def of(cls, scene: Scene) -> Criteria:
-        """Return the criteria of a scene."""
-        part = scene.detector
-        return cls(
-            part.capture_radius,
-            part.min_dwell,
-            part.min_retreat,
-            part.max_contact_gap,
-            part.max_still_speed,
-            part.min_still_time,
-            scene.probe.tip_radius,
-            scene.rest_length,
-            scene.buffer.hinge_offset,
-            *scene.cone.wall,
-        )
-
-
-class Place(NamedTuple):
-    """Position of the tip in the cone's frame at one instant, with its uncertainty.
-
-    Attributes
-    ----------
-    t
-        s.
-    axial, lateral
-        Ahead of BE and off the axis, m.
-    axial_rate, lateral_rate
-        m/s.
-    axial_variance, lateral_variance
-        m^2; 0 if exact.
-    size
-        Number of measurements that it was estimated from.
-    """
-
-    t: float
-    axial: float
-    lateral: float
-    axial_rate: float
-    lateral_rate: float
-    axial_variance: float = 0.0
-    lateral_variance: float = 0.0
-    size: int = 1
-
-
-#: State of the evaluation of one run; NaN in a time: the condition does not hold at present.
-MEMORY = np.dtype(
-    [
-        ("state", "i8"),
-        ("cause", "i8"),
-        ("value", "f8"),  # m, the length named in the reason; 0 if it names none
-        ("since", "f8"),  # s, begin of the state
-        ("has_approached", "i8"),  # before that nothing is evaluated, see decide
-        ("farthest", "f8"),  # m, from BE until then
-        ("has_been_outside", "i8"),  # the tip has been ahead of BE
-        ("crossing_lateral", "f8"),  # m, lateral offset at the last crossing of BE's plane
-        ("nearest", "f8"),  # m, to BE
-        ("nearest_gap", "f8"),  # m, to a wall, less what the noise may hide
-        ("fastest", "f8"),  # m/s
-        ("zone_since", "f8"),  # s, in the capture zone
-        ("still_since", "f8"),  # s, at rest outside the zone,
-        ("still_axial", "f8"),  # m, near this position
-        ("still_lateral", "f8"),
-        ("t", "f8"),  # s, of the last position,
-        ("axial", "f8"),  # m, the position itself
-        ("lateral", "f8"),
-        ("distance", "f8"),  # m, of the tip from BE then,
-        ("speed", "f8"),  # m/s, in the cone's frame,
-        ("outwards", "f8"),  # m^2/s, distance times its rate
-    ]
-)
-
 #: The same with fields as attributes, for Python.
 _MEMORY_BY_NAME = np.dtype((np.record, MEMORY))
 _NUMBERS = (
@@ -204,167 +39,6 @@ _NUMBERS = (
 _ROW = np.dtype(
     [("state", "i8"), ("cause", "i8"), ("value", "f8"), *((name, "f8") for name in _NUMBERS)]
 )
-
-
-def new_memory(*, has_approached: bool) -> np.ndarray:
-    """Return the memory (1,) at the start of a run; see :func:`decide` for the parameter."""
-    memory = np.zeros(1, MEMORY)
-    memory["has_approached"] = has_approached
-    memory["nearest"] = memory["nearest_gap"] = math.inf
-    for name in ("zone_since", "still_since", "axial", "lateral"):
-        memory[name] = math.nan
-    return memory
-
-
-@kernel
-def enter(memory, state, cause, t, value):
-    """Change the state."""
-    memory.state, memory.cause, memory.since, memory.value = state, cause, t, value
-
-
-@kernel
-def wall_gap(criteria, axial, lateral):
-    """Return the tip's gap to the nearer wall, m, and that wall's normal."""
-    c = criteria
-    plus = nearest_on_wall(axial, lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
-    minus = nearest_on_wall(axial, -lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
-    distance, n_u, n_Y = plus if plus[0] <= minus[0] else minus
-    return distance - c.tip_radius, n_u, n_Y
-
-
-@kernel
-def note_push(criteria, memory, t, axial, lateral):
-    """Enter contact for a pushed buffer near a wall; far from it the launch's jerk pushes."""
-    near = wall_gap(criteria, axial, lateral)[0] < criteria.tip_radius
-    if memory.state == CaptureState.APPROACH and memory.has_approached and near:
-        enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
-
-
-@kernel
-def hit_unseen(criteria, memory, corner_time):
-    """Return True if a tip that turned round was so near a wall that it must have hit it.
-
-    Vehicles that coast do not turn round by themselves.  ``corner_time`` (s): by how much
-    smoothing shortens the corner that a hit makes in the path, per m/s.
-    """
-    return memory.nearest_gap < criteria.contact_gap + memory.fastest * corner_time
-
-
-@kernel
-def is_approaching(criteria, memory, distance, unsure):
-    """Return True once the tip has come nearer to BE by the capture radius.
-
-    On a bench without simulator a trial may begin long before the release, with the chaser
-    at rest, handled, or still being pulled back: none of that says anything about the capture.
-    """
-    if not memory.has_approached:
-        memory.farthest = max(memory.farthest, distance)
-        memory.nearest = distance
-        if memory.farthest - distance - GUARD * unsure > criteria.radius:
-            memory.has_approached = 1
-    return memory.has_approached != 0
-
-
-@kernel
-def watch_capture(criteria, memory, distance, unsure, axial, margin):
-    """Note of a captured tip whether it is outside the capture zone again."""
-    inside = distance + ZONE_GUARD * unsure <= criteria.radius or axial + margin <= 0.0
-    outside = distance - GUARD * unsure > criteria.radius and axial - margin > 0.0
-    if memory.cause == Cause.DWELT or memory.cause == Cause.LEFT_ZONE:
-        before, after = Cause.DWELT, Cause.LEFT_ZONE
-    else:
-        before, after = Cause.PASSED_THROAT, Cause.CAME_OUT
-    if outside:
-        memory.cause = after
-    elif inside:
-        memory.cause = before
-    memory.value = distance if memory.cause == after else 0.0
-
-
-@kernel
-def decide(criteria, memory, place, stood, corner_time):
-    """Evaluate the criteria at one position of the tip, later than the one before.
-
-    Nothing is evaluated before ``memory.has_approached``; a simulated run starts with the
-    release and so has it from the start.
-
-    ``stood``: the tip has been at rest for long enough, where one position says nothing about
-    that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.
-    """
-    t, axial, lateral = place.t, place.axial, place.lateral
-    var_a, var_l = place.axial_variance, place.lateral_variance
-    square = axial * axial + lateral * lateral
-    distance, unsure = math.sqrt(square), 0.0
-    if var_a > 0.0 or var_l > 0.0:
-        # without what noise adds to a length on average
-        distance = math.sqrt(max(square - var_a - var_l, 0.0))
-        if square > 0.0:
-            unsure = axial * axial * var_a + lateral * lateral * var_l
-            unsure = math.sqrt(unsure / square)
-        else:
-            unsure = math.sqrt(max(var_a, var_l))
-    speed = math.hypot(place.axial_rate, place.lateral_rate)
-    if memory.axial > 0.0 and axial <= 0.0:
-        share = memory.axial / (memory.axial - axial)
-        memory.crossing_lateral = memory.lateral + share * (lateral - memory.lateral)
-    memory.t, memory.axial, memory.lateral = t, axial, lateral
-    memory.distance, memory.speed = distance, speed
-    memory.outwards = axial * place.axial_rate + lateral * place.lateral_rate
-    if not is_approaching(criteria, memory, distance, unsure):
-        return
-    memory.nearest = min(memory.nearest, distance)
-    memory.fastest = max(memory.fastest, speed)
-    margin = GUARD * math.sqrt(var_a)
-    if memory.state == CaptureState.CAPTURED:
-        watch_capture(criteria, memory, distance, unsure, axial, margin)
-    if memory.state > CaptureState.CONTACT:
-        return
-
-    gap, n_u, n_Y = wall_gap(criteria, axial, lateral)
-    gap_unsure = GUARD * math.sqrt(n_u * n_u * var_a + n_Y * n_Y * var_l)
-    memory.nearest_gap = min(memory.nearest_gap, gap - gap_unsure)
-    if memory.state == CaptureState.APPROACH and gap + gap_unsure < criteria.contact_gap:
-        enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
-
-    passed = memory.has_been_outside != 0 and axial + margin <= 0.0
-    if axial - margin > 0.0:
-        memory.has_been_outside = 1
-    if passed:
-        # where it crossed BE's plane, not where it is now: it may be far behind
-        beside = abs(memory.crossing_lateral)
-        if beside < criteria.R_c:
-            enter(memory, CaptureState.CAPTURED, Cause.PASSED_THROAT, t, 0.0)
-        else:
-            enter(memory, CaptureState.MISSED, Cause.PASSED_BESIDE, t, beside)
-        return
-
-    # a tip inside the zone is outside only when that is sure, and the other way round
-    guard = ZONE_GUARD if math.isnan(memory.zone_since) else -ZONE_GUARD
-    if distance + guard * unsure > criteria.radius:
-        memory.zone_since = math.nan
-    elif math.isnan(memory.zone_since):
-        memory.zone_since = t
-    if t - memory.zone_since >= criteria.dwell - _TICK:
-        enter(memory, CaptureState.CAPTURED, Cause.DWELT, t, 0.0)
-        return
-
-    if distance - memory.nearest - GUARD * unsure > criteria.leave:
-        if memory.state == CaptureState.CONTACT or hit_unseen(criteria, memory, corner_time):
-            enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest)
-        else:
-            enter(memory, CaptureState.MISSED, Cause.MOVED_AWAY, t, memory.nearest)
-        return
-
-    is_outside = distance - ZONE_GUARD * unsure > criteria.radius
-    if not is_outside or place.size > 1:
-        memory.still_since = math.nan
-    else:
-        moved = math.hypot(axial - memory.still_axial, lateral - memory.still_lateral)
-        if math.isnan(memory.still_since) or moved > criteria.still_speed * criteria.still_time:
-            memory.still_since, memory.still_axial, memory.still_lateral = t, axial, lateral
-    stood = stood and is_outside
-    if stood or t - memory.still_since >= criteria.still_time - _TICK:
-        enter(memory, CaptureState.STUCK, Cause.AT_REST, t, distance)
 
 
 @entry_kernel
@@ -400,73 +74,6 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
         if to_verdict and memory.state > CaptureState.CONTACT:
             return k + 1
     return samples.size
-
-
-_hit_unseen, _enter = plain(hit_unseen), plain(enter)
-
-
-def decide_at_end(criteria: Criteria, memory: Any, corner_time: float, *, cut: bool) -> None:
-    """Evaluate a run without verdict that ended with its last position, see :func:`decide`.
-
-    docs/detection.md has the rules.  ``cut``: the run was ended before its time, so that a tip
-    at rest or on its way out proves nothing.
-    """
-    is_still = memory.speed < criteria.still_speed
-    moves_out = memory.outwards > 0.0 and not is_still
-    is_outside = memory.distance > criteria.radius
-    hit = _hit_unseen(criteria, memory, corner_time)
-    has_met = memory.state == CaptureState.CONTACT or (
-        hit if moves_out else is_still and memory.nearest_gap < criteria.contact_gap
-    )
-    state = CaptureState.UNDECIDED
-    if not memory.has_approached:
-        cause = Cause.NOT_APPROACHED
-    elif not cut and has_met and is_outside and is_still:
-        state, cause = CaptureState.STUCK, Cause.END_AT_REST
-    elif not cut and has_met and moves_out and memory.distance - memory.nearest > criteria.radius:
-        state, cause = CaptureState.REBOUND, Cause.END_MOVING_OUT
-    elif not cut and not has_met and is_outside and (is_still or moves_out):
-        state, cause = CaptureState.MISSED, Cause.END_NOT_APPROACHING
-    else:
-        cause = Cause.END_AFTER_CONTACT if has_met else Cause.END_BEFORE_CONTACT
-    _enter(memory, state, cause, memory.t, memory.distance)
-
-
-_REASONS = {
-    Cause.NO_CONTACT: "no contact yet",
-    Cause.AT_CONE: "tip at the cone",
-    Cause.PASSED_THROAT: "tip passed BE",
-    Cause.DWELT: "within {radius:g} mm of BE for {dwell:g} s",
-    Cause.RETREATED: "retreated {leave:g} mm from {value:.2f} mm",
-    Cause.PASSED_BESIDE: "tip passed BE {value:.2f} mm beside the axis",
-    Cause.AT_REST: "at rest {value:.2f} mm from BE",
-    Cause.MOVED_AWAY: "moved away without contact, {value:.2f} mm from BE at the nearest",
-    Cause.LEFT_ZONE: "within {radius:g} mm of BE for {dwell:g} s, {outside}: {value:.2f} mm",
-    Cause.CAME_OUT: "tip passed BE, {outside}: {value:.2f} mm",
-    Cause.END_NOT_APPROACHING: "run ended without contact, tip {value:.2f} mm from BE",
-    Cause.END_MOVING_OUT: "run ended with the tip {value:.2f} mm from BE and moving out",
-    Cause.END_AT_REST: "run ended with the tip at rest {value:.2f} mm from BE",
-    Cause.END_BEFORE_CONTACT: "run ended before any contact, tip {value:.2f} mm from BE",
-    Cause.END_AFTER_CONTACT: "run ended after a contact, tip {value:.2f} mm from BE",
-    Cause.NOT_APPROACHED: "tip never came {radius:g} mm nearer to BE",
-    Cause.NOT_MEASURED: "nothing was measured",
-    Cause.CLOCKS_DIFFER: "clocks of the sources differ by {value:.0f} ms",  # value: s
-    Cause.CONTACT_UNSEEN: (
-        "moved away, {value:.2f} mm from BE at the nearest, after a gap in the measurements "
-        "in which it may have met the cone"
-    ),
-}
-
-
-def reason(criteria: Criteria, cause: int, value: float) -> str:
-    """Return the cause in words; ``value`` is the length that it names, m."""
-    return _REASONS[Cause(cause)].format(
-        radius=criteria.radius * 1e3,
-        dwell=criteria.dwell,
-        leave=criteria.leave * 1e3,
-        outside=_OUTSIDE_AGAIN,
-        value=value * 1e3,
-    )
 
 
 class ExactDetector:
@@ -572,4 +179,4 @@ class ExactDetector:
         if self._text[0] != (cause, value):
             self._text = (cause, value), reason(self._criteria, cause, value)
         final = is_over or _STATES[state].is_verdict
-        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1]))
+        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1], ""))

@@ -7,8 +7,9 @@ import pytest
 from observations import observation
 
 from capture_sim import load_scene, simulate
-from capture_sim.detection.exact import CaptureState, ExactDetector
-from capture_sim.detection.noisy import NoisyDetector
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.detection.detector import CaptureDetector
+from capture_sim.detection.exact import ExactDetector
 from capture_sim.results import table
 from capture_sim.samples import SAMPLE
 
@@ -52,7 +53,7 @@ def lead(*legs):
 def verdict(scene, places, turn=0.0, cut=False):
     """Return the statuses; measurements without noise must give the same."""
     samples = tip_motion(scene, places, turn=turn)
-    exact, noisy = ExactDetector(scene), NoisyDetector(scene)
+    exact, noisy = ExactDetector(scene), CaptureDetector(scene)
     statuses = [*exact.update(samples), exact.finish(cut=cut)]
     measured = [*(noisy.update(observation(s)) for s in samples), *noisy.finish(cut=cut)]
     for one, other in zip(statuses, measured, strict=True):
@@ -70,7 +71,7 @@ def scene():
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, -2.0])
 def test_offsets_are_those_that_were_led(scene, turn):
-    detector = NoisyDetector(scene)
+    detector = CaptureDetector(scene)
     for sample in tip_motion(scene, [(0.08, 0.01), (0.07, -0.02)], turn=turn):
         status = detector.update(observation(sample))
     assert status.axial_offset == pytest.approx(0.07, abs=1e-12)
@@ -145,7 +146,7 @@ def test_standing_short_of_be_is_stuck(scene):
 
 
 def test_nothing_measured_is_undecided(scene):
-    for nothing in (ExactDetector(scene).finish(), NoisyDetector(scene).finish()[-1]):
+    for nothing in (ExactDetector(scene).finish(), CaptureDetector(scene).finish()[-1]):
         assert (nothing.label, nothing.reason) == ("undecided", "nothing was measured")
         assert nothing.final
         assert math.isnan(nothing.distance)
@@ -217,7 +218,7 @@ def test_a_verdict_does_not_change_any_more(scene):
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "paper_undamped", "paper_designed"])
 def test_the_detector_sees_the_same_tip_as_the_core(name):
     result = simulate(load_scene(name))
-    detector = NoisyDetector(result.scene)
+    detector = CaptureDetector(result.scene)
     for sample in result.samples[::10]:
         status = detector.update(observation(sample))
         assert status.axial_offset == pytest.approx(sample["tip_axial"], abs=1e-12)

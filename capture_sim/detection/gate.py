@@ -1,0 +1,282 @@
+"""The gate: poses that a vehicle cannot have had are held back, and rejected.
+
+A pose must agree with the path before it: with the pose before, moved at the present velocity, up
+to the largest change of velocity times the time, and to the noise of both.  An impact changes the
+velocity at once (in 0.3 ms, less than the time between two frames), so the largest acceleration
+limits nothing; an impact never changes a position at once, so a bounce always passes.  The limit
+is that of a validation gate around the prediction of a constant-velocity filter (Bar-Shalom et al.,
+Estimation with Applications to Tracking and Navigation, 2001), widened by the impact.
+
+Poses outside are held back until later ones show which are the vehicle's: the longest consistent
+subsequence, for the model of bounded speed and unbounded acceleration (Custers et al., Maximum
+Physically Consistent Trajectories, ACM Trans. Spatial Algorithms Syst. 7(4), 2021).  Its elements
+are runs of successive poses that agree with each other, as wrong frames come in runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from capture_sim.detection.measurements import Counts, Reason, Source, Values
+from capture_sim.detection.noise import NoiseEstimate, Resolution, third_difference
+from capture_sim.launch.plan import plan_launch
+from capture_sim.scene.parts import Scene
+
+#: Largest innovation in standard deviations.
+GATE = 5.0
+#: The limits are those of the largest relative speed, by plan or at present, times this.
+MARGIN = 2.0
+#: Least relative speed, m/s: vehicles at rest may be pushed by hand.
+MIN_SPEED = 0.05
+#: Smaller innovations (m, rad) are no outliers: steps of quantised poses, delays of stamps.
+LEAST = (2e-3, 5e-3)
+#: A jump that stays for longer than this is a new place of the vehicle, s.
+JUMP_TIME = 0.3
+#: Poses that contradict each other are held back no longer than this, s.
+_MAX_HOLD = 1.0
+#: Number of consistent poses that confirm a return to the path, and its begin.
+_CONFIRM, _START = 3, 6
+#: A shift that a contact explains within this many poses is no jump: wrong frames near a contact
+#: may agree with it.
+_SLIPPED = 6
+#: Time over which the present velocity is taken, s.
+_VELOCITY_TIME = 0.1
+#: Least noise (m, rad) of a source that never repeats a pose by chance.
+_MIN_NOISE = (5e-6, 5e-6, 2e-5)
+#: Number of third differences for the noise: short, as stamps with errors add noise in motion only.
+_N_NOISE = 60
+_SQRT2 = math.sqrt(2.0)
+
+
+class Limits(NamedTuple):
+    """Largest changes of a vehicle's motion by contacts, for a relative speed of 1 m/s."""
+
+    velocity: float  # m/s
+    spin: float  # rad/s
+
+    @classmethod
+    def of(cls, scene: Scene, source: Source) -> Limits:
+        """Return the limits of a vehicle in a scene.
+
+        In the frame of the common centre of mass contacts can only turn or reduce the velocities;
+        a spin has at most the energy of the relative motion.
+        """
+        vehicle, other = scene.chaser, scene.target
+        if source is Source.TARGET:
+            vehicle, other = other, vehicle
+        share = other.mass / (vehicle.mass + other.mass)
+        return cls(2.0 * share, math.sqrt(vehicle.mass * share / vehicle.inertia))
+
+
+def largest_speed(scene: Scene) -> float:
+    """Return the largest relative speed of the vehicles in a scene, m/s, by plan."""
+    chaser, target, plan = scene.initial.chaser, scene.initial.target, plan_launch(scene)
+    relative = math.hypot(chaser.vx - target.vx, chaser.vy - target.vy)
+    spins = abs(chaser.omega) * (scene.buffer.hinge_offset + scene.rest_length)
+    spins += abs(target.omega) * (scene.cone.L_T + scene.cone.R_c)
+    return max(MIN_SPEED, plan.landing_speed, plan.impact_speed, relative + spins)
+
+
+class Pose(NamedTuple):
+    """Pose of a vehicle at a time, s; the values are those of a :class:`Source`."""
+
+    t: float
+    values: Values
+
+
+class _Run:
+    """Successive poses that are consistent with each other."""
+
+    def __init__(self, first: Pose, *, is_reachable: bool) -> None:
+        self.poses = [first]
+        self.is_reachable = is_reachable  # from the last pose that was accepted
+
+    @property
+    def duration(self) -> float:
+        return self.poses[-1].t - self.poses[0].t
+
+
+class Jump(NamedTuple):
+    """A vehicle that is at a new place from a time on, s, at a distance, m."""
+
+    t: float
+    distance: float
+
+
+class Gate:
+    """Passes on the poses of one vehicle that it can have had, in the order of their stamps."""
+
+    def __init__(self, source: Source, limits: Limits, counts: Counts) -> None:
+        #: The last jump that stayed.
+        self.jump: Jump | None = None
+        #: Time up to which every pose is passed on or rejected, s.
+        self.decided = -math.inf
+        #: Present velocity (m/s, m/s, rad/s) of the vehicle.
+        self.velocity = (0.0, 0.0, 0.0)
+        self._source, self._limits, self._counts = source, limits, counts
+        self._noise = tuple(NoiseEstimate(_N_NOISE) for _ in range(3))
+        self._steps = tuple(Resolution() for _ in range(3))
+        self._raw: deque[Pose] = deque(maxlen=4)  # that are not frozen
+        self._repeated = 0  # times that a noisy source has repeated its last pose
+        self._early: list[Pose] = []  # before the noise is known
+        self._held: list[_Run] = []
+        self._last: Pose | None = None  # that was passed on
+        self._recent: deque[Pose] = deque()
+        self._speed = 0.0  # m/s, largest relative speed
+
+    @property
+    def resolution(self) -> tuple[float, float]:
+        """Steps of a quantised position, m, and heading, rad; 0 without."""
+        x, y, theta = (step.value for step in self._steps)
+        return max(x, y), theta
+
+    def add(self, t: float, values: Values, speed: float) -> list[Pose]:
+        """Add a pose; return those that are passed on.
+
+        ``speed``: relative speed of the vehicles that an impact may have, m/s.
+        """
+        pose = Pose(t, values)
+        self._speed = MARGIN * speed
+        if self._is_frozen(pose):
+            self._counts.reject(self._source, Reason.FROZEN)
+        else:
+            self._learn(pose)
+            self._early.append(pose)
+        passed: list[Pose] = []
+        if self._noise[0].known:
+            for each in self._early:
+                passed += self._add(each)
+            self._early.clear()
+        if not self._held and not self._early:
+            self.decided = t
+        return passed
+
+    def finish(self) -> list[Pose]:
+        """Return the poses that are still held back, where they can be the vehicle's."""
+        if not self._noise[0].known:
+            passed, self._early = self._early, []
+            return passed
+        if self._held and self._last is None:
+            return self._choose(max(self._held, key=lambda run: len(run.poses)))
+        reachable = [run for run in self._held if run.is_reachable]
+        return self._choose(reachable[-1] if reachable else None)
+
+    def _is_frozen(self, pose: Pose) -> bool:
+        """Return True if a source repeats a pose though its noise is above its resolution.
+
+        One repetition may be chance.
+        """
+        if not self._raw or self._raw[-1].values[:3] != pose.values[:3]:
+            self._repeated = 0
+            return False
+        if self._repeated or any(
+            step.is_noisy and noise.latest > max(step.value, least)
+            for noise, step, least in zip(self._noise, self._steps, _MIN_NOISE, strict=True)
+        ):
+            self._repeated += 1
+        return self._repeated > 1
+
+    def _learn(self, pose: Pose) -> None:
+        """Update noise and resolution: of all poses, as one that is rejected is a few of many."""
+        if self._raw:
+            for step, a, b in zip(self._steps, pose.values, self._raw[-1].values, strict=False):
+                step.add(a - b)
+        self._raw.append(pose)
+        if len(self._raw) == 4:
+            weights = third_difference([each.t for each in self._raw])
+            heading = self._raw[0].values[2]
+            sums = [0.0, 0.0, 0.0]
+            for weight, (_, (x, y, theta, *_rates)) in zip(weights, self._raw, strict=True):
+                sums[0] += weight * x
+                sums[1] += weight * y
+                sums[2] += weight * math.remainder(theta - heading, math.tau)
+            for noise, total in zip(self._noise, sums, strict=True):
+                noise.add(total)
+
+    def _add(self, pose: Pose) -> list[Pose]:
+        last, held = self._last, self._held
+        if not held and last is not None and self._agrees(last, pose):
+            self._accept(pose)
+            return [pose]
+        is_reachable = last is not None and self._agrees(last, pose)
+        if held and self._agrees(held[-1].poses[-1], pose):
+            # a wrong frame may be so near that it agrees with both
+            is_return = is_reachable and not held[-1].is_reachable
+            before = held[-1].poses[-1]
+            if is_return and last is not None and self._is_nearer(pose, last, before):
+                held.append(_Run(pose, is_reachable=True))
+            else:
+                held[-1].poses.append(pose)
+        else:
+            held.append(_Run(pose, is_reachable=is_reachable))
+        run = held[-1]
+        if last is None:
+            return self._choose(run) if len(run.poses) >= _START else []
+        if run.is_reachable:
+            return self._choose(run) if len(run.poses) >= _CONFIRM else []
+        if run.duration > JUMP_TIME or pose.t - held[0].poses[0].t > _MAX_HOLD:
+            first = run.poses[0]
+            if not any(self._agrees(pose, first) for pose in list(self._recent)[-_SLIPPED:]):
+                self.jump = Jump(first.t, math.dist(first.values[:2], last.values[:2]))
+                self.velocity = (0.0, 0.0, 0.0)
+                self._recent.clear()
+            return self._choose(run)
+        return []
+
+    def _innovation(self, a: Pose, b: Pose) -> tuple[float, float]:
+        """Return by how much a pose differs from the prediction of another one, m and rad."""
+        dt = b.t - a.t
+        x, y, theta = (
+            new - old - rate * dt
+            for new, old, rate in zip(b.values[:3], a.values[:3], self.velocity, strict=True)
+        )
+        return math.hypot(x, y), abs(math.remainder(theta, math.tau))
+
+    def _is_nearer(self, pose: Pose, a: Pose, b: Pose) -> bool:
+        """Return True if a pose agrees better with the pose ``a`` than with ``b``."""
+        arm = 1.0 / max(self._limits.spin, 1e-3)  # m, to compare angles with lengths
+        of_a, of_b = self._innovation(a, pose), self._innovation(b, pose)
+        return of_a[0] + arm * of_a[1] < of_b[0] + arm * of_b[1]
+
+    def _agrees(self, a: Pose, b: Pose) -> bool:
+        """Return True if a vehicle can move from one pose to the other."""
+        distance, turn = self._innovation(a, b)
+        change = self._speed * (b.t - a.t)
+        x, y, theta = (GATE * _SQRT2 * noise.deviation for noise in self._noise)
+        return distance <= max(self._limits.velocity * change + max(x, y), LEAST[0]) and (
+            turn <= max(self._limits.spin * change + theta, LEAST[1])
+        )
+
+    def _accept(self, pose: Pose) -> None:
+        self._last = pose
+        recent = self._recent
+        recent.append(pose)
+        while len(recent) > _SLIPPED and recent[1].t < pose.t - _VELOCITY_TIME:
+            recent.popleft()
+        if len(recent) >= 3:
+            (x0, y0, theta0), (x, y, theta) = recent[0].values[:3], pose.values[:3]
+            dt = pose.t - recent[0].t
+            turn = math.remainder(theta - theta0, math.tau)
+            self.velocity = ((x - x0) / dt, (y - y0) / dt, turn / dt)
+
+    def _choose(self, chosen: _Run | None) -> list[Pose]:
+        """Pass on a run and those before that it can be reached from; reject the others."""
+        passed: list[Pose] = []
+        for run in self._held:
+            is_between = (
+                chosen is not None
+                and self._last is not None
+                and run.is_reachable
+                and self._agrees(self._last, run.poses[0])
+                and self._agrees(run.poses[-1], chosen.poses[0])
+            )
+            if run is not chosen and not is_between:
+                self._counts.reject(self._source, Reason.OUTLIER, len(run.poses))
+                continue
+            passed += run.poses
+            for pose in run.poses:
+                self._accept(pose)
+        self._held.clear()
+        return passed

@@ -1,0 +1,199 @@
+"""The smoother: the path of the tip, from measurements with noise.
+
+The noise is estimated from the measurements: a vehicle of 20 kg moves smoothly, so over four
+successive measurements its position is a parabola in time, and their third difference is noise.
+Without noise the path is the measured one.  With noise it is a parabola fitted (least squares) to
+as many measurements before and after as the noise requires and ``detector.max_delay`` permits.
+docs/detection.md has the reasoning in numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.detection.criteria import Place
+from capture_sim.detection.noise import MIN_DIFFERENCES, NoiseEstimate, third_difference
+
+#: Standard deviation of a fitted position that the window aims at, as a share of the radius.
+ACCURACY = 0.06
+#: A measurement further from the fit than this many standard deviations is left out.
+OUTLIER = 5.0
+#: Smallest interval between fitted positions, s: closer ones share nearly all measurements.
+MIN_FIT_INTERVAL = 0.003
+
+
+class MeasuredTip(NamedTuple):
+    """The tip in the cone's frame, as measured: axial and lateral."""
+
+    place: tuple[float, float]  # m
+    rigid: tuple[float, float]  # with the buffer at rest, which moves smoothly, m
+    rate: tuple[float, float] | None  # of ``place``, m/s; None if not measured
+
+
+class TipPath:
+    """Follows the tip; returns its places in the order of time, each once.
+
+    ``radius`` is that of the capture zone, m, which the accuracy refers to; ``delay``, s, the
+    longest wait after an instant for the measurements of its fit.  With noise below ``clean``, m,
+    the measurements are used directly.  Nothing is fitted over a gap longer than ``gap``, s, but
+    never less than three intervals.  :meth:`fit` may reach back by ``keep``, s.
+    """
+
+    def __init__(
+        self, *, radius: float, delay: float, clean: float, gap: float, keep: float
+    ) -> None:
+        self._radius, self._delay, self._clean, self._gap = radius, delay, clean, gap
+        self._keep = keep + 2.0 * delay
+        self._t: list[float] = []
+        self._tips: list[MeasuredTip] = []
+        self._noise = (NoiseEstimate(), NoiseEstimate())
+        self._buffer_noise, self._least_noise = (0.0, 0.0), 0.0
+        self._deviation = (0.0, 0.0)
+        self._half_window = 0.0
+        self._interval = 0.0
+        self._count = 0
+        self._t_returned = -math.inf  # stamp of the last place that was returned
+
+    @property
+    def deviation(self) -> tuple[float, float]:
+        """Standard deviation of an axial and lateral measurement, m; 0 below ``clean``."""
+        return self._deviation
+
+    @property
+    def half_window(self) -> float:
+        """Delay after an instant until its place is returned, s."""
+        return self._half_window
+
+    @property
+    def knows_noise(self) -> bool:
+        """True if there were enough measurements to estimate the noise."""
+        return all(noise.known for noise in self._noise)
+
+    @property
+    def gap(self) -> float:
+        """The longest interval without a measurement that is no gap, s."""
+        return max(self._gap, 3.0 * self._interval)
+
+    def add(
+        self,
+        t: float,
+        tip: MeasuredTip,
+        buffer_noise: tuple[float, float] = (0.0, 0.0),
+        least_noise: float = 0.0,
+    ) -> list[Place]:
+        """Add a measurement at ``t`` (s), later than the last; return the places that it completes.
+
+        ``buffer_noise`` is the standard deviation that the buffer's measurements add to it, m;
+        ``least_noise`` that of quantised poses, m.
+        """
+        self._buffer_noise, self._least_noise = buffer_noise, least_noise
+        self._t.append(t)
+        self._tips.append(tip)
+        self._learn()
+        self._forget()
+        if self._half_window == 0.0 and len(self._t) > 1 and self._t_returned == self._t[-2]:
+            self._t_returned = t  # as nearly always: no need to search
+            return [self._at(len(self._t) - 1)]
+        return self._completed(t, self._half_window)
+
+    def finish(self) -> list[Place]:
+        """Return the places that still wait for later measurements."""
+        return self._completed(math.inf, self._half_window)
+
+    def fit(self, t: float, begin: float, end: float, degree: int) -> Place:
+        """Return the place at ``t`` from a polynomial through [begin, end]."""
+        i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
+        times = np.array(self._t[i:k]) - t
+        tips = np.array([tip.place for tip in self._tips[i:k]])
+        spread = max(float(np.abs(times).max()), 1e-9)
+        is_used = np.ones(times.size, dtype=bool)
+        sigma = np.maximum(self._deviation, 1e-12)
+        while True:
+            n = int(is_used.sum())
+            basis = np.vander(times / spread, min(degree, n - 1) + 1, increasing=True)
+            inverse = np.linalg.inv(basis[is_used].T @ basis[is_used])
+            coefficients = inverse @ (basis[is_used].T @ tips[is_used])
+            deviations = (np.abs(tips - basis @ coefficients) / sigma).max(axis=1) * is_used
+            worst = int(deviations.argmax())
+            # one at a time: it has bent the parabola towards itself and away from the others
+            if deviations[worst] <= OUTLIER or n <= max(degree + 2, 0.8 * times.size):
+                break
+            is_used[worst] = False
+        variance = max(float(inverse[0, 0]), 0.0) * np.square(self._deviation)
+        rates = coefficients[1] / spread if len(coefficients) > 1 else np.zeros(2)
+        numbers = *coefficients[0].tolist(), *rates.tolist(), *variance.tolist()
+        return Place._make((t, *numbers, n))
+
+    def rate_over(self, begin: float, end: float) -> tuple[float, float]:
+        """Return the mean speed over an interval and its standard deviation, m/s."""
+        i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
+        times = np.array(self._t[i:k])
+        if times.size < 3:
+            return math.inf, math.inf
+        times -= times.mean()
+        square = float(times @ times)
+        rates = times @ np.array([tip.place for tip in self._tips[i:k]]) / square
+        return math.hypot(*rates), math.hypot(*self._deviation) / math.sqrt(2.0 * square)
+
+    def _learn(self) -> None:
+        """Update the estimate of the noise, and from it the window."""
+        t = self._t[-4:]
+        if len(t) == 4 and t[3] - t[0] <= 3.0 * self.gap:
+            w_0, w_1, w_2, w_3 = third_difference(t)
+            p_0, p_1, p_2, p_3 = (tip.rigid for tip in self._tips[-4:])
+            for i in (0, 1):
+                self._noise[i].add(w_0 * p_0[i] + w_1 * p_1[i] + w_2 * p_2[i] + w_3 * p_3[i])
+        self._count += 1
+        if self._count <= MIN_DIFFERENCES or self._count % MIN_DIFFERENCES == 0:
+            recent = self._t[-51:]
+            if len(recent) > 1:
+                self._interval = median(b - a for a, b in pairwise(recent))
+        axial, lateral = (
+            math.hypot(max(of_pose.deviation, self._least_noise), of_buffer)
+            for of_pose, of_buffer in zip(self._noise, self._buffer_noise, strict=True)
+        )
+        if math.hypot(axial, lateral) < self._clean:
+            self._deviation, self._half_window = (0.0, 0.0), 0.0
+            return
+        self._deviation = (axial, lateral)
+        # a parabola's middle has 9/4 of the variance of a mean
+        count = (1.5 * max(axial, lateral) / (ACCURACY * self._radius)) ** 2
+        self._half_window = min(max(0.5 * count, 2.0) * self._interval, self._delay)
+
+    def _forget(self) -> None:
+        while self._t[0] < self._t[-1] - self._keep:
+            del self._t[0], self._tips[0]
+
+    def _completed(self, newest: float, wait: float) -> list[Place]:
+        """Return the places that need no measurement later than ``newest``, s."""
+        first = bisect_right(self._t, self._t_returned)
+        # a round-off error of the stamps must not delay a place
+        last = bisect_right(self._t, newest - wait + 1e-9)
+        interval = MIN_FIT_INTERVAL - 1e-9 if self._half_window > 0.0 else 0.0
+        places = []
+        for i in range(first, last):
+            if self._t[i] - self._t_returned >= interval:
+                places.append(self._at(i))
+                self._t_returned = self._t[i]
+        return places
+
+    def _at(self, i: int) -> Place:
+        t = self._t[i]
+        if self._half_window == 0.0:
+            tip = self._tips[i]
+            return Place(t, *tip.place, *(tip.rate or self._difference(i)))
+        return self.fit(t, t - self._half_window, t + self._half_window, 2)
+
+    def _difference(self, i: int) -> tuple[float, float]:
+        """Return the mean rate since the measurement before, m/s."""
+        if i == 0:
+            return 0.0, 0.0
+        dt = self._t[i] - self._t[i - 1]
+        (a0, l0), (a1, l1) = self._tips[i - 1].place, self._tips[i].place
+        return (a1 - a0) / dt, (l1 - l0) / dt

@@ -1,0 +1,180 @@
+"""Wrong, late and quantised poses injected into the trials of a bench: no verdict may change.
+
+benchmarks/detection.py has the large version, and docs/detection.md its figures.
+"""
+
+import dataclasses
+import math
+import os
+
+import numpy as np
+import pytest
+from injections import (
+    CLEAN,
+    HARD,
+    HELD,
+    QUALITIES,
+    SCENES,
+    STAMP_OF_RELEASE,
+    STANDARD,
+    Quality,
+    evaluate,
+    stream,
+    walk,
+)
+
+from capture_sim import Bench, load_scene
+from capture_sim.bench import EventKind
+from capture_sim.detection.detector import CaptureDetector
+from capture_sim.detection.measurements import Reason, Source
+
+COUNT = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2"))
+NS = 1_000_000_000
+
+
+@pytest.mark.parametrize("rate", [60.0, 120.0, 240.0])
+@pytest.mark.parametrize("name", QUALITIES)
+def test_wrong_frames_change_no_verdict(name, rate):
+    result = walk(QUALITIES[name], rate, np.random.default_rng(1), COUNT)
+    assert "wrong" not in result.outcomes, result.lines
+    assert "reference" not in result.outcomes, result.lines
+    allowed = math.ceil(0.02 * result.outcomes.total())
+    assert result.outcomes["undecided"] + result.outcomes["another time"] <= allowed, result.lines
+
+
+@pytest.mark.parametrize("name", QUALITIES)
+def test_swapped_markers_give_no_wrong_verdict(name):
+    result = walk(QUALITIES[name], 120.0, np.random.default_rng(2), 1, longest=0)
+    assert "wrong" not in result.outcomes, result.lines
+
+
+CLAMPED = dataclasses.replace(STANDARD, is_clamped=True)
+STEPS = {
+    "clamped": CLAMPED,
+    "clamped, hard": dataclasses.replace(HARD, is_clamped=True, bursts=0.0),
+    "0.1 mm": Quality(rounded=1e-4),
+    "1 mm": Quality(rounded=1e-3),
+    "0.1 mm with noise": dataclasses.replace(STANDARD, rounded=1e-4),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("steps", STEPS)
+def test_clamped_and_quantised_sources_are_used(steps, name):
+    for rate in (60.0, 240.0):
+        measured = stream(name, STEPS[steps], rate, np.random.default_rng(3))
+        status, detector = evaluate(measured)
+        assert status.state is measured.verdict.state, status.reason
+        assert status.t - status.time_in_state == pytest.approx(measured.verdict.t, abs=0.6)
+        assert not any(Reason.FROZEN.value in line for line in detector.counts.warnings)
+
+
+def arrivals(measured, rng):
+    """Yield measurements as they arrive: delayed, overtaken, and with pauses of each source."""
+    queue = []
+    for source in Source:
+        stamps = measured.stamps[source]
+        late = stamps + rng.uniform(0.0, 0.09, stamps.size) * NS
+        at, rank = late.copy(), rng.uniform()  # what a pause has held back comes at once, in order
+        for begin in rng.choice(stamps, rng.integers(0, 4)):
+            end = begin + rng.choice([0.1, 0.3, 1.0, 3.0]) * NS
+            at = np.where((at > begin) & (at < end), end, at)
+        for i in range(stamps.size):
+            values = tuple(measured.values[source][i].tolist())
+            queue.append(((at[i], rank, late[i]), (source, int(stamps[i]), values, round(at[i]))))
+    queue.sort(key=lambda item: item[0])
+    return [measurement for _, measurement in queue]
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10", "rebound"])
+def test_live_and_offline_verdicts_are_equal_for_any_arrival(name):
+    """What arrives late, or in another order, is the same trial; 200 replays."""
+    for seed in range(50):
+        rng = np.random.default_rng([seed, 4])
+        quality = (CLEAN, STANDARD, HARD)[seed % 3]
+        measured = stream(name, quality, 60.0, rng).since(-0.5)
+        expected, _ = evaluate(measured)
+        live = CaptureDetector(measured.scene, is_released=False, zero=STAMP_OF_RELEASE)
+        for measurement in arrivals(measured, rng):
+            live.measure(*measurement)
+        assert live.finish()[-1] == expected, seed
+
+
+# impacts
+
+
+def random_scene(rng):
+    """Return one of the packaged scenes with another speed, contact, mass and target."""
+    name = rng.choice(["tilt_0", "tilt_p10", "tilt_m10"])
+    values = {
+        "string.impact_speed": rng.uniform(0.05, 0.15),
+        "contact.restitution": rng.uniform(0.3, 0.9),
+        "initial.target.theta": math.radians(rng.uniform(-12.0, 12.0)),
+        "target.mass": rng.uniform(10.0, 60.0),
+    }
+    changes = tuple(f"{path}={value:.6g}" for path, value in values.items())
+    return load_scene(str(name), (*changes, "latch=null"))
+
+
+PACKAGED = ("paper_clamped", "paper_undamped", "paper_designed", "paper_case_1", "paper_case_3")
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_no_bounce_is_rejected(block):
+    """Of the packaged and 200 random scenes, from 0.3 s before the first touch to 1 s after."""
+    rng = np.random.default_rng([block, 5])
+    scenes = [random_scene(rng) for _ in range(50)]
+    if block == 0:
+        scenes += [load_scene(name) for name in (*PACKAGED, "tilt_0", "tilt_p10", "tilt_m10")]
+    touched = 0
+    for scene in scenes:
+        rate = float(rng.choice([60.0, 120.0, 240.0]))
+        bench = Bench(scene)
+        samples = bench.advance(np.arange(0.0, min(6.0, scene.run.t_end), 1.0 / rate))
+        times = bench.times_of(EventKind.TOUCH)
+        if not times.size:
+            continue
+        touched += 1
+        near = (samples["t"] > times[0] - 0.3) & (samples["t"] < times[0] + 1.0)
+        detector = CaptureDetector(scene)
+        pose = np.array([5e-5, 5e-5, math.radians(0.03)])
+        for sample in samples[near]:
+            stamp, q = round(sample["t"] * NS), sample["q"]
+            for source, exact in ((Source.CHASER, q[:3]), (Source.TARGET, q[5:])):
+                noisy = exact + pose * rng.standard_normal(3)
+                detector.measure(source, stamp, tuple(noisy.tolist()))
+            buffer = float(sample["axial_stroke"]), float(sample["torsion"])
+            detector.measure(Source.BUFFER, stamp, buffer)
+        detector.finish()
+        assert detector.counts.text == "", scene.title
+    assert touched >= 40
+
+
+# the begin of a trial
+
+
+@pytest.mark.parametrize("name", QUALITIES)
+@pytest.mark.parametrize("scene", ["tilt_0", "tilt_p10", "tilt_m10"])
+def test_a_tip_that_is_in_the_zone_at_the_first_pose_and_stays_is_captured(scene, name):
+    measured = stream(scene, QUALITIES[name], 120.0, np.random.default_rng(6))
+    late = measured.since(measured.verdict.t + 0.5)
+    status, _ = evaluate(late)
+    assert (status.label, status.reason) == (
+        "captured",
+        "within 5 mm of BE from the first pose to the end",
+    )
+    # a driver that restarts: the vehicles are held, and then captured
+    kept = {source: measured.times(source) < -HELD + 1.0 for source in Source}
+    restarted = dataclasses.replace(
+        measured,
+        **{
+            field: {
+                source: np.concatenate(
+                    [getattr(measured, field)[source][kept[source]], getattr(late, field)[source]]
+                )
+                for source in Source
+            }
+            for field in ("stamps", "values")
+        },
+    )
+    assert evaluate(restarted)[0].label == "captured"
