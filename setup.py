@@ -24,6 +24,8 @@ from setuptools.command.build_py import build_py
 NAME = "capture_sim"
 HERE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
+INTERFACES = ("msg", "srv", "action")
+DATA = (".action", ".csv", ".json", ".msg", ".py", ".rviz", ".srv", ".xml", ".yaml")
 SITE_PACKAGES = Path(sysconfig.get_path("platlib")).relative_to(PREFIX)
 
 
@@ -43,9 +45,9 @@ def makes_messages() -> bool:
 def plain_data() -> list[tuple[str, list[str]]]:
     """Return the data files by the folder below PREFIX that they go to, without ROS."""
     by_folder: dict[str, list[str]] = {}
-    for name in ("config", "launch", "msg", "srv"):
+    for name in ("config", "launch", *INTERFACES):
         for file in sorted((HERE / name).rglob("*.*")):
-            if file.suffix in (".csv", ".json", ".msg", ".py", ".rviz", ".srv", ".xml", ".yaml"):
+            if file.suffix in DATA:
                 path = file.relative_to(HERE)
                 by_folder.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
     return sorted(by_folder.items())
@@ -54,7 +56,7 @@ def plain_data() -> list[tuple[str, list[str]]]:
 def cmake_install(build: Path) -> Path:
     """Configure, build and install below `build`; return the folder that stands for PREFIX."""
     # rosidl's rules do not notice a message that has gone
-    interfaces = "\n".join(sorted(f.name for d in ("msg", "srv") for f in (HERE / d).glob("*.*")))
+    interfaces = "\n".join(sorted(f.name for d in INTERFACES for f in (HERE / d).glob("*.*")))
     built = build / "interfaces.txt"
     if not built.is_file() or built.read_text() != interfaces:
         shutil.rmtree(build, ignore_errors=True)
@@ -117,11 +119,9 @@ class BuildWithMessages(build_py):
 
     @staticmethod
     def is_message(package, file):
-        """Whether rosidl made this file of the package: msg/*.py, srv/*.py or a library."""
+        """Whether rosidl made this file of the package: msg/*.py, srv/*.py, ... or a library."""
         inside = file.relative_to(package)
-        return inside.suffix == ".so" or (
-            inside.parts[0] in ("msg", "srv") and inside.suffix == ".py"
-        )
+        return inside.suffix == ".so" or (inside.parts[0] in INTERFACES and inside.suffix == ".py")
 
 
 class BinaryDistribution(Distribution):

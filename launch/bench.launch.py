@@ -37,8 +37,9 @@ ARGUMENTS = (
     (
         "scene",
         "",
-        "scene of a bench without simulator: the launcher begins its trials and drives the real "
-        "release; without launcher, the detector evaluates by it from the start",
+        "scene of a bench without simulator: the launcher serves its trials, action "
+        "launcher/run_trial, and drives the real release; without launcher, the detector evaluates "
+        "by it from the start",
         None,
     ),
     (
@@ -120,10 +121,10 @@ def generate_launch_description():
         DeclareLaunchArgument(name, default_value=default, description=description, choices=choices)
         for name, default, description, choices in ARGUMENTS
     ]
-    # on a real bench no node reports that all runs are over
-    ends = {"exit_when_done": python("$simulator", " == 'true' != ", "$keep", kind=bool)}
+    # the simulator's end shuts the others down
+    ends = {"exit_when_done": python("$keep", " == 'false'", kind=bool)}
     changes = python("[c.strip() for c in ", "$overrides", ".split(',')]", kind=TEXTS)
-    # trials of a bench without simulator are begun by the launcher, without it by the detector
+    # the launcher serves trials of a bench without simulator
     by_launcher = ("$scene", " if ", "$simulator", " == 'false' else ''")
     by_detector = ("$scene", " if ", "$simulator", " == ", "$launcher", " == 'false' else ''")
 
@@ -134,7 +135,7 @@ def generate_launch_description():
             "overrides": python(*changes_of_it, ") else ['']", kind=TEXTS),
         }
 
-    consumers = python(
+    wait_for = python(
         *("[name for name, switch in (('launcher', ", "$launcher", "), ('capture_detector', "),
         *("$detector", "), ('recorder', ", "$record", ")) if switch == 'true'] or ['']"),
         kind=TEXTS,
@@ -143,9 +144,9 @@ def generate_launch_description():
         "'output' if ", "$simulator", " == 'false' and ", "$scene", " else 'simulated'"
     )
     nodes = [
-        bench_node("launcher", "launcher", ends | trials(by_launcher) | {"actuator": actuator}),
-        bench_node("capture_detector", "detector", ends | trials(by_detector)),
-        bench_node("recorder", "record", ends | {"out": LaunchConfiguration("out")}),
+        bench_node("launcher", "launcher", trials(by_launcher) | {"actuator": actuator}),
+        bench_node("capture_detector", "detector", trials(by_detector)),
+        bench_node("recorder", "record", {"out": LaunchConfiguration("out")}),
         bench_node(
             "simulator",
             "simulator",
@@ -157,7 +158,7 @@ def generate_launch_description():
                 "overrides": changes,
                 "rtf": ParameterValue(LaunchConfiguration("rtf"), value_type=float),
                 "initial_state": LaunchConfiguration("state"),
-                "consumers": consumers,
+                "wait_for": wait_for,
             },
             on_exit=Shutdown(reason="the simulator has ended"),
         ),

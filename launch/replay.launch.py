@@ -2,7 +2,7 @@
 
 from typing import List  # noqa: UP035
 
-from launch.actions import DeclareLaunchArgument, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, RegisterEventHandler, Shutdown
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.substitutions import LaunchConfiguration, PythonExpression
@@ -18,6 +18,7 @@ ARGUMENTS = (
     ("bag", None, "an .mcap file, or a bag's folder", None),
     ("rtf", "1.0", "real-time factor, 0 to 1000; 0 plays without pacing", None),
     ("start", "0.0", "time after the recording's start at which to begin, s", None),
+    ("namespace", "/", "namespace of all nodes and topics", None),
     ("paused", "false", "start paused", SWITCH),
     ("detect", "false", "evaluate the run again; the recorded verdict is not played", SWITCH),
 )
@@ -35,18 +36,20 @@ def generate_launch_description():
         for name, default, description, choices in ARGUMENTS
     ]
     detect = LaunchConfiguration("detect")
-    consumers = PythonExpression(["['capture_detector' if '", detect, "' == 'true' else '']"])
+    wait_for = PythonExpression(["['capture_detector' if '", detect, "' == 'true' else '']"])
     player = Node(
         package="capture_sim",
         executable="player",
         name="player",
+        namespace=LaunchConfiguration("namespace"),
+        on_exit=Shutdown(reason="the player has ended"),
         parameters=[
             {
                 "bag": LaunchConfiguration("bag"),
                 "rtf": ParameterValue(LaunchConfiguration("rtf"), value_type=float),
                 "start": ParameterValue(LaunchConfiguration("start"), value_type=float),
                 "paused": ParameterValue(LaunchConfiguration("paused"), value_type=bool),
-                "consumers": ParameterValue(consumers, value_type=TEXTS),
+                "wait_for": ParameterValue(wait_for, value_type=TEXTS),
             }
         ],
         output="screen",
@@ -55,7 +58,7 @@ def generate_launch_description():
         package="capture_sim",
         executable="capture_detector",
         name="capture_detector",
-        parameters=[{"exit_when_done": True}],
+        namespace=LaunchConfiguration("namespace"),
         condition=IfCondition(detect),
         output="screen",
     )

@@ -99,10 +99,6 @@ class Pacer:
             self._wall += late
             self._origin += late
 
-    def skip(self, t: float) -> None:
-        """Note that simulated time ``t`` (s) passes in a step: neither as time nor as speed."""
-        self.t = t
-
     @property
     def running(self) -> bool:
         """Whether time goes on: after a tick in its turn, until it is held."""
@@ -111,17 +107,16 @@ class Pacer:
     @property
     def wall(self) -> float:
         """Wall time spent running, without pauses, s."""
-        origin = self._origin  # another thread may hold time meanwhile
-        return self._wall + (0.0 if origin is None else self._clock() - origin)
+        return self._wall + (0.0 if self._origin is None else self._clock() - self._origin)
 
     @property
     def achieved(self) -> float:
-        """Simulated seconds per second so far, without pauses and steps."""
+        """Simulated seconds per second so far, without pauses."""
         return self._simulated / max(self.wall, 1e-9)
 
     def late_ticks(self, limit: float) -> int:
         """Return how many of the ticks that are kept came later than ``limit``, s."""
-        # a copy: an array cannot grow while NumPy looks at it
+        # a copy: an array cannot grow while NumPy has a view of it
         return int(np.count_nonzero(np.frombuffer(bytes(self._late)) > limit))
 
     def lateness(self, last: int | None = None) -> Lateness | None:

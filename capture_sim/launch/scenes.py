@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.kernels import plain
+from capture_sim.launch.approach import approached
 from capture_sim.launch.plan import LaunchPlan, plan_launch, tip_at_release, travel_to_touch
 from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
 from capture_sim.model.geometry import nearest_on_wall
@@ -23,8 +27,15 @@ from capture_sim.scene.files import (
     parse_scene,
     read_scene,
 )
-from capture_sim.scene.parts import Scene, as_mapping
+from capture_sim.scene.parts import Scene, as_mapping, as_name
 from capture_sim.scene.quantities import refuse
+
+#: Between a scene's title and the list of its changes.
+_CHANGED = "; with "
+#: Between two changes; a value may have commas.
+_NEXT_CHANGE = re.compile(r", (?=[a-z_]\w*(?:\.\w+)*=)")
+#: A name that lists more changes than fit gets a hash of them, characters.
+_LONGEST_NAME = 60
 
 
 def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
@@ -36,7 +47,15 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
         Name, e.g. ``"tilt_p10"``, or path of a YAML file.
     overrides
         Changed values as texts, e.g. ``["buffer.c_A=13"]``, or by name, e.g.
-        ``{"buffer.c_A": 13}``; SI units, or texts with a unit.
+        ``{"buffer.c_A": 13}`` or a row of a pandas table; SI units, or texts with a unit.
+        ``approach.angle``, ``.offset`` or ``.mouth_offset``, and ``.speed`` start the scene just
+        before its first touch, without rail and string.
+
+    Returns
+    -------
+    Scene
+        The checked scene, frozen; its parts and their fields are those of the YAML file, e.g.
+        ``scene.buffer.c_A``.
 
     Raises
     ------
@@ -73,11 +92,36 @@ def change_scene(scene: Scene, overrides: Overrides) -> Scene:
 def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
     """Return a checked scene with changed values, which its title lists."""
     data, changes = overridden(data, overrides)
+    approach = data.pop("approach", None)
     scene: Scene = build(data)
-    if changes and not any(change.startswith("title=") for change in changes):
-        scene = dataclasses.replace(scene, title=f"{scene.title}; with {', '.join(changes)}")
+    if approach is not None:
+        if not isinstance(approach, Mapping):
+            raise SceneError("approach: must be its fields, e.g. approach.angle='5 deg'")
+        scene = approached(scene, approach)
+    if changes := [change for change in changes if not change.startswith("title=")]:
+        scene = dataclasses.replace(scene, title=f"{scene.title}{_CHANGED}{', '.join(changes)}")
     check_scene(scene)
     return scene
+
+
+def overrides_of(scene: Scene) -> list[str]:
+    """Return the changes that were made to a scene, ``name=value`` each, as its title has them."""
+    _, _, changes = scene.title.partition(_CHANGED)
+    return _NEXT_CHANGE.split(changes.replace(_CHANGED, ", ")) if changes else []
+
+
+def overridden_name(scene: Scene) -> str:
+    """Return a name of a changed scene that names its changes, e.g. ``tilt_0_c_A_20``."""
+    changes = overrides_of(scene)
+    if any(change.startswith("name=") for change in changes):
+        return scene.name
+    fields = (change.partition("=") for change in changes)
+    texts = [f"{path.rpartition('.')[2]}_{value}" for path, _, value in fields]
+    name = "_".join([scene.name, *texts])
+    if len(name) > _LONGEST_NAME:
+        digest = hashlib.sha256(", ".join(changes).encode()).hexdigest()[:8]
+        name = f"{scene.name}_{digest}"
+    return as_name(name)
 
 
 def check_scene(scene: Scene) -> LaunchPlan:

@@ -1,9 +1,13 @@
-"""The launcher's state machine: it compares a launch with its plan."""
+"""The launcher's state machine: it compares a launch with its plan.
+
+Offline runs, nodes and real benches evaluate a launch by :meth:`Launcher.observe` alone.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from capture_sim.launch.plan import LaunchPlan, plan_launch, rolling_force
 from capture_sim.samples import Named
@@ -41,6 +45,20 @@ def expected_time(plan: LaunchPlan, travel: float) -> float:
     return plan.landing_time + (travel - height) / landing
 
 
+def is_predicted(scene: Scene, plan: LaunchPlan) -> bool:
+    """Return True if the plan predicts the time and speed of the first touch.
+
+    It does for a chaser that moves along its heading to a target at rest.
+    """
+    chaser, target = scene.initial.chaser, scene.initial.target
+    along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
+    across = chaser.vy * math.cos(chaser.theta) - chaser.vx * math.sin(chaser.theta)
+    is_straight = along >= 0.0 and abs(across) <= 1e-12 * max(1.0, along) and chaser.omega == 0.0
+    is_target_at_rest = not (target.vx or target.vy or target.omega)
+    has_impact = math.isfinite(plan.contact_time) and plan.impact_speed > 0.0
+    return is_straight and is_target_at_rest and has_impact
+
+
 class LauncherPhase(Named):
     """State of the launcher, as in msg/LauncherState.msg."""
 
@@ -65,19 +83,33 @@ class LauncherStatus:
     reason: str = ""
 
 
+class LaunchObservation(NamedTuple):
+    """One measurement of a launch."""
+
+    t: float  # s, since the release; NaN: not known, so that no delay is evaluated
+    speed: float  # m/s, of the chaser along the rail
+    travel: float  # m, since the release; NaN: not known, so that the speed is not evaluated
+    is_slack: bool  # the mass has landed
+    has_touched: bool  # the tip has met the cone
+    speed_deviation: float = 0.0  # m/s, standard deviation of ``speed``
+    unseen: str = ""  # why nobody measured the speed at the first touch
+
+
 class Launcher:
     """Follows one launch from arming to the first contact; without a string it only lets go.
 
     ``tolerance``: the share of the wanted impact speed by which the speed may differ, and of the
     time of the first touch (and :data:`GRACE`) by which that may be late; else the launch is
     aborted, or, without ``aborts``, only described.  ``deviation``: how the launch differed from
-    the plan at the last measurement; empty if it did not.
+    the plan at the last measurement; empty if it did not, or if the plan does not predict it
+    (:func:`is_predicted`).
     """
 
     def __init__(self, scene: Scene, tolerance: float = 0.2, *, aborts: bool = True) -> None:
         self.plan = plan_launch(scene)
         self.tolerance, self.aborts, self.deviation = tolerance, aborts, ""
         self._scene = scene
+        self._is_predicted = is_predicted(scene, self.plan)
         self._state = LauncherPhase.ARMED
         self._speed = 0.0
         self._reason = ""
@@ -96,6 +128,16 @@ class Launcher:
             self._reason,
         )
 
+    @property
+    def is_under_way(self) -> bool:
+        """True from the release to the first contact."""
+        return self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED)
+
+    @property
+    def latest_contact(self) -> float:
+        """Latest time of the first touch that is no deviation, s since the release."""
+        return (1.0 + self.tolerance) * self.plan.contact_time + GRACE
+
     def release(self) -> LauncherStatus:
         """Note that the release has been sent."""
         if self._state is LauncherPhase.ARMED:
@@ -113,54 +155,40 @@ class Launcher:
         start = self._scene.initial.chaser
         return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
 
-    def observe(
-        self,
-        chaser_speed: float,
-        string_slack: bool,
-        touched: bool,
-        *,
-        t: float | None = None,
-        travel: float | None = None,
-        speed_deviation: float = 0.0,
-    ) -> LauncherStatus:
-        """Take in a measurement; abort if the launch does not go as planned.
-
-        ``chaser_speed`` (m/s, along the rail) has the standard deviation ``speed_deviation``;
-        without ``travel`` (m, since the release) it is not evaluated, and without ``t`` (s) no
-        delay.
-        """
-        if self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED):
-            if touched:
-                # the speed before the touch is the impact speed: keep the last one
-                self._state = LauncherPhase.DELIVERED
-            else:
-                self._speed = chaser_speed
-                if string_slack:
-                    self._state = LauncherPhase.LANDED
-                self.deviation = self._deviation(t, travel, speed_deviation)
-                if self.deviation and self.aborts:
-                    self.abort(self.deviation)
+    def observe(self, observed: LaunchObservation) -> LauncherStatus:
+        """Add a measurement; abort if the launch does not go as planned."""
+        if not self.is_under_way:
+            return self.status
+        if observed.has_touched:
+            # the last speed before the touch is the impact speed
+            self._state, self.deviation = LauncherPhase.DELIVERED, ""
+            if observed.unseen:
+                self._speed, self._reason = math.nan, observed.unseen
+            return self.status
+        self._speed = observed.speed
+        if observed.is_slack:
+            self._state = LauncherPhase.LANDED
+        self.deviation = self._deviation(observed) if self._is_predicted else ""
+        if self.deviation and self.aborts:
+            self.abort(self.deviation)
         return self.status
 
-    def _deviation(self, t: float | None, travel: float | None, speed_deviation: float) -> str:
+    def _deviation(self, observed: LaunchObservation) -> str:
         """Return how the launch differs from the plan; empty if it does not."""
-        plan = self.plan
-        if not (math.isfinite(plan.contact_time) and plan.impact_speed > 0.0):
-            return ""  # there is no impact to be launched for
-        latest = (1.0 + self.tolerance) * plan.contact_time + GRACE
-        if t is not None and t > latest:
+        plan, latest = self.plan, self.latest_contact
+        if observed.t > latest:
             return (
-                f"no contact after {t:.4g} s: expected after {plan.contact_time:.4g}, "
+                f"no contact after {observed.t:.4g} s: expected after {plan.contact_time:.4g}, "
                 f"must be at most {latest:.4g}"
             )
-        if travel is None:
+        if math.isnan(observed.travel):
             return ""
-        wanted = expected_speed(self._scene, plan, travel)
-        slack = self.tolerance * plan.impact_speed
-        if abs(self._speed - wanted) <= slack + SPEED_GUARD * speed_deviation:
+        wanted = expected_speed(self._scene, plan, observed.travel)
+        slack, deviation = self.tolerance * plan.impact_speed, observed.speed_deviation
+        if abs(observed.speed - wanted) <= slack + SPEED_GUARD * deviation:
             return ""
-        known = f" +- {speed_deviation:.2g}" if speed_deviation > 0.0 else ""
+        known = f" +- {deviation:.2g}" if deviation > 0.0 else ""
         return (
-            f"speed {self._speed:.4g}{known} m/s after {travel:.4g} m: "
+            f"speed {observed.speed:.4g}{known} m/s after {observed.travel:.4g} m: "
             f"must be {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
         )

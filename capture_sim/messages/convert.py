@@ -10,13 +10,10 @@ Simulated time starts at 1 s, since a stamp of zero means 'not set' to ROS tools
 
 from __future__ import annotations
 
-import hashlib
 import math
-import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +21,12 @@ import numpy as np
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Columns, Template, fill
 from capture_sim.messages.definitions import blank, typestore
+from capture_sim.messages.topics import RunSource
 from capture_sim.samples import SAMPLE, TRACE, Event, Phase
+from capture_sim.software import scene_hash, software_versions
 
 if TYPE_CHECKING:
-    from capture_sim.detection.exact import CaptureStatus
+    from capture_sim.detection.criteria import CaptureStatus
     from capture_sim.launch.plan import LaunchPlan
     from capture_sim.launch.watch import LauncherStatus
     from capture_sim.scene.parts import Detector, Scene
@@ -47,9 +46,6 @@ SLIDE_JOINT = "buffer_slide"
 MOST_NAMES, LONGEST_NAME = 100, 200
 #: Kinds of messages that are remembered at most: a contact's trace has any number of points.
 MOST_KINDS = 200
-
-#: Packages whose version decides about a run's numbers or its file.
-_SOFTWARE = ("capture_sim", "numpy", "numba", "mcap", "rosbags")
 
 #: Fields of CaptureCriteria, and the fields of a scene's ``detector`` that they report.
 CRITERIA = {
@@ -96,17 +92,6 @@ def stamp_seconds(stamp: int) -> float:
     return (stamp - EPOCH_NS) / 1e9
 
 
-def software_versions() -> tuple[str, ...]:
-    """Return ``"name version"`` of Python and of each installed package that counts."""
-    found = [f"python {platform.python_version()}"]
-    for name in _SOFTWARE:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
-    return tuple(found)
-
-
 @dataclass(frozen=True)
 class RunDescription:
     """Everything needed to run a run again; the content of msg/RunInfo.msg."""
@@ -117,8 +102,12 @@ class RunDescription:
     software: tuple[str, ...]  # ``"name version"`` each
     state_rate: float  # of BenchState, Hz
     rate: float  # of all other periodic topics, Hz
-    publishers: tuple[str, ...]  # nodes whose StreamCounts end the run
-    consumers: tuple[str, ...] = ()  # nodes that take part, and read what the others publish
+    publishers: tuple[str, ...]  # roles whose StreamCounts end the run
+    source: str = RunSource.SIMULATION
+    announcer: str = ""  # participant that announces the run
+    participants: tuple[str, ...] = ()  # nodes of the roll that the run waits for
+    note: str = ""  # the operator's, of a trial
+    expected: str = ""  # verdict that the operator of a trial expects; empty: none
 
     @classmethod
     def of(
@@ -127,7 +116,10 @@ class RunDescription:
         run_id: str,
         publishers: Sequence[str],
         software: Sequence[str] | None = None,
-        consumers: Sequence[str] = (),
+        *,
+        source: str = RunSource.SIMULATION,
+        announcer: str = "",
+        participants: Sequence[str] = (),
     ) -> RunDescription:
         """Describe a run of a scene; the software is that of this process unless given."""
         return cls(
@@ -138,7 +130,9 @@ class RunDescription:
             state_rate=scene.run.state_rate,
             rate=scene.run.rate,
             publishers=tuple(publishers),
-            consumers=tuple(consumers),
+            source=str(source),
+            announcer=announcer,
+            participants=tuple(participants),
         )
 
     @classmethod
@@ -152,8 +146,8 @@ class RunDescription:
             values[name] = value = float(values[name])
             if not 0.0 < value < math.inf:
                 raise MessageError(f"RunInfo.{name} = {value:g} Hz: must be above 0")
-        values |= {n: tuple(values[n]) for n in ("software", "publishers", "consumers")}
-        for name in ("software", "publishers", "consumers"):
+        values |= {n: tuple(values[n]) for n in ("software", "publishers", "participants")}
+        for name in ("software", "publishers", "participants"):
             longest = max(map(len, values[name]), default=0)
             if len(values[name]) > MOST_NAMES or longest > LONGEST_NAME:
                 raise MessageError(
@@ -165,7 +159,7 @@ class RunDescription:
     @property
     def scene_sha256(self) -> str:
         """Hash of the scene's text, hexadecimal."""
-        return hashlib.sha256(self.scene.encode()).hexdigest()
+        return scene_hash(self.scene)
 
 
 # what one message holds
@@ -360,16 +354,19 @@ class Messages:
             fill(message, path, value)
         return message
 
-    def header(self, t: float, frame_id: str) -> Message:
-        """Return std_msgs/Header of a time since the release, s."""
-        sec, nanosec = divmod(stamp_ns(t), 1_000_000_000)
+    def header(self, t: float, frame_id: str, zero_ns: int = EPOCH_NS) -> Message:
+        """Return std_msgs/Header of a time, s since ``zero_ns``: the stamp of t = 0, ns."""
+        sec, nanosec = divmod(stamp_ns(t) - EPOCH_NS + zero_ns, 1_000_000_000)
         stamp = {"stamp.sec": sec, "stamp.nanosec": nanosec}
         return self.new("std_msgs/msg/Header", frame_id=frame_id, **stamp)
 
     def run_info(self, run: RunDescription) -> Message:
         """Return RunInfo, stamped with the release."""
-        texts = {name: list(getattr(run, name)) for name in ("software", "publishers", "consumers")}
-        names = ("run_id", "name", "scene", "scene_sha256", "state_rate", "rate")
+        texts = {
+            name: list(getattr(run, name)) for name in ("software", "publishers", "participants")
+        }
+        names = ["run_id", "name", "source", "announcer", "scene", "scene_sha256"]
+        names += ["state_rate", "rate"]
         return self.new(
             "capture_sim/msg/RunInfo",
             header=self.header(0.0, WORLD),
@@ -385,6 +382,7 @@ class Messages:
         *,
         complete: bool = True,
         reason: str = "",
+        extremes: str = "",
     ) -> Message:
         """Return StreamCounts of one publisher: messages sent by topic name."""
         return self.new(
@@ -395,6 +393,7 @@ class Messages:
             reason=reason,
             topics=list(counts),
             counts=list(counts.values()),
+            extremes=extremes,
         )
 
     def many(self, type_name: str, columns: Columns, **fixed: Any) -> Iterator[bytes]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from capture_sim.detection.align import Source, Values
+from capture_sim.detection.measurements import Source, Values
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
@@ -72,7 +72,7 @@ class MeasurementReader:
         self._numbers = Numbers(typestore(), topic.type_name, *STAMP, *numbers)
 
     def __call__(self, data: bytes) -> tuple[int, Values]:
-        """Return the stamp, ns, and the values, see :class:`capture_sim.detection.align.Source`.
+        """Return the stamp, ns, and the values of the topic's `Source`.
 
         MessageError if the bytes are no such message, or it has no such joints.
         """

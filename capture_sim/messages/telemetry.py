@@ -106,6 +106,8 @@ class _Stream:
     def __init__(self, messages: Messages, run_id: str) -> None:
         self._messages = messages
         self._run_id = run_id
+        #: Stamp of t = 0, ns: the release, or a bench's own time.
+        self.zero_ns = convert.EPOCH_NS
         #: Messages made so far, by topic.
         self.by_topic = {
             topic: 0
@@ -118,10 +120,15 @@ class _Stream:
         """Messages made so far, by topic name."""
         return {topic.name: count for topic, count in self.by_topic.items()}
 
-    def end(self, *, complete: bool = True, reason: str = "") -> Sent:
+    def end(self, *, complete: bool = True, reason: str = "", extremes: str = "") -> Sent:
         """Return the counts of all streams, which end the run."""
         counts = self._messages.stream_counts(
-            self.publisher, self._run_id, self.counts, complete=complete, reason=reason
+            self.publisher,
+            self._run_id,
+            self.counts,
+            complete=complete,
+            reason=reason,
+            extremes=extremes,
         )
         return Sent(topics.STREAM_COUNTS, None, self._messages.serialise(counts))
 
@@ -129,15 +136,16 @@ class _Stream:
         """Return one message, stamped t, s since the release."""
         seq = {"seq": self.by_topic[topic]} if topic.sequenced else {}
         self.by_topic[topic] += 1
-        header = self._messages.header(t, frame)
+        header = self._messages.header(t, frame, self.zero_ns)
         message = self._messages.new(topic.type_name, header=header, **seq, **fields)
-        return Sent(topic, convert.stamp_ns(t), self._messages.serialise(message))
+        stamp = convert.stamp_ns(t) - convert.EPOCH_NS + self.zero_ns
+        return Sent(topic, stamp, self._messages.serialise(message))
 
     def _many(
         self, topic: Topic, t: np.ndarray, frame: str, columns: Columns, **fixed: Any
     ) -> Iterator[Sent]:
         """Return n messages, stamped t (n,), s since the release."""
-        stamps = convert.stamps_ns(t)
+        stamps = convert.stamps_ns(t) - convert.EPOCH_NS + self.zero_ns
         path = "clock" if topic.stamp is Stamp.CLOCK else "header.stamp"
         columns = {**convert.stamp_columns(path, stamps), **columns}
         if topic.sequenced:

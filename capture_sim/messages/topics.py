@@ -6,12 +6,27 @@ Nodes make their publishers from this table and the recorder its channels, so bo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
+# roles of nodes, whatever their names
 SIMULATOR = "simulator"
 LAUNCHER = "launcher"
 CAPTURE_DETECTOR = "capture_detector"
+RECORDER = "recorder"
+PLAYER = "player"
+
+
+class RunSource(StrEnum):
+    """Who announces a run."""
+
+    SIMULATION = "simulation"
+    REPLAY = "replay"
+    TRIAL = "trial"  # of a real bench
+
+
+#: Output of the launcher for a real release, std_msgs/Bool, true holds; nobody else publishes it.
+HOLD = "launcher/hold"
 
 
 class Rate(Enum):
@@ -109,7 +124,12 @@ STREAM_COUNTS = Topic(
     stamp=Stamp.NONE,
 )
 
-#: All topics, in the order in which a sample's messages are sent.
+#: What nodes report of their part in runs; not part of a run, so not recorded.
+ROLL = Topic(
+    "bench/roll", "capture_sim/msg/Roll", (), Rate.EVENT, depth=10, latched=True, stamp=Stamp.NONE
+)
+
+#: All topics of a run, in the order in which a sample's messages are sent.
 TOPICS: tuple[Topic, ...] = (
     RUN_INFO,
     LAUNCH_COMMAND,

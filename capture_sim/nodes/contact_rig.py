@@ -16,7 +16,6 @@ from capture_sim.hardware.messages import (
     wrench_message,
 )
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
-from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.process import run
@@ -29,8 +28,8 @@ class ContactRigNode(BenchNode):
     `-p ideal:=true` is a rig without servo, noise, bias and delay.
     """
 
-    def __init__(self) -> None:
-        super().__init__(CONTACT_RIG)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(CONTACT_RIG, **options)
         name = self.declare("scene", "_loop", "scene with the cone: name in config/scenes, or file")
         overrides = self.declare(
             "overrides", list, "changes of the scene (SI), e.g. cone.half_angle=0.8"
@@ -94,7 +93,7 @@ class ContactRigNode(BenchNode):
     def work(self) -> int:
         """Answer until Ctrl-C."""
         self.get_logger().info("ready")
-        STOP.wait()
+        self.wait()
         return OK
 
     def _answer(self, message: Any) -> None:

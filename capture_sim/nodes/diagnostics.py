@@ -8,7 +8,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from capture_sim.control.simulation import SimulationControl, State
-from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.endpoints import message_class
+from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.stepping import Stepping
 
 #: Published this often, s (wall).
@@ -37,7 +38,7 @@ class SimulatorDiagnostics:
         self._on = False
         self._ticks = 0
         self._rounds = 0
-        node.create_timer(PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.every(PERIOD, self._tick)
 
     def begin(self, stepping: Stepping) -> None:
         """Report on this run from now on."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import time
 from collections import deque
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
 from capture_sim.files import why_no_file
+from capture_sim.hardware.guard import LIMITS, Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
-from capture_sim.hardware.limits import LIMITS, Limits
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
+    HOLD,
     LOOP_SIMULATOR,
     RIG_TIP,
     TIP,
@@ -28,10 +29,11 @@ from capture_sim.hardware.messages import (
     tip_of,
     wrench_of,
 )
+from capture_sim.hardware.pacing import Pacer, request_priority
+from capture_sim.hardware.report import Timing, report_of, summary
 from capture_sim.hardware.stage import LoopStage, SafeStopError
-from capture_sim.hardware.touch import Touch
-from capture_sim.interrupts import STOP
 from capture_sim.launch.scenes import load_scene
+from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -39,23 +41,21 @@ from capture_sim.nodes.start import FAILED, OK
 
 #: The tip's first position is sent this often, s (wall).
 FIRST_POSE_PERIOD = 0.005
-#: Lateness up to this share of a step is caught up with: positions are never closer than 0.8 step.
-MAX_JITTER = 0.2
-#: A Runge-Kutta step is about this long, s.
-SUBSTEP = 2.5e-5
+#: Measured tips that are kept until their wrench comes.
+_MAX_RIG_TIPS = 200
 
 
 class LoopSimulatorNode(BenchNode):
     """Simulates vehicles and buffer; the contact comes from a rig on loop/wrench.
 
     It measures bias and noise of the load cell at rest. Then it sends the tip's position on
-    loop/tip with every step and uses the newest wrench. A step that is late shifts all later ones.
-    At a limit of energy, force, torque, speed, acceleration, latency or lateness it stops and exits
-    with status 1.
+    loop/tip with every step, from rest up to the vehicles' first speed and on, and uses the newest
+    wrench. A step that is late shifts all later ones. At a limit it sends the reason on loop/hold,
+    stops and exits with status 1.
     """
 
-    def __init__(self) -> None:
-        super().__init__(LOOP_SIMULATOR)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(LOOP_SIMULATOR, **options)
         number = partial(self.declare, low=0.0)
         name = self.declare("scene", "_loop", "scene: name in config/scenes, or file")
         overrides = self.declare("overrides", list, "changes of the scene (SI), e.g. buffer.c_A=13")
@@ -77,7 +77,15 @@ class LoopSimulatorNode(BenchNode):
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
         )
-        mass = number("mass", 0.0, "effective mass of the contact, kg; 0: the tip's", high=1e6)
+        self._max_late_share = number(
+            "late_share_limit", 0.2, "share of late steps among the latest 1000", high=1.0
+        )
+        self._priority = self.declare(
+            "priority", 0, "SCHED_FIFO priority of the process; 0: ordinary", low=0, high=99
+        )
+        run_up = self.declare(
+            "run_up", 0.2, "time from rest to the vehicles' first speed, s", low=0.0, high=0.9
+        )
         threshold = number(
             "touch_threshold",
             0.0,
@@ -109,23 +117,24 @@ class LoopSimulatorNode(BenchNode):
                 f"parameter report = '{report}': must be a file that can be written: {reason}"
             )
         scene = load_scene(name, overrides)
-        self._stage = LoopStage(scene, 1.0 / rate, max(1, round(1.0 / rate / SUBSTEP)))
+        self._t_end = scene.run.t_end
         law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset)
-        self._loop = Loop(self._stage, method, law, limits, mass or None, threshold)
+        if method != "model" and not stiffness:
+            law = WallLaw(0.0, exponent, offset=offset)  # nothing is known of the rig's walls
+        self._loop = Loop(LoopStage(scene, 1.0 / rate), method, law, limits, threshold, run_up)
         self._inbox: deque[tuple[float, float, Wrench]] = deque()  # arrival (wall), stamp, wrench
         self._rig_tips: dict[float, TipState] = {}
-        self._sent: dict[float, float] = {}  # wall time by the tip's time
-        self._ages: list[float] = []
-        self._round_trips: list[float] = []
-        self._late_steps, self._largest_lateness, self._reported_notes = 0, 0.0, 0
-        self.open((TIP,))
+        self._timing = Timing()
+        self._pacer: Pacer | None = None
+        self._reported_notes = 0
+        self.open((TIP, HOLD))
         self.listen(RIG_TIP, self._receive_tip)
         self.listen(TIP_WRENCH, self._receive_wrench)
 
     def _receive_tip(self, message: Any) -> None:
         tip = tip_of(message)
         self._rig_tips[round(tip.t, 9)] = tip
-        while len(self._rig_tips) > 200:
+        while len(self._rig_tips) > _MAX_RIG_TIPS:
             del self._rig_tips[next(iter(self._rig_tips))]
 
     def _receive_wrench(self, message: Any) -> None:
@@ -141,77 +150,83 @@ class LoopSimulatorNode(BenchNode):
             arrival, stamp, wrench = self._inbox.popleft()
             key = round(stamp, 9) if math.isfinite(stamp) else 0.0
             self._loop.receive(stamp, wrench, self._rig_tips.pop(key, None))
-            sent = self._sent.pop(key, None)
-            if sent is not None:
-                self._round_trips.append(arrival - sent)
+            self._timing.answered(key, arrival)
 
     def work(self) -> int:
         """Run the loop to the scene's end; return the exit status."""
-        stopped = ""
+        gc.collect()
+        gc.freeze()  # later collections need not look at what is there now: 20 ms
+        stopped, hold = "", "interrupted"
+        self._hold("")
         try:
             self._await_rest()
             self._run()
+            hold = "end of the run"
         except SafeStopError as stop:
-            stopped = f"stopped at t = {self._stage.t:.6g} s: {stop}"
+            hold = stopped = f"stopped at t = {self._loop.t:.6g} s: {stop}"
             self.get_logger().error(stopped)
+        except CaptureSimError as error:
+            hold = str(error)
+            raise
+        finally:
+            self._hold(hold)
         self._loop.end()
         self._log_notes()
         self._report_result(stopped)
         return FAILED if stopped else OK
 
+    def _hold(self, reason: str) -> None:
+        self.send(HOLD, message_class(HOLD.type_name)(data=reason))
+
     def _await_rest(self) -> None:
         """Send the first position until the rig has answered it often enough."""
         self.get_logger().info("waiting for wrenches at rest on loop/wrench")
-        deadline = time.monotonic() + self._start_timeout
-        while self._loop.answers.n_at_rest < N_AT_REST:
+        loop, deadline = self._loop, time.monotonic() + self._start_timeout
+        while loop.answers.n_at_rest < N_AT_REST:
             if time.monotonic() > deadline:
-                away = self._loop.start_distance
-                if away > MAX_START_DISTANCE:
-                    raise CaptureSimError(
-                        f"distance of loop/rig_tip from the first position = {away * 1e3:.3g} mm "
-                        f"after {self._start_timeout:g} s (start_timeout): must be <= "
-                        f"{MAX_START_DISTANCE * 1e3:g}"
-                    )
-                n, rejected = self._loop.answers.n_at_rest, dict(self._loop.answers.rejections)
-                raise CaptureSimError(
-                    f"answers at rest = {n} within {self._start_timeout:g} s: must be >= "
-                    f"{N_AT_REST}" + (f"; rejected: {rejected}" if rejected else "")
-                )
-            self.send(TIP, tip_message(self.messages, 0.0, self._stage.tip))
-            if STOP.wait(FIRST_POSE_PERIOD):
-                raise KeyboardInterrupt
+                raise CaptureSimError(self._why_no_rest())
+            self.send(TIP, tip_message(self.messages, loop.t, loop.pose))
+            self.wait(limit=FIRST_POSE_PERIOD)
             self._hand_over_answers()
-        self._loop.begin()
+        loop.begin()
         self._rig_tips.clear()
-        bias = ", ".join(f"{value:.3g}" for value in self._loop.answers.bias[:3])
+        bias = ", ".join(f"{value:.3g}" for value in loop.answers.bias[:3])
         self.get_logger().info(
             f"the loop is closed; load cell at rest: bias {bias} N, noise "
-            f"{self._loop.answers.noise:.3g} N; a touch begins at {self._loop.threshold:.3g} N"
+            f"{loop.answers.noise:.3g} N; a contact begins at {loop.threshold:.3g} N"
+        )
+
+    def _why_no_rest(self) -> str:
+        answers, away, limit = self._loop.answers, self._loop.start_distance, self._start_timeout
+        if away > MAX_START_DISTANCE:
+            return (
+                f"distance of loop/rig_tip from the first position = {away * 1e3:.3g} mm after "
+                f"{limit:g} s (start_timeout): must be <= {MAX_START_DISTANCE * 1e3:g}"
+            )
+        rejected = f"; rejected: {dict(answers.rejections)}" if answers.rejections else ""
+        return (
+            f"answers at rest = {answers.n_at_rest} within {limit:g} s: must be >= "
+            f"{N_AT_REST}{rejected}"
         )
 
     def _run(self) -> None:
-        period = self._stage.step / self._rtf
-        due = time.monotonic()
-        for _ in range(round(self._stage.scene.run.t_end / self._stage.step)):
-            if STOP.wait(max(0.0, due - time.monotonic())):
-                raise KeyboardInterrupt
-            lateness = time.monotonic() - due
-            if lateness > MAX_JITTER * period:  # never caught up with: the rig would be hurried
-                self._late_steps += 1
-                self._largest_lateness = max(self._largest_lateness, lateness)
-                due += lateness
-                if lateness > self._max_lateness:
-                    raise SafeStopError(
-                        f"lateness of a step = {lateness:.3g} s: must be <= {self._max_lateness:g} "
-                        "(lateness_limit)"
-                    )
+        """Send a position with each step, up to the end."""
+        loop, log = self._loop, self.get_logger()
+        if self._priority and (reason := request_priority(self._priority)):
+            log.warning(reason)
+        period = loop.stage.step / self._rtf
+        pacer = self._pacer = Pacer(period, self._max_lateness, self._max_late_share)
+        while loop.t < self._t_end - 1e-9:
+            self.wait(limit=pacer.time_to_work())
             self._hand_over_answers()
-            pose = self._loop.advance()
-            self._ages.append(self._stage.t - self._stage.step - self._loop.answers.latest.stamp)
-            self._sent[round(pose.t, 9)] = time.monotonic()
+            self._timing.latencies.append(loop.t - loop.answers.latest.stamp)
+            pose = loop.advance()
+            pacer.work_done()
+            self.wait(limit=pacer.time_to_send())
+            pacer.release()
             self.send(TIP, tip_message(self.messages, pose.t, pose))
+            self._timing.sent(round(pose.t, 9), time.monotonic())
             self._log_notes()
-            due += period
 
     def _log_notes(self) -> None:
         """Log the loop's notes that are new."""
@@ -221,47 +236,11 @@ class LoopSimulatorNode(BenchNode):
 
     def _report_result(self, stopped: str) -> None:
         """Log what was measured and write the report; RecordingError if that fails."""
-        loop, ages = self._loop, sorted(self._ages) or [0.0]
-        servo_lag = None if loop.known_lag is None else loop.servo_lag
-        rejections = dict(loop.answers.rejections)
-        report: dict[str, Any] = {
-            "stopped": stopped,
-            "notes": loop.notes,
-            "steps": round(self._stage.t / self._stage.step),
-            "late_steps": self._late_steps,
-            "largest_lateness": self._largest_lateness,
-            "refused": sum(rejections.values()),
-            "rejections": rejections,
-            "ages": self._ages,
-            "round_trips": self._round_trips,
-            "lag": {"servo": servo_lag, "force": loop.estimate.lag, "whole": loop.known_lag},
-            "load_cell": {
-                "bias": loop.answers.bias,
-                "noise": loop.answers.noise,
-                "threshold": loop.threshold,
-            },
-            "energy_excess": loop.energy.excess,
-            "energy_withheld": loop.energy.withheld,
-            "rig_peak_force": loop.rig_peak_force,
-            "vehicle_peak_force": max((touch.peak_force for touch in loop.touches), default=0.0),
-            "law": loop.estimate.law._asdict(),
-            "touches": [_entry(touch) for touch in loop.touches],
-        }
-        whole = f"{loop.lag * 1e3:.1f} ms"
-        if loop.known_lag is None:
-            whole = f"not known: {whole} is above timeout"
-        self.get_logger().info(
-            f"{report['steps']} steps, latency {ages[len(ages) // 2] * 1e3:.1f} ms (median), "
-            f"{ages[-1] * 1e3:.1f} ms (maximum), whole lag {whole}; peak "
-            f"force on the rig {loop.rig_peak_force:.4g} N, energy added to the vehicles "
-            f"{loop.energy.excess:.3g} J"
-        )
-        if rejections:
-            self.get_logger().warning(f"wrenches rejected: {rejections}")
-        if loop.touches:
-            value = loop.touches[0].restitution
-            shown = "not known" if math.isnan(value) else f"{value:.4f}"
-            self.get_logger().info(f"first touch: restitution {shown}")
+        report = report_of(self._loop, self._pacer, self._timing, stopped)
+        for line in summary(self._loop, report):
+            self.get_logger().info(line)
+        if report["rejections"]:
+            self.get_logger().warning(f"wrenches rejected: {report['rejections']}")
         if self._report is not None:
             try:
                 text = json.dumps(report, default=np.ndarray.tolist)
@@ -270,15 +249,6 @@ class LoopSimulatorNode(BenchNode):
                 raise RecordingError(
                     f"report {self._report}: cannot be written: {error.strerror}"
                 ) from None
-
-
-def _entry(touch: Touch) -> dict[str, Any]:
-    """Return a touch as the report has it; null for what is not known."""
-    entry = {**asdict(touch), "restitution": touch.restitution}
-    for name in ("restitution", "law_restitution"):
-        if math.isnan(entry[name]):
-            entry[name] = None
-    return entry
 
 
 main = partial(run, LoopSimulatorNode)

@@ -1,128 +1,130 @@
-"""The base of all nodes of the bench: publishers that lose nothing, and subscriptions."""
+"""The base of all nodes: one thread, callbacks only inside :meth:`BenchNode.wait`."""
 
 from __future__ import annotations
 
-import importlib
 import math
-import signal
 import struct
 import threading
 import time
-from collections.abc import Callable, Collection, Sequence
-from functools import cache
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
-from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_check_compatible,
-)
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import deserialize_message
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.interrupts import STOP
-from capture_sim.messages.convert import Messages, RunDescription
+from capture_sim.messages.convert import Messages
 from capture_sim.messages.telemetry import Sent
-from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, Rate, Topic
+from capture_sim.messages.topics import Rate, Topic
+from capture_sim.nodes.endpoints import from_bytes, full_name, is_own, message_class, qos_of
+from capture_sim.nodes.outbox import Outbox
 from capture_sim.nodes.parameters import ParameterNode
+from capture_sim.nodes.start import OK
+
+try:
+    # a fortieth of the plain executor's cost per message; not in every rclpy
+    from rclpy.experimental import EventsExecutor
+except ImportError:
+    EventsExecutor = SingleThreadedExecutor
 
 #: A subscriber of a latched topic keeps this many messages until its callback has run.
 MIN_DEPTH = 100
-#: A new publisher waits this long for the readers of the one it replaces, s (wall).
-MATCHING_TIMEOUT = 1.0
-#: Messages still on their way when the process is asked to end get this long to arrive, s (wall).
-LAST_DRAIN = 0.5
-#: Rejected messages of a topic are logged at most this often, s (wall); the others are counted.
-REJECTION_PERIOD = 5.0
-#: The last message, for those who come later.
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
+POLL = 0.1
 #: What unexpected numbers, lists and bytes raise in a callback.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
 
 
-@cache
-def message_class(type_name: str) -> Any:
-    """Return the class of a message type given as ``package/msg/Name``."""
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
-    """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
-
-    ``latched``: whether a subscriber wants what a latched topic keeps; as the topic unless given.
-    """
-    latched = topic.latched if latched is None else latched
-    keeps_last = (topic.latched and latched) or topic.rate is Rate.CONTROL
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
-        depth=topic.depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def overridable(topic: Topic) -> QoSOverridingOptions | None:
-    """Return which policies of a topic the user may set: those of what a rig's drivers publish.
-
-    The bench's own topics are reliable, as what takes part in a run counts them.
-    """
-    own = topic is CLOCK or topic.type_name.startswith("capture_sim/")
-    return None if own else QoSOverridingOptions.with_default_policies()
-
-
 class BenchNode(ParameterNode):
-    """A node of the bench: publishers by topic, which lose nothing, and subscriptions.
+    """A node with one thread: its callbacks run inside :meth:`wait` and nowhere else.
 
-    ``has_coroutines``: some callbacks are coroutines.
+    ``options`` are those of :class:`rclpy.node.Node`.  ``end_request``: an event that ends the
+    node, by default the process's Ctrl-C; ``exit_status``: what the process returns when it is
+    ended; ``failure``: an error in a callback, which the next wait raises.
     """
 
-    has_coroutines = False
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self.created = time.monotonic()  # other nodes are discovered from here on
         self.messages = Messages()
-        self.failure: Exception | None = None  # that ended the callbacks
-        self.reader_timeout = 10.0  # s (wall), then a reader that reads nothing is dropped
-        self.dropped_readers: list[str] = []  # nodes that had stopped reading
-        self._senders: dict[Topic, Any] = {}
-        self._retired: list[Any] = []
-        self._rejections: dict[Topic, tuple[float, int]] = {}  # last log (s), messages since
+        self.end_request: threading.Event = STOP
+        self.exit_status = OK
+        self.failure: Exception | None = None
+        self.in_callback = False
+        self.outbox = Outbox(self)
+        self.callback_executor: Executor | None = None
+        self._interrupted = False
+        self._rejections: Counter[Topic] = Counter()
+        self._best_effort: list[Callable[[], None]] = []  # subscriptions to be made again
 
     def work(self) -> int:
-        """Do the node's work in the main thread; return the exit status."""
+        """Do the node's work; return the exit status."""
         raise NotImplementedError
 
-    def await_run_end(self) -> None:
-        """Wait after Ctrl-C for messages that are on their way; callbacks still run."""
+    # waiting, the only place where callbacks run
 
-    def interrupted(self) -> None:
-        """End the run after Ctrl-C; no callback runs any more, sending still works."""
+    def wait(self, until: Callable[[], bool] | None = None, limit: float = math.inf) -> bool:
+        """Run callbacks until ``until()`` is true or ``limit`` s (wall) have passed.
 
-    def readers_changed(self) -> None:
-        """Take note that readers of an open topic have come or gone."""
+        Return whether it is true.  KeyboardInterrupt, once, after the request to end; later waits
+        are those of the shutdown.  An error in a callback is raised here.
+        """
+        deadline = time.monotonic() + limit
+        has_served = False  # a wait without time serves once
+        while True:
+            if self.failure is not None:
+                raise self.failure
+            if self.end_request.is_set() and not self._interrupted:
+                self._interrupted = True
+                raise KeyboardInterrupt
+            if until is not None and until():
+                return True
+            left = deadline - time.monotonic()
+            if left <= 0.0 and has_served:
+                return False
+            self.serve(min(max(left, 0.0), POLL))
+            has_served = True
 
-    # topics
+    def serve(self, limit: float = 0.0) -> None:
+        """Run the callbacks of what comes first, if anything comes within ``limit`` s (wall)."""
+        if self.callback_executor is None:
+            self.callback_executor = EventsExecutor(context=self.context)
+            self.callback_executor.add_node(self)
+        self.callback_executor.spin_once(limit)
+        while self._best_effort:
+            self._best_effort.pop()()
 
-    def open(self, topics: Sequence[Topic]) -> None:
-        """Make the publishers of these topics."""
-        for topic in topics:
-            self._senders[topic] = self.create_publisher(
-                message_class(topic.type_name),
-                topic.name,
-                qos_of(topic),
-                qos_overriding_options=overridable(topic),
-                event_callbacks=PublisherEventCallbacks(
-                    matched=lambda event: self.readers_changed()
-                ),
-            )
+    def close(self) -> None:
+        """Leave the network; the executor must let the node go first."""
+        if self.callback_executor is not None:
+            self.callback_executor.remove_node(self)
+            self.callback_executor.shutdown()
+            self.callback_executor = None
+        self.destroy_node()
+
+    def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback whose errors end the node by its next :meth:`wait`."""
+
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            self.in_callback = True
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.failure = self.failure or error
+                return arguments[-1] if arguments else None  # of a service: its response
+            finally:
+                self.in_callback = False
+
+        return call
+
+    # what callbacks are called for
 
     def listen(
         self,
@@ -135,171 +137,93 @@ class BenchNode(ParameterNode):
     ) -> None:
         """Subscribe to a topic; ``raw``: the callback takes a message's bytes.
 
-        A message that cannot be used is refused in one line, and the node goes on; an error
-        that is no message's fault ends it.
+        A message that cannot be used is rejected in one line, and the node goes on; an error that
+        is no message's fault ends it.  A topic of a rig is read best effort once a publisher offers
+        no more.
         """
 
         def take(data: bytes) -> None:
             try:
-                if self.failure is None:
-                    callback(data if raw else from_bytes(topic, data))
+                callback(data if raw else from_bytes(topic, data))
             except (MessageError, *_ODD_CONTENTS) as error:
-                self.refuse(topic, error)
-            except CaptureSimError as error:
-                self.fail(error)
+                self.reject(topic, error)
 
         qos = qos_of(topic, latched=latched)
         if topic.rate is not Rate.CONTROL:  # a queue would only delay the newest message
             qos.depth = max(qos.depth, MIN_DEPTH)
-        self.create_subscription(
+        self._subscribe(topic, self.guarded(take), qos, **options)
+
+    def _subscribe(self, topic: Topic, take: Any, qos: QoSProfile, **options: Any) -> None:
+        if not is_own(topic) and qos.reliability is ReliabilityPolicy.RELIABLE:
+
+            def adapt(_: Any) -> None:
+                if remake not in self._best_effort and qos.reliability.name == "RELIABLE":
+                    self._best_effort.append(remake)
+
+            def remake() -> None:
+                self.destroy_subscription(subscription)
+                qos.reliability = ReliabilityPolicy.BEST_EFFORT
+                self.get_logger().warning(
+                    f"{self.resolve_topic_name(topic.name)}: read best effort, as it is published: "
+                    "messages can be lost"
+                )
+                self._subscribe(topic, take, qos)
+
+            watch = SubscriptionEventCallbacks(incompatible_qos=self.guarded(adapt))
+            options.setdefault("event_callbacks", watch)
+        subscription = self.create_subscription(
             message_class(topic.type_name),
             topic.name,
             take,
             qos,
-            qos_overriding_options=overridable(topic),
             raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
             **options,
         )
 
-    def refuse(self, topic: Topic, error: Exception) -> None:
-        """Log that a message is rejected, at most once in :data:`REJECTION_PERIOD` a topic."""
-        kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
-        last_logged, count = self._rejections.get(topic, (-math.inf, 0))
-        now = time.monotonic()
-        if now - last_logged < REJECTION_PERIOD:
-            self._rejections[topic] = last_logged, count + 1
-            return
-        self._rejections[topic] = now, 0
-        unlogged = f" ({count} more before it)" if count else ""
-        self.get_logger().error(one_line(f"{topic.name}: refused: {kind}{error}{unlogged}"))
+    def every(self, period: float, callback: Callable[[], None]) -> None:
+        """Call a function every so many s (wall) while the node waits."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(period, self.guarded(callback), clock=steady)
 
-    def fail(self, error: Exception) -> None:
-        """Let the main thread end the node because of an error in a callback."""
-        self.failure = error
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    def reject(self, topic: Topic, error: Exception) -> None:
+        """Log that a message is rejected, the first one of a topic; the others are counted."""
+        self._rejections[topic] += 1
+        if self._rejections[topic] == 1:
+            kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
+            text = f"{topic.name}: rejected: {kind}{error}; further ones are counted"
+            self.get_logger().error(one_line(text))
 
-    def send(self, topic: Topic, message: Any) -> bool:
-        """Publish a message on one of the open topics; wait while a reader's queue is full.
+    def report_rejections(self) -> None:
+        """Log how many messages of each topic were rejected, if more than one."""
+        for topic, count in self._rejections.items():
+            if count > 1:
+                self.get_logger().warning(f"{topic.name}: {count} messages rejected")
+        self._rejections.clear()
 
-        Return False if the process was asked to end meanwhile; the message is not sent then.
-        """
-        try:
-            self._senders[topic].publish(message)
-        except RuntimeError:  # rclpy's RCLError: the history is full of what a reader has not taken
-            return self._send_when_read(topic, message)
-        return True
+    # sending
+
+    def open(self, topics: Sequence[Topic]) -> None:
+        """Make the publishers of these topics."""
+        self.outbox.open(topics)
+
+    def send(self, topic: Topic, data: Any) -> bool:
+        """Publish a message; see :meth:`Outbox.send`."""
+        return self.outbox.send(topic, data)
 
     def publish(self, *messages: Sent) -> None:
         """Publish messages of a telemetry."""
         for message in messages:
-            self.send(message.topic, message.data)
+            self.outbox.send(message.topic, message.data)
 
-    def send_run_info(self, description: RunDescription) -> None:
-        """Announce a run; one without ``run_id`` says that no run is on and which was the last."""
-        self.send(RUN_INFO, self.messages.serialise(self.messages.run_info(description)))
+    # the graph
 
-    def _send_when_read(self, topic: Topic, message: Any) -> bool:
-        deadline = time.monotonic() + self.reader_timeout
-        while not STOP.wait(0.002):
-            try:
-                self._senders[topic].publish(message)
-            except RuntimeError:
-                if time.monotonic() > deadline:
-                    self._drop_stalled_readers(topic)
-                    deadline = math.inf
-            else:
-                return True
-        return False
-
-    def _drop_stalled_readers(self, topic: Topic) -> None:
-        """Go on without the readers that do not read: DDS keeps the last 1000 messages for them."""
-        self.dropped_readers += self.report_stalled_readers(topic)
-        for stream, sender in list(self._senders.items()):
-            if not stream.latched:
-                readers = sender.get_subscription_count()
-                self._retired.append(sender)  # others may still be sent what it keeps
-                kind = message_class(stream.type_name)
-                fresh = self.create_publisher(kind, stream.name, QoSProfile(depth=1000))
-                self._senders[stream] = fresh
-                deadline = time.monotonic() + MATCHING_TIMEOUT
-                while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
-                    time.sleep(0.001)
-
-    def report_stalled_readers(self, topic: Topic) -> list[str]:
-        """Name the nodes that have not read a topic for too long; return them."""
-        names = self.stalled_readers(topic)
-        # those that take part report themselves what they lack; for the others nothing has failed
-        log = self.get_logger().error if self.participants(names) else self.get_logger().warning
-        log(
-            f"{', '.join(names)}: no message read from {topic.name} for {self.reader_timeout:g} s "
-            "(consumer_timeout); continuing without it"
-        )
-        return names
-
-    def stalled_readers(self, topic: Topic) -> list[str]:
-        """Return the nodes that may be those that do not read a topic."""
-        return sorted({*self.readers(topic)} - {self.get_fully_qualified_name()})
-
-    def participants(self, names: Collection[str]) -> list[str]:
-        """Return those of these nodes that take part in runs: they report their counts."""
-        counts = self.resolve_topic_name(STREAM_COUNTS.name)
-        reporting = {full_name(end) for end in self.get_publishers_info_by_topic(counts)}
-        return [name for name in names if name in reporting]
-
-    def readers(self, topic: Topic) -> list[str]:
-        """Return the full names of the nodes that an open topic serves, for each subscription."""
-        offered = self._senders[topic].qos_profile
-        return [
-            full_name(reader)
-            for reader in self.get_subscriptions_info_by_topic(self.resolve_topic_name(topic.name))
-            if qos_check_compatible(offered, reader.qos_profile)[0] is not QoSCompatibility.ERROR
-        ]
-
-    def matched(self, topic: Topic) -> int:
-        """Return how many subscribers an open topic has found."""
-        return int(self._senders[topic].get_subscription_count())
-
-    def publishers_of(self, topic: Topic) -> int:
-        """Return how many publishers a topic has, those of this node among them."""
-        return int(self.count_publishers(self.resolve_topic_name(topic.name)))
-
-    def drain(self, limit: float, topics: Sequence[Topic] = ()) -> bool:
-        """Wait until all that was sent has arrived, ``limit`` s (wall) at most; return whether."""
-        deadline = time.monotonic() + limit
-        senders = [self._senders[topic] for topic in topics] if topics else self._senders.values()
-        return all(acknowledged(s, max(0.0, deadline - time.monotonic())) for s in senders)
-
-    def unread(self) -> list[Topic]:
-        """Return the topics of which not all that was sent has arrived."""
-        return [topic for topic, sender in self._senders.items() if not acknowledged(sender, 0.0)]
+    def nodes_that_publish(self, topic: Topic) -> list[str]:
+        """Return the full names of the nodes that publish a topic, for each publisher."""
+        ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic.name))
+        return [full_name(end) for end in ends]
 
 
-def from_bytes(topic: Topic, data: bytes) -> Any:
-    """Return the message of a topic that was taken raw; MessageError if the bytes are none."""
-    try:
-        return deserialize_message(data, message_class(topic.type_name))
-    except RuntimeError:  # rclpy's RMWError, of several lines
-        raise MessageError(f"{len(data)} bytes are not a {topic.type_name}") from None
-
-
-def full_name(end: Any) -> str:
-    """Return the full name of the node that an end of a topic belongs to."""
-    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
-
-
-def acknowledged(publisher: Any, limit: float) -> bool:
-    """Wait until all readers have what a publisher has sent; return whether they have.
-
-    Wait ``limit`` s (wall) at most, and :data:`LAST_DRAIN` once the process was asked to end.
-    """
-    deadline = time.monotonic() + limit
-    shutdown_deadline = math.inf
-    # in slices: rclpy holds Python's lock while it waits
-    while not publisher.wait_for_all_acked(Duration(nanoseconds=200_000)):
-        now = time.monotonic()
-        if STOP.is_set():
-            shutdown_deadline = min(shutdown_deadline, now + LAST_DRAIN)
-        if now > min(deadline, shutdown_deadline):
-            return False
-        time.sleep(0.001)
-    return True
+def named_end_error(error: Exception) -> str:
+    """Return the line by which a node ends because of an error."""
+    kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
+    return one_line(f"{kind}{error}")

@@ -18,6 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from capture_sim.errors import CaptureSimError
+from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.parts import Scene
 
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -39,8 +41,8 @@ class ParameterError(CaptureSimError):
 class ParameterNode(Node):
     """A node whose parameters have a unit and a range."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self._checks: dict[str, Callable[[Any], object]] = {}
         # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
         with self.handle:
@@ -125,6 +127,15 @@ class ParameterNode(Node):
             except CaptureSimError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def declare_scene(node: ParameterNode, description: str) -> Scene | None:
+    """Declare ``scene`` and ``overrides`` of a bench; return the scene if one is given."""
+    name = node.declare("scene", "", f"{description}; name in config/scenes, or file")
+    overrides = node.declare("overrides", list, "changes of that scene (SI)")
+    if overrides and not name:
+        raise ParameterError(f"parameter overrides = {overrides!r}: must be empty without a scene")
+    return load_scene(name, overrides) if name else None
 
 
 def _is_unset(value: object) -> bool:

@@ -11,52 +11,50 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation import Request, SimulationControl, State
-from capture_sim.errors import CaptureSimError
-from capture_sim.interrupts import STOP
+from capture_sim.control.simulation import SimulationControl, State
+from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
-    LAUNCHER,
+    HOLD,
+    PLAYER,
+    RECORDER,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
+    RunSource,
     topic_named,
     topics_of,
 )
-from capture_sim.nodes.barrier import Barrier
-from capture_sim.nodes.node import BenchNode, message_class
+from capture_sim.nodes.announcer import Announcer
+from capture_sim.nodes.endpoints import message_class
+from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.participant import RECORDER
-from capture_sim.nodes.process import run
+from capture_sim.nodes.process import run as run_process
+from capture_sim.nodes.roll import Roll
 from capture_sim.nodes.services import SimulationServices
 from capture_sim.nodes.start import FAILED, OK
-from capture_sim.recording.playback import Playback, Rewritten, run_id_of
-from capture_sim.recording.read import remap_of
+from capture_sim.recording.bag import remap_of
+from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed
 
-PLAYER = "player"
-#: Nodes that can take part.
+#: Nodes of the suite that can take part.
 ROLES = (CAPTURE_DETECTOR, RECORDER)
-INFO = (
-    "capture_sim's player: a step is all messages of the next time; playing and paused are the "
-    "states it has."
-)
-#: Participants get this long to close their files, and the last messages to arrive, s (wall).
-CLOSING_TIME, LAST = 60.0, 1.0
+#: The last messages of a replay without participants get this long to arrive, s (wall).
+LAST = 1.0
+#: ... and with some this long, s (wall).
+CLOSING_TIME = 60.0
 
 
 class PlayerNode(BenchNode):
     """Publishes the serialised messages of a recording.
 
     Topics of the bench have their own quality of service, others are reliable and volatile.
-    Types that are not installed are left out with a warning.  Nodes of the bench that are
-    named as consumers take part in the played run as in the simulator's: they are awaited
-    at the start and never outrun, and what they publish themselves is not played.
+    Types that are not installed are left out with a warning.  The nodes named in ``wait_for`` are
+    waited for at the start and never outrun; a detector among them evaluates the run again, and
+    what it publishes itself is not played.  Recorders that are there take part as well.
     """
 
-    has_coroutines = True
-
-    def __init__(self) -> None:
-        super().__init__(PLAYER)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(PLAYER, **options)
         path = self.declare("bag", "", "recording: an .mcap file, or a bag's folder")
         if not path:
             raise ParameterError("parameter bag = '': must be an .mcap file or a bag's folder")
@@ -80,14 +78,14 @@ class PlayerNode(BenchNode):
         )
         wanted = self.declare("topics", list, "those that are played; all unless given")
         paused = self.declare("paused", False, "start paused")
-        self._consumers = self.declare(
-            "consumers",
+        self._wait_for = self.declare(
+            "wait_for",
             list,
-            "nodes of the bench that take part: awaited and never outrun",
-            choices=ROLES,
+            "nodes that take part, by role or name, also nodes of your own: awaited, never outrun",
+            allowed="capture_detector, recorder, or names of nodes",
         )
         self._start_timeout = self.declare(
-            "start_timeout", 60.0, "s (wall), wait for the consumers", low=1.0, high=86400.0
+            "start_timeout", 60.0, "s (wall), wait for the nodes in wait_for", low=1.0, high=86400.0
         )
         self._delay = self.declare(
             "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
@@ -100,31 +98,33 @@ class PlayerNode(BenchNode):
                 "the recording's length"
             )
         self._played = self._chosen(wanted)
-        if self._consumers and not any(
+        has_run = any(
             topic_named(name) is RUN_INFO and self._playback.counts[name] for name in self._played
-        ):
+        )
+        own = [name for name in self._wait_for if name in ROLES]
+        if own and not has_run:
             raise ParameterError(
-                f"parameter consumers = {self._consumers!r}: must be empty: the replay contains "
-                f"no {RUN_INFO.name}, so no node can join"
+                f"parameter wait_for = {own!r}: must be empty: the replay contains no "
+                f"{RUN_INFO.name}, so no node can join"
             )
         self._control = SimulationControl(
             State.PAUSED if paused else State.PLAYING,
             Pacer(factor),
+            lambda limit: self.wait(limit=limit),
             states=(State.PLAYING, State.PAUSED),
-            resets=False,
+            may_reset=False,
         )
-        self._outlets: dict[str, Callable[..., object]] = {}
-        for name in self._played:
+        for name, state in (("pause", State.PAUSED), ("resume", State.PLAYING)):
+            serve = partial(self._set_state, state)
+            self.create_service(Trigger, f"~/{name}", self.guarded(serve))
+        self._simulation_services = SimulationServices(self, self._control)
+        self._not_installed: list[str] = []  # a line for each topic
+        self._outlets: dict[str, Callable[[Any], object]] = {}
+        # the announcement last, see nodes/roll.py
+        for name in sorted(self._played, key=lambda name: topic_named(name) is RUN_INFO):
             self._open(name, self._playback.types[name])
-        own = [topic for topic in map(topic_named, self._outlets) if topic in self._senders]
-        played = {SIMULATOR, LAUNCHER, *ROLES} - set(self._consumers)
-        self._barrier = Barrier(self, self._consumers, own, played, self._control.check)
-        for name, action in (
-            ("pause", lambda: self._control.set_state(State.PAUSED)),
-            ("resume", lambda: self._control.set_state(State.PLAYING)),
-        ):
-            self.create_service(Trigger, f"~/{name}", self._serving(action))
-        self._simulation_services = SimulationServices(self, self._control, INFO)
+        self._roll = Roll(self, PLAYER)
+        self._announcer = Announcer(self, self._roll, RunSource.REPLAY, self._wait_for)
 
     # set-up
 
@@ -140,17 +140,17 @@ class PlayerNode(BenchNode):
             )
         own = {
             topic.absolute_name
-            for consumer in self._consumers
-            for topic in topics_of(consumer)
+            for name in self._wait_for
+            for topic in topics_of(name)
             if topic is not STREAM_COUNTS
         }
-        return [name for name in names if name not in own]
+        return [name for name in names if name not in own and not name.endswith(f"/{HOLD}")]
 
     def _open(self, name: str, type_name: str) -> None:
         try:
             kind = message_class(type_name)
         except (ImportError, AttributeError, ValueError):
-            self.get_logger().warning(f"{name}: type {type_name} is not installed: not played")
+            self._not_installed.append(f"{name}: type {type_name} is not installed: not played")
             return
         topic = topic_named(name)
         if topic is not None and topic.type_name == type_name:
@@ -160,28 +160,24 @@ class PlayerNode(BenchNode):
         publisher = self.create_publisher(kind, name.lstrip("/"), QoSProfile(depth=1000))
         self._outlets[name] = publisher.publish
 
-    def _serving(self, ask: Callable[[], Request]) -> Any:
-        def serve(_: Any, response: Any) -> Any:
-            request = ask()
-            response.message = request.result().message if request.done() else ""
-            response.success = not response.message
-            return response
+    def _set_state(self, state: State, _: Any, response: Any) -> Any:
+        response.message = self._control.set_state(state).message
+        response.success = not response.message
+        return response
 
-        return serve
-
-    # in the main thread
+    # playing
 
     def work(self) -> int:
         """Play; return the exit status."""
         for name, reason in self._playback.left_out.items():
             self.get_logger().warning(f"{name}: not played: {reason}")
-        for line in self._playback.damage:
+        for line in (*self._playback.damage, *self._not_installed):
             self.get_logger().warning(line)
+        for name in self._playback.types:
+            if name.endswith(f"/{HOLD}"):
+                self.get_logger().warning(f"{name}: not played: it moves a real chaser")
         try:
             count = self._play()
-        except CaptureSimError as error:
-            self.get_logger().error(str(error))
-            return FAILED
         finally:
             self._control.end()
             self._simulation_services.close()
@@ -190,37 +186,53 @@ class PlayerNode(BenchNode):
                 "nothing was played: of the topics and times chosen the recording contains no "
                 "message of an installed type"
             )
-        return FAILED if count == 0 or self.participants(self.dropped_readers) else OK
+        return FAILED if count == 0 or self.outbox.dropped else OK
 
     def _play(self) -> int:
         """Play; return how many messages were played."""
-        skipped = self._playback.skipped(self._offset, self._outlets)
-        rewrite = Rewritten(self._consumers, skipped)
         name = self._playback.path.name
         count: Counter[str] = Counter()
         stamp = self._playback.start
         self._control.begin()
-        if self._consumers:
-            self._barrier.wait(name, self._barrier.all_there, self._start_timeout)
+        if self._wait_for:
+            self._announcer.await_nodes(name, self._start_timeout)
         else:
-            STOP.wait(self._delay)
+            self.wait(limit=self._delay)
+        cast = self._announcer.cast(
+            lambda part: len(topics_of(part.role)) < 2 or any(map(part.is_called, self._wait_for))
+        )
+        skipped = self._playback.skipped(self._offset, self._outlets)
+        adapt_counts = PlayedCounts(cast.publishing_roles, skipped)
+        run: RunDescription | None = None
+        is_ended = False  # the simulator's counts have been played
         self._control.pacer.reset()
-        for stamp, topic, data in self._playback.messages(self._offset, self._outlets):
+        for stamp, topic_name, data in self._playback.messages(self._offset, self._outlets):
             self._control.tick((stamp - self._playback.start) / 1e9)
-            sent = rewrite(topic, data)
-            if sent is None:
+            topic = topic_named(topic_name)
+            if topic is RUN_INFO:
+                if run is not None:
+                    self._await_done(run, is_ended)
+                run, announcement = replayed(
+                    data, self._roll.id, cast.participants, cast.publishing_roles
+                )
+                is_ended = False
+                self._announcer.announce(run, announcement, self.outbox.reader_timeout)
+                count[topic_name] += 1
                 continue
-            count[topic] += 1
-            self._outlets[topic](sent)
-            if topic_named(topic) is RUN_INFO:
-                self._barrier.begin(run_id_of(sent))
-                self.drain(self.reader_timeout, [RUN_INFO])
+            if topic is STREAM_COUNTS:
+                adapted = adapt_counts(data)
+                if adapted is None:
+                    continue
+                is_ended = is_ended or publisher_of(data) == SIMULATOR
+                data = adapted
+            count[topic_name] += 1
+            self._outlets[topic_name](data)
         # measured before the others close their files
         spent = max(self._control.pacer.wall, 1e-9)
         self._control.pacer.hold()
-        self.drain(CLOSING_TIME if self._consumers else LAST)
-        if self._consumers:
-            self._barrier.wait(name, self._barrier.all_ended, CLOSING_TIME)
+        self.outbox.drain(CLOSING_TIME if self._wait_for else LAST)
+        if run is not None:
+            self._await_done(run, is_ended)
         played = (stamp - self._playback.start) / 1e9 - self._offset
         messages = count.total()
         self.get_logger().info(
@@ -229,8 +241,16 @@ class PlayerNode(BenchNode):
         )
         return messages
 
+    def _await_done(self, run: RunDescription, is_ended: bool) -> None:
+        """Wait until the participants have left the run, which counts may have ended."""
+        if not is_ended:  # a bench's trial, or a recording without its end
+            self._announcer.close()
+        self._announcer.await_done()
+        if is_ended:
+            self._announcer.close()
 
-main = partial(run, PlayerNode)
+
+main = partial(run_process, PlayerNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -15,7 +15,8 @@ from capture_sim.messages.urdf import (
     static_transforms,
     urdf,
 )
-from capture_sim.nodes.node import LATCHED, BenchNode, message_class
+from capture_sim.nodes.endpoints import LATCHED, message_class
+from capture_sim.nodes.node import BenchNode
 from capture_sim.scene.parts import Scene
 
 

@@ -31,11 +31,11 @@ def start(name: str) -> int:
     gc.disable()  # modules are no garbage, but looking for it would take 8 % of the loading
     try:
         node = import_module(f"capture_sim.nodes.{name}")
-    except ImportError as error:
+        gc.enable()
+        return int(node.main())
+    except ImportError as error:  # some message types are loaded with the first subscription
         print(f"{REFUSAL}{explain_import_error(error)}", file=sys.stderr)
         return FAILED
-    gc.enable()
-    return int(node.main())
 
 
 simulator = partial(start, "simulator")

@@ -34,7 +34,7 @@ class Stepping:
         self._control = control
 
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
-        """Send the run; return why it failed, or nothing.
+        """Send the run; return why it failed, or an empty text.
 
         ``send`` is called with every topic and serialised message and returns whether it was sent;
         ``show`` with every sample that periodic messages were made of, after them.  After RunCut or

@@ -22,15 +22,13 @@ import yaml
 
 from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
 from capture_sim.interrupts import watch_signals
-from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECORDER, SIMULATOR
 from capture_sim.nodes.start import FAILED, OK, RECORDING_IN, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
 
-RECORDER, PLAYER = "recorder", "player"
-
-#: After the announcer has ended, or a node died, the others get this long to end too, s.
+#: After a node has died, the others get this long to notice and to close their files, s.
 GRACE = 15.0
-#: ... and this long after a Ctrl-C, before they are killed, s.
+#: After a SIGINT a node gets this long to end before it is killed, s.
 LAST_GRACE = 15.0
 #: What a suite may take besides its runs, s.
 START_LIMIT = 180.0
@@ -80,7 +78,7 @@ def run_suite(
             path.write_text(scene.to_yaml(), encoding="utf-8")
             files.append(str(path))
         parameters: dict[str, dict[str, Any]] = {name: {} for name in (SIMULATOR, *consumers)}
-        parameters[SIMULATOR] = {"scenes": files, "consumers": consumers, "rtf": float(rtf)}
+        parameters[SIMULATOR] = {"scenes": files, "wait_for": consumers, "rtf": float(rtf)}
         if record:
             parameters[RECORDER] = {"out": str(out)}
         status, processes = _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)
@@ -90,13 +88,13 @@ def run_suite(
 def replay(parameters: Mapping[str, Any], out: Path) -> int:
     """Play a recording with the player; return the exit status, see :attr:`SuiteResult.status`.
 
-    The nodes named in the player's parameter ``consumers`` are started beside it and end with it;
+    The nodes named in the player's parameter ``wait_for`` are started beside it and end with it;
     ``out``: folder of the recorder's files.  CaptureSimError if a node has rejected its parameters;
     KeyboardInterrupt after Ctrl-C, when all nodes have ended in order.
     """
     check_ros()
     nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
-    for name in parameters.get("consumers", ()):
+    for name in parameters.get("wait_for", ()):
         nodes[name] = {"out": str(out)} if name == RECORDER else {}
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
         status, processes = _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
@@ -117,7 +115,7 @@ def _run_nodes(
     file = folder / "parameters.yaml"
     content = {}
     for name, values in parameters.items():
-        ends = {} if name == PLAYER else {"exit_when_done": True}
+        ends = {"exit_when_done": True} if name == SIMULATOR else {}
         content[f"/**/{name}"] = {"ros__parameters": {**ends, **values}}
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
     environment = dict(os.environ)
@@ -185,8 +183,9 @@ class _Processes:
     def supervise(self, announcer: str, limit: float, stop: threading.Event) -> int:
         """Wait until all have ended, ``limit`` s at most; return the exit status.
 
-        When a node dies the others get some time to notice, to report it and to close their files,
-        then they are ended too.  KeyboardInterrupt if ``stop`` was set.
+        The others are asked to end when the announcer has ended.  When another node dies they get
+        some time to notice, to report it and to close their files.  KeyboardInterrupt if ``stop``
+        was set.
         """
         began = time.monotonic()
         deadline = began + limit
@@ -196,6 +195,9 @@ class _Processes:
                 if code != OK:
                     _print(f"{name} {_describe(code)}")
                     status = max(status, REFUSED if code == REFUSED else FAILED)
+                if name == announcer:
+                    for process in self._running.values():
+                        process.send_signal(signal.SIGINT)
                 if code != OK or name == announcer:
                     patience = 0.0 if code == REFUSED else GRACE
                     deadline = min(deadline, time.monotonic() + patience)

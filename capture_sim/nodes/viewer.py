@@ -13,12 +13,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 
-from capture_sim.detection.align import Observation, Source
-from capture_sim.detection.exact import CaptureState
+from capture_sim.detection.align import Observation
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.detection.measurements import Source
 from capture_sim.launch.scenes import load_scene
+from capture_sim.measured import measured_samples
 from capture_sim.messages.convert import stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader
 from capture_sim.messages.topics import (
@@ -28,15 +28,18 @@ from capture_sim.messages.topics import (
     CONTACT_STATE,
     CONTACT_WRENCH,
     STRING_STATE,
+    RunSource,
     Topic,
 )
-from capture_sim.nodes.node import from_bytes
+from capture_sim.nodes.endpoints import from_bytes
+from capture_sim.nodes.follower import Follower, Run, RunEnd
+from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.participant import Participant
 from capture_sim.nodes.process import run
-from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
+from capture_sim.nodes.roll import RunReport
 from capture_sim.samples import SAMPLE
 from capture_sim.scene.parts import Scene
+from capture_sim.series import Series
 
 VIEWER = "viewer"
 
@@ -46,7 +49,7 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
 
 
-class ViewerNode(Participant):
+class ViewerNode(BenchNode):
     """Shows every run that is announced, or one of a bench that announces none.
 
     What it shows and how is in :class:`capture_sim.viewing.live.LiveView`.
@@ -54,8 +57,8 @@ class ViewerNode(Participant):
 
     _scene: Scene  # of the run that is on
 
-    def __init__(self) -> None:
-        super().__init__(VIEWER)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(VIEWER, **options)
         rate = self.declare(
             "rate", 50.0, "Hz (simulated), instants shown of each second", low=1.0, high=1000.0
         )
@@ -98,32 +101,46 @@ class ViewerNode(Participant):
         self.listen(BENCH_EVENT, self._receive_event)
         self.listen(CAPTURE_STATUS, self._receive_status, raw=True)
         # what came last is also shown when nothing follows: the run may stand still
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(max(0.2, 1.0 / refresh), self._view.show, clock=steady)
+        self.every(max(0.2, 1.0 / refresh), self._view.show)
+        self._follower = Follower(self, VIEWER, self, list(RunSource), on_roll=False)
+        self._follower.join()
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
 
-    def begin(self, info: Any, scene: Scene) -> None:
+    @property
+    def run(self) -> Any:
+        """The run that is on, None without one."""
+        return self._follower.run
+
+    def work(self) -> int:
+        """Show runs until the process is to end; return the exit status."""
+        return self._follower.work()
+
+    def prepare(self, run: Run) -> None:
         """Begin to show the run that is announced."""
         self._unannounced = False
-        self._scene = scene
-        self._start(info.name)
+        self._scene = run.scene
+        self._start(run.name)
 
-    def complete(self) -> bool:
-        """Whether the run is over: what is missing then is not waited for."""
+    def begin(self, run: Run) -> None:
+        """Publish nothing."""
+
+    def is_complete(self) -> bool:
+        """Return True: what is missing is not waited for."""
         return True
 
-    def end(self, reason: str) -> list[str]:
+    def end(self, run: Run, end: RunEnd) -> RunReport:
         """Show the rest of the run; that something was not shown is no failure."""
         self._show_pending()
         self._show_verdict()
         self._view.show()
-        self.get_logger().info(f"{self.run.name}: shown" + (f", {reason}" if reason else ""))
-        return []
+        reason = f", {end.reason}" if end.reason else ""
+        self.get_logger().info(f"{run.name}: shown{reason}")
+        return RunReport()
 
-    def destroy_node(self) -> None:
+    def close(self) -> None:
         """End the server of the recordings too."""
         self._view.close()
-        super().destroy_node()
+        super().close()
 
     def _start(self, name: str) -> None:
         self._newest.clear()
@@ -188,25 +205,8 @@ class ViewerNode(Participant):
             for what, contents in self._newest.items()
         }
         observation = Observation(stamp_seconds(stamp), *(parts[source] for source in Source))
-        self._view.take(samples_of(self._scene, self._measurements(observation, parts)))
-
-    def _measurements(self, observation: Observation, parts: dict[Any, Any]) -> AlignedMeasurements:
-        contact, wrench = parts.get(CONTACT_STATE), parts.get(CONTACT_WRENCH)
-        string = parts.get(STRING_STATE)
-        return AlignedMeasurements(
-            t=np.array([self._since_start(observation.t)]),
-            chaser=np.array([observation.chaser[:3]]),
-            chaser_rate=np.array([observation.chaser[3:] if observation.has_rates else _UNKNOWN]),
-            target=np.array([observation.target[:3]]),
-            target_rate=np.array([observation.target[3:] if observation.has_rates else _UNKNOWN]),
-            buffer=np.array([observation.buffer[:2]]),
-            buffer_rate=np.array([observation.buffer[2:] if observation.has_rates else (0.0, 0.0)]),
-            tip_force=wrench and np.array([[wrench.wrench.force.x, wrench.wrench.force.y]]),
-            normal_force=contact and np.array([contact.normal_force]),
-            walls=contact and np.array([contact.walls]),
-            string=string
-            and np.array([[string.phase, string.tension, string.mass_height, string.mass_speed]]),
-        )
+        t = np.array([self._since_start(observation.t)])
+        self._view.take(measured_samples(self._scene, t, _series_at(t, observation, parts)))
 
     def _since_start(self, t: float) -> float:
         """Return s since the release; since the first message of a bench that announces none."""
@@ -239,6 +239,31 @@ class ViewerNode(Participant):
         if self.run is not None or self._unannounced or t >= self._last_verdict:
             self._last_verdict = t
             self._view.verdict(t, CaptureState(status.state).label)
+
+
+def _series_at(t: np.ndarray, observation: Observation, parts: dict[Any, Any]) -> dict[str, Series]:
+    """Return the measurements of one instant as series by quantity."""
+    rates: dict[str, Any] = {"chaser_rate": _UNKNOWN, "target_rate": _UNKNOWN}
+    rates |= {"stroke_rate": 0.0, "torsion_rate": 0.0}
+    if observation.has_rates:
+        vehicles = {"chaser_rate": observation.chaser[3:], "target_rate": observation.target[3:]}
+        buffer = dict(zip(("stroke_rate", "torsion_rate"), observation.buffer[2:], strict=True))
+        rates = {**vehicles, **buffer}
+    values: dict[str, Any] = {
+        "chaser": observation.chaser[:3],
+        "target": observation.target[:3],
+        "stroke": observation.buffer[0],
+        "torsion": observation.buffer[1],
+        **rates,
+    }
+    if (contact := parts.get(CONTACT_STATE)) is not None:
+        values |= {"normal_force": contact.normal_force, "walls": contact.walls}
+    if (wrench := parts.get(CONTACT_WRENCH)) is not None:
+        values["tip_force"] = (wrench.wrench.force.x, wrench.wrench.force.y)
+    if (string := parts.get(STRING_STATE)) is not None:
+        values |= {"string_phase": string.phase, "string_tension": string.tension}
+        values |= {"mass_height": string.mass_height, "mass_speed": string.mass_speed}
+    return {name: Series(t, np.array([value], dtype=float)) for name, value in values.items()}
 
 
 def stamp_ns_of(message: Any) -> int:

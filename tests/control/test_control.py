@@ -1,14 +1,12 @@
 """Pacing and control, without ROS."""
 
 import itertools
-import sys
-import threading
 import time
 
 import pytest
 
 from capture_sim.control.pacing import MAX_RECOVERED_DELAY, Pacer
-from capture_sim.control.simulation import Code, RunCut, SimulationControl, State
+from capture_sim.control.simulation import Code, CutKind, RunCut, SimulationControl, State
 
 
 class Clock:
@@ -84,45 +82,24 @@ def test_time_stands_still_while_it_is_held():
     clock.now += 60.0
     assert pacer.delay(3.0) == pytest.approx(1.0)  # two seconds of three are left, at 2 x
     assert pacer.wall == pytest.approx(0.5)
-    pacer.hold()
-    pacer.skip(3.0)  # a step
-    assert pacer.delay(4.0) == pytest.approx(0.5)
     assert pacer.lateness(None).max == 0.0
 
 
 # control
 
 
-def stepping(control):
-    """Step for ever in a thread; return what was passed, and how it was cut."""
-    passed, cuts = [], []
+def control_of(state, factor=0.0, requests=(), **options):
+    """Return a control whose waits make one of the requests each, and how often it has waited."""
+    left, waits = list(requests), []
 
-    def work():
-        try:
-            for k in itertools.count():
-                control.tick(k * 1e-3)
-                passed.append(control.state)
-        except RunCut as cut:
-            cuts.append(cut)
-            control.end()
+    def wait(limit):
+        waits.append(limit)
+        assert left or len(waits) < 1000, "waits for ever"
+        if left:
+            left.pop(0)(control)
 
-    control.begin()
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    return passed, cuts, thread
-
-
-def test_steps_are_counted_exactly():
-    control = SimulationControl(State.PAUSED, Pacer(0.0))
-    passed, cuts, thread = stepping(control)
-    for count in (1, 5, 100):
-        before = len(passed)
-        assert control.step(count).result(5.0).code is Code.OK
-        assert len(passed) == before + count
-    assert control.set_state(State.STOPPED).result(5.0).code is Code.OK
-    thread.join(5.0)
-    assert [(str(c), c.again, c.asked_for) for c in cuts] == [("stopped", False, True)]
-    assert len(passed) == 106
+    control = SimulationControl(state, Pacer(factor), wait, **options)
+    return control, waits
 
 
 @pytest.mark.parametrize(
@@ -132,10 +109,8 @@ def test_steps_are_counted_exactly():
         (State.STOPPED, ("set_state", State.NO_WORLD), Code.INCORRECT_TRANSITION, "must be one of"),
         (State.STOPPED, ("set_state", 77), Code.INCORRECT_TRANSITION, "state 77"),
         (State.STOPPED, ("set_state", State.PAUSED), Code.OK, ""),
-        (State.STOPPED, ("step", 1), Code.OPERATION_FAILED, "this one is stopped"),
-        (State.PLAYING, ("step", 1), Code.OPERATION_FAILED, "this one is playing"),
-        (State.PAUSED, ("step", 0), Code.OK, ""),
         (State.STOPPED, ("reset", 0), Code.OK, ""),
+        *((State.PAUSED, ("reset", scope), Code.OK, "") for scope in (0, 3, 7, 255)),
         *(
             (State.PAUSED, ("reset", scope), Code.FEATURE_UNSUPPORTED, "reset together")
             for scope in (1, 2, 4)
@@ -144,187 +119,83 @@ def test_steps_are_counted_exactly():
         (State.QUITTING, ("reset", 0), Code.INCORRECT_STATE, "quitting"),
     ],
 )
-def test_requests_that_are_answered_at_once(state, request_of, code, words):
-    control = SimulationControl(state, Pacer(0.0))
-    ask, argument = request_of
-    answer = getattr(control, ask)(argument).result(0.0)
+def test_requests_are_answered_at_once(state, request_of, code, words):
+    control, _ = control_of(state)
+    name, argument = request_of
+    answer = getattr(control, name)(argument)
     assert answer.code is code
     assert words in answer.message
     if code is not Code.OK:
         assert control.state is state
 
 
-@pytest.mark.parametrize("scope", [0, 3, 7, 255])
-def test_reset_is_done_when_the_run_could_begin_again(scope):
-    control = SimulationControl(State.PAUSED, Pacer(0.0))
+def test_player_has_neither_stop_nor_reset():
+    control, _ = control_of(State.PLAYING, states=(State.PLAYING, State.PAUSED), may_reset=False)
+    assert control.set_state(State.STOPPED).code is Code.INCORRECT_TRANSITION
+    assert control.reset(0).code is Code.FEATURE_UNSUPPORTED
+    assert control.set_state(State.PAUSED).code is Code.OK
+
+
+@pytest.mark.parametrize(
+    "request_of, kind",
+    [
+        (lambda control: control.reset(0), CutKind.RESET),
+        (lambda control: control.set_state(State.STOPPED), CutKind.STOPPED),
+        (lambda control: control.set_state(State.QUITTING), CutKind.QUITTING),
+        (lambda control: control.abort("broken"), CutKind.ABORTED),
+    ],
+)
+@pytest.mark.parametrize("state", [State.PLAYING, State.PAUSED])
+def test_run_is_cut_at_its_next_tick(request_of, kind, state):
+    control, _ = control_of(state, requests=[request_of])
     control.begin()
-    reset = control.reset(scope)
-    with pytest.raises(RunCut, match="reset"):
+    with pytest.raises(RunCut) as cut:
+        for k in itertools.count():
+            control.tick(k * 1e-3)
+    assert cut.value.kind is kind
+    assert kind.is_requested == (kind is not CutKind.ABORTED)
+    control.end()
+    control.begin()
+    assert (control.cut_kind is None) == (control.state is state)
+
+
+def test_nothing_passes_while_paused():
+    passed = []
+    control, waits = control_of(
+        State.PAUSED,
+        requests=[lambda _: None] * 5 + [lambda control: control.set_state(State.PLAYING)],
+    )
+    control.begin()
+    for k in range(3):
+        control.tick(k * 1e-3)
+        passed.append(len(waits))
+    assert passed[0] >= 6
+
+
+def test_callbacks_have_their_turn_in_an_unpaced_run():
+    control, waits = control_of(State.PLAYING)
+    control.begin()
+    deadline = time.monotonic() + 0.1
+    ticks = 0
+    while time.monotonic() < deadline:
+        control.tick(ticks * 1e-3)
+        ticks += 1
+    assert 2 <= len(waits) < ticks
+
+
+def test_messages_of_one_time_pass_together():
+    control, _ = control_of(State.PLAYING)
+    control.begin()
+    control.tick(1.0)
+    control.set_state(State.PAUSED)
+    control.tick(1.0)  # without a wait
+
+
+def test_interrupt_ends_the_wait():
+    def wait(limit):
+        raise KeyboardInterrupt
+
+    control = SimulationControl(State.PAUSED, Pacer(1.0), wait)
+    control.begin()
+    with pytest.raises(KeyboardInterrupt):
         control.tick(0.0)
-    control.end()
-    control.begin()
-    assert not reset.done()
-    control.ready()
-    assert reset.result(0.0).code is Code.OK
-    assert control.state is State.PAUSED
-
-
-def test_pause_is_answered_when_nothing_passes_any_more():
-    control = SimulationControl(State.PLAYING, Pacer(0.0))
-    passed, _, thread = stepping(control)
-    for _ in range(50):
-        assert control.set_state(State.PAUSED).result(5.0).code is Code.OK
-        held = len(passed)
-        assert control.step(2).result(5.0).code is Code.OK
-        assert len(passed) == held + 2
-        assert control.set_state(State.PLAYING).result(5.0).code is Code.OK
-    control.set_state(State.QUITTING)
-    thread.join(5.0)
-
-
-def test_step_that_is_interrupted_says_how_far_it_came():
-    control = SimulationControl(State.PAUSED, Pacer(0.0))
-    control.begin()
-    step = control.step(3)
-    control.tick(0.0)
-    assert control.step(1).result(0.0).code is Code.OPERATION_FAILED  # one at a time
-    reset = control.reset(0)
-    assert "after 1 of 3 steps" in step.result(0.0).message
-    with pytest.raises(RunCut, match="reset") as cut:
-        control.check()
-    assert cut.value.again
-    control.end()
-    assert not reset.done()
-    control.begin()
-    control.ready()
-    assert reset.result(0.0).code is Code.OK
-
-
-def test_end_leaves_nobody_waiting():
-    control = SimulationControl(State.PAUSED, Pacer(0.0))
-    control.begin()
-    step = control.step(3)
-    control.close()
-    assert step.result(0.0).code is Code.OPERATION_FAILED
-
-
-def test_a_pause_holds_even_while_a_tick_is_waited_for():
-    control = SimulationControl(State.PLAYING, Pacer(1.0))
-    passed = []
-
-    def work():
-        for t in (0.0, 0.3):
-            control.tick(t)
-            passed.append(time.monotonic())
-        control.end()
-
-    control.begin()
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    while not passed:
-        time.sleep(1e-3)
-    assert control.set_state(State.PAUSED).result(5.0).code is Code.OK
-    time.sleep(0.4)
-    assert len(passed) == 1
-    control.set_state(State.PLAYING)
-    thread.join(5.0)
-    assert passed[1] - passed[0] > 0.6  # the pause, and what was left of the wait
-
-
-def player(state, rate=0.0):
-    return SimulationControl(state, Pacer(rate), states=(State.PLAYING, State.PAUSED), resets=False)
-
-
-def test_a_step_of_a_player_passes_all_of_one_time():
-    control = player(State.PAUSED)
-    passed = []
-
-    def work():
-        for t in (7.0, 7.0, 8.0, 9.0, 9.0):
-            control.tick(t)
-            passed.append(t)
-        control.end()
-
-    control.begin()
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    assert control.step(1).result(5.0).code is Code.OK
-    assert passed == [7.0, 7.0]
-    assert control.step(2).result(5.0).code is Code.OK
-    thread.join(5.0)
-    assert passed == [7.0, 7.0, 8.0, 9.0, 9.0]
-    assert "the run is over after 0 of 1" in _message_at_the_end(control)
-
-
-def _message_at_the_end(control):
-    request = control.step(1)
-    control.end()
-    return request.result(5.0).message
-
-
-def test_a_player_has_neither_stop_nor_reset():
-    control = player(State.PLAYING)
-    answer = control.set_state(State.STOPPED).result(0.0)
-    assert answer == (Code.INCORRECT_TRANSITION, "state 0: must be one of 1 playing, 2 paused")
-    assert control.reset(0).result(0.0).code is Code.FEATURE_UNSUPPORTED
-    assert control.set_state(State.PLAYING).result(0.0).code is Code.ALREADY_IN_TARGET_STATE
-    assert control.step(1).result(0.0).message == "stepping needs a paused run; this one is playing"
-
-
-def test_answers_are_given_outside_of_the_lock():
-    """A callback of an answer may wait for a thread that makes a request of its own."""
-    control = SimulationControl(State.PAUSED, Pacer(0.0))
-    _, _, thread = stepping(control)
-    done = []
-
-    def ask_from_another_thread(_):
-        other = threading.Thread(target=control.set_factor, args=(0.0,), daemon=True)
-        other.start()
-        other.join(5.0)
-        done.append(not other.is_alive())
-
-    for ask in (lambda: control.step(3), lambda: control.set_state(State.STOPPED)):
-        request = ask()
-        request.add_done_callback(ask_from_another_thread)
-        assert request.result(5.0).code is Code.OK
-    thread.join(5.0)
-    wait_for = time.monotonic() + 5.0
-    while len(done) < 2 and time.monotonic() < wait_for:
-        time.sleep(0.01)
-    assert done == [True, True]
-
-
-def test_factor_changes_at_any_moment_of_a_tick():
-    control = SimulationControl(State.PLAYING, Pacer(0.0))
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        passed, cuts, thread = stepping(control)
-        end = time.monotonic() + 1.0
-        for factor in itertools.cycle((1000.0, 0.0)):
-            control.set_factor(factor)
-            control.pacer.wall  # noqa: B018  # as the diagnostics read it
-            if time.monotonic() > end or not thread.is_alive():
-                break
-        assert thread.is_alive()
-    finally:
-        sys.setswitchinterval(interval)
-    control.set_state(State.STOPPED).result(5.0)
-    thread.join(5.0)
-    assert len(passed) > 100
-    assert len(cuts) == 1
-
-
-def test_waiting_is_interrupted_when_the_process_is_to_end():
-    for state, wait in (
-        (State.STOPPED, lambda control: control.await_start()),
-        (State.PAUSED, lambda control: control.tick(1.0)),
-        (State.PLAYING, lambda control: [control.tick(t) for t in (0.0, 1e6)]),
-        (State.PLAYING, lambda control: control.check()),
-    ):
-        stop = threading.Event()
-        control = SimulationControl(state, Pacer(1.0), stop=stop)
-        threading.Timer(0.2, stop.set).start()
-        with pytest.raises(KeyboardInterrupt):
-            while True:
-                wait(control)

@@ -2,16 +2,18 @@
 
 import math
 import os
+import re
 
 import numpy as np
 import pytest
 
 from capture_sim import load_scene
-from capture_sim.launch.bench_watch import BenchWatch, TravelFit
+from capture_sim.launch.bench_watch import BenchWatch, TravelFit, gap_to_cone
 from capture_sim.launch.plan import rolling_force
 from capture_sim.launch.watch import Launcher, LauncherPhase
 
 SCENE = load_scene("tilt_0")
+STOP_TRAVEL = 0.2142  # m, of a tip on the cone's axis
 FRAME = 0.7  # rad and m: the bench's frame is not the scene's
 
 
@@ -38,6 +40,7 @@ def launch(
     seed=0,
     armed=1.0,
     clock=1.2e9,
+    duration=6.0,
     **options,
 ):
     """Launch; return the statuses that the launcher came to, one for each that differs."""
@@ -51,7 +54,7 @@ def launch(
         return FRAME + c * x - s * y, s * x + c * y, FRAME + rng.normal(theta, heading)
 
     phases, last, stamp = [launcher.status.state], None, 0.0
-    for k in range(round((armed + 6.0) * rate)):
+    for k in range(round((armed + duration) * rate)):
         t = k / rate - armed
         if launcher.status.state is LauncherPhase.ARMED and t >= 0.0:
             launcher.release()
@@ -179,3 +182,44 @@ def test_poses_that_begin_after_the_release_judge_no_speed():
     """Where the chaser was then is not known; that it arrives is seen."""
     phases, launcher = launch(position=0.5e-3, armed=0.0, lost=[(0.0, 1.0)])
     assert phases[-1] == "delivered", launcher.status.reason
+
+
+@pytest.mark.parametrize("gap", [(1.0, 3.5), (0.8, 4.0), (1.5, 3.2)])
+def test_an_impact_speed_that_nobody_measured_is_nan(gap):
+    """S8: cameras that miss the contact leave the speed of an earlier fit, 0.04 for 0.1 m/s."""
+
+    def travel(t):
+        return min(travel_at(t), STOP_TRAVEL)
+
+    phases, launcher = launch(travel, position=0.1e-3, lost=[gap])
+    assert phases[-1] == "delivered", launcher.status.reason
+    assert math.isnan(launcher.status.measured_speed)
+    assert re.fullmatch(
+        r"impact speed not measured: no poses in the last \d+ mm before it", launcher.status.reason
+    )
+
+
+@pytest.mark.parametrize("late", [1.0, 2.0, 3.5, 10.0])
+def test_poses_that_begin_late_show_a_captured_vehicle(late):
+    phases, launcher = launch(
+        lambda t: min(travel_at(t), STOP_TRAVEL),
+        position=0.5e-3,
+        armed=0.0,
+        lost=[(0.0, late)],
+        duration=late + 8.0,
+    )
+    assert phases[-1] == "delivered", launcher.status.reason
+
+
+def test_gap_is_the_distance_to_the_walls():
+    """By the geometry's closed form: a tip on the axis, and one that is in the throat."""
+    cone, R_t = SCENE.cone, SCENE.probe.tip_radius
+    arm = SCENE.buffer.hinge_offset + SCENE.rest_length
+    for ahead in (0.02, 0.05, 0.1):
+        x = -cone.L_T - ahead - arm  # the target's frame is the world's
+        expected = ahead * math.sin(cone.half_angle) + cone.R_c * math.cos(cone.half_angle) - R_t
+        assert gap_to_cone(SCENE, (x, 0.0, 0.0), (0.0, 0.0, 0.0)) == pytest.approx(expected)
+        pushed = gap_to_cone(SCENE, (x + 0.01, 0.0, 0.0), (0.0, 0.0, 0.0), (-0.01, 0.0))
+        assert pushed == pytest.approx(expected)
+    inside = (-cone.L_T + 0.03 - arm, 0.0, 0.0)
+    assert gap_to_cone(SCENE, inside, (0.0, 0.0, 0.0)) <= 0.0

@@ -9,8 +9,17 @@ from maximal_model import limit_used
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.kernels import plain
 from capture_sim.launch.plan import plan_launch
-from capture_sim.launch.watch import Launcher, LauncherPhase, expected_speed
+from capture_sim.launch.watch import (
+    Launcher,
+    LauncherPhase,
+    LaunchObservation,
+    expected_speed,
+)
 from capture_sim.model.supports import ball_loads, load_factor, rolling_wrench
+
+
+def seen(speed, is_slack, has_touched, *, t=math.nan, travel=math.nan):
+    return LaunchObservation(t, speed, travel, is_slack, has_touched)
 
 
 def event(result, label):
@@ -72,12 +81,12 @@ def test_mass_height_and_speed_follow_from_each_other():
 def test_launcher_follows_the_launch():
     launcher = Launcher(load_scene("tilt_0"))
     assert launcher.status.state is LauncherPhase.ARMED
-    assert launcher.observe(0.0, False, False).state is LauncherPhase.ARMED
+    assert launcher.observe(seen(0.0, False, False)).state is LauncherPhase.ARMED
     assert launcher.release().state is LauncherPhase.RELEASED
-    assert launcher.observe(0.05, False, False).state is LauncherPhase.RELEASED
-    assert launcher.observe(0.105, True, False).state is LauncherPhase.LANDED
-    launcher.observe(0.101, True, False)
-    done = launcher.observe(0.06, True, True)
+    assert launcher.observe(seen(0.05, False, False)).state is LauncherPhase.RELEASED
+    assert launcher.observe(seen(0.105, True, False)).state is LauncherPhase.LANDED
+    launcher.observe(seen(0.101, True, False))
+    done = launcher.observe(seen(0.06, True, True))
     assert (done.state, done.measured_speed) == (LauncherPhase.DELIVERED, 0.101)
     assert launcher.abort("late").state is LauncherPhase.DELIVERED
 
@@ -96,11 +105,13 @@ def test_speed_that_belongs_to_a_travel(name):
             sample["v"][0], abs=2e-6
         )
         status = launcher.observe(
-            float(sample["v"][0]),
-            sample["string_tension"] == 0.0,
-            False,
-            t=float(sample["t"]),
-            travel=travel,
+            LaunchObservation(
+                t=float(sample["t"]),
+                speed=float(sample["v"][0]),
+                travel=travel,
+                is_slack=sample["string_tension"] == 0.0,
+                has_touched=False,
+            )
         )
         assert status.state is not LauncherPhase.ABORTED
 
@@ -117,12 +128,12 @@ def test_launch_is_aborted_outside_its_window_and_only_there():
     wanted = plan.landing_speed * math.sqrt(0.5)
     for off, state in ((0.0099, "RELEASED"), (-0.0099, "RELEASED"), (0.0101, "ABORTED")):
         launcher = released(tolerance=0.1)
-        status = launcher.observe(wanted + off, False, False, t=1.0, travel=half)
+        status = launcher.observe(seen(wanted + off, False, False, t=1.0, travel=half))
         assert status.state is LauncherPhase[state]
     assert "0.06" in status.reason
     assert "must be" in status.reason
     # latched: nothing that comes later mends it
-    assert launcher.observe(wanted, False, True, t=1.1, travel=half) == status
+    assert launcher.observe(seen(wanted, False, True, t=1.1, travel=half)) == status
     assert launcher.abort("later").reason == status.reason
 
 
@@ -131,12 +142,13 @@ def test_launch_that_does_not_arrive_is_aborted():
     late = 1.2 * launcher.plan.contact_time + 0.5
     wanted = launcher.plan.landing_speed
     height = launcher.plan.drop_height
-    assert launcher.observe(wanted, True, False, t=late - 0.01, travel=height).reason == ""
+    assert launcher.observe(seen(wanted, True, False, t=late - 0.01, travel=height)).reason == ""
     assert (
-        "no contact" in launcher.observe(wanted, True, False, t=late + 0.01, travel=height).reason
+        "no contact"
+        in launcher.observe(seen(wanted, True, False, t=late + 0.01, travel=height)).reason
     )
     stuck = released()
-    assert stuck.observe(0.0, False, False, t=late + 0.01, travel=0.0).state == 5
+    assert stuck.observe(seen(0.0, False, False, t=late + 0.01, travel=0.0)).state == 5
 
 
 def test_chaser_coasts_to_rest_and_stays_there():

@@ -1,6 +1,7 @@
 """Nodes in processes of their own, and a client to talk to them, for tests and benchmarks."""
 
 import re
+import signal
 import subprocess
 import sys
 import textwrap
@@ -17,7 +18,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
-from capture_sim.nodes.node import message_class, qos_of
+from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.nodes.services import definitions
 
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
@@ -52,6 +53,12 @@ class Started:
             assert time.monotonic() < deadline, f"never said {words!r}:\n{self.text}"
             time.sleep(0.01)
 
+    def end(self):
+        """End the node as Ctrl-C does and return its exit status."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.status()
+
     def status(self, timeout=PATIENCE):
         """Wait for the end and return the exit status."""
         status = self.process.wait(timeout)
@@ -69,6 +76,12 @@ def fresh(program, arguments):
     )
 
 
+def statuses(nodes, first="simulator"):
+    """Wait for the end of one node, then end the others; return all exit statuses by name."""
+    found = {first: nodes[first].status()}
+    return found | {name: node.end() for name, node in nodes.items() if name != first}
+
+
 @contextmanager
 def processes(begin=fresh):
     """Give a function that starts a node: its name, Python code that changes it, parameters.
@@ -79,8 +92,9 @@ def processes(begin=fresh):
 
     def start(name, change="", **parameters):
         arguments = ["--ros-args"]
-        for key, value in {"exit_when_done": "true", **parameters}.items():
-            remaps = key.startswith("__") or ("/" in key and not key.startswith("qos_overrides"))
+        ends = {"exit_when_done": "true"} if name == "simulator" else {}
+        for key, value in (ends | parameters).items():
+            remaps = key.startswith("__") or "/" in key
             arguments += ["-r" if remaps else "-p", f"{key}:={value}"]
         program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
         program += "raise SystemExit(node.main())"
@@ -227,16 +241,9 @@ class Simulation:
     def state(self):
         return State(self._ask("GetSimulationState").state.state)
 
-    def step(self, count=1):
-        result = self._ask("StepSimulation", steps=count).result
-        return result.result, result.error_message
-
     def reset(self, scope=0):
         result = self._ask("ResetSimulation", scope=scope).result
         return result.result, result.error_message
-
-    def features(self):
-        return self._ask("GetSimulatorFeatures").features
 
     def settle(self):
         """Return how many states have come once no more do."""

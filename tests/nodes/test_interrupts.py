@@ -15,8 +15,8 @@ import capture_sim
 from capture_sim import load_scene
 from capture_sim.interrupts import in_worker, watch_signals
 from capture_sim.nodes.supervisor import run_suite
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.read import read_run
 
 GAPS = (0.0003, 0.001, 0.004)  # s
 
@@ -37,13 +37,13 @@ def test_interrupt_while_the_callbacks_begin(start):
     node = start(
         "launcher",
         """
-        from capture_sim.nodes import process
-        begin = process._Spinner.__init__
-        def slowly(self, node):
-            begin(self, node)
+        import time
+        serve = node.LauncherNode.serve
+        def slowly(self, limit=0.0):
             print("begun", flush=True)
-            process.time.sleep(0.5)
-        process._Spinner.__init__ = slowly
+            time.sleep(0.5)
+            serve(self, limit)
+        node.LauncherNode.serve = slowly
         """,
     )
     node.wait_for("begun")
@@ -104,8 +104,7 @@ def ended(program, tmp_path, *, words="", after=0.0):
 def test_interrupt_within_a_destructor_is_not_lost(tmp_path):
     status, said = ended(
         """
-        import os, signal, threading
-        from capture_sim.interrupts import wait_for
+        import os, signal
         from capture_sim.nodes.node import BenchNode
         from capture_sim.nodes.process import run
 
@@ -122,7 +121,7 @@ def test_interrupt_within_a_destructor_is_not_lost(tmp_path):
 
             def work(self):
                 Loses()
-                wait_for(threading.Event())
+                self.wait()
                 return 1
 
         raise SystemExit(run(Bench))
@@ -175,7 +174,7 @@ def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
         node.RecorderNode._record = stall
     """
     recorder = start("recorder", stalled, out=tmp_path)
-    simulator = start("simulator", consumers="[recorder]", consumer_timeout=1.0)
+    simulator = start("simulator", wait_for="[recorder]", reader_timeout=1.0)
     recorder.wait_for("stalled")
     recorder.process.send_signal(signal.SIGTERM)
     assert recorder.status() == 1
@@ -299,7 +298,7 @@ def test_interrupted_replay_says_so_by_its_status(tmp_path):
         assert "interrupted" in err
         assert "Traceback" not in out + err
         (file,) = (tmp_path / "out").glob("*.mcap")
-        assert read_run(file).raw("bench/run_info")
+        assert read_bag(file).raw("bench/run_info")
     finally:
         if replay.poll() is None:
             replay.kill()

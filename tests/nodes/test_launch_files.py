@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from capture_sim.recording.read import read_run
+from capture_sim.recording.bag import read_bag
 
 pytest.importorskip("launch_ros")
 FILES = Path(__file__).resolve().parents[2] / "launch"
@@ -39,7 +39,7 @@ def test_bench_is_launched_and_its_recording_replayed(tmp_path):
     done = launched("bench.launch.py", "experiment:=tilt_p10", "rtf:=0.0", f"out:={tmp_path}")
     assert done.returncode == 0, done.stdout
     path = tmp_path / "tilt_p10.mcap"
-    assert read_run(path).complete
+    assert read_bag(path).complete
     done = launched("replay.launch.py", f"bag:={path}", "detect:=true", "rtf:=0.0")
     assert done.returncode == 0, done.stdout
     assert "tilt_p10: captured" in done.stdout

@@ -4,10 +4,9 @@ import json
 
 import pytest
 import yaml
-from bench_processes import Client, processes, wait_until
-from forked import Forked
+from threads import Client, threads, wait_until
 
-from capture_sim.nodes.node import message_class
+from capture_sim.nodes.endpoints import message_class
 from capture_sim.resources import config_dir
 
 #: What a display of RViz draws.
@@ -22,7 +21,7 @@ DRAWN = {
 @pytest.fixture(scope="module")
 def published():
     """The topics of a bench, with their type."""
-    with processes(Forked) as start, Client() as client:
+    with threads() as start, Client() as client:
         start("simulator", initial_state="stopped", exit_when_done="false")
         start("launcher")
         start("capture_detector")
@@ -32,7 +31,10 @@ def published():
             topics.update(
                 (name, types[0]) for name, types in client.node.get_topic_names_and_types()
             )
-            return {"/capture/verdict", "/launcher/phase", "/diagnostics"} <= topics.keys()
+            # the roll is the last that a node announces
+            roll = client.node.get_publishers_info_by_topic("/bench/roll")
+            own = {"/capture/verdict", "/launcher/phase", "/diagnostics", "/bench/run_info"}
+            return len(roll) == 3 and own <= topics.keys()
 
         wait_until(complete)
         yield topics

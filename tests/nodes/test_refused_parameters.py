@@ -4,7 +4,7 @@ import os
 from dataclasses import fields
 
 import pytest
-from bench_processes import Client, Started, processes
+from bench_processes import Client, Started, processes, statuses
 from forked import Forked
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -15,9 +15,8 @@ from rcl_interfaces.srv import (
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from capture_sim import load_scene, simulate
-from capture_sim.messages.topics import TOPICS
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.read import read_run
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Detector
 
@@ -39,15 +38,13 @@ WRONG = {
     "capture_detector": {
         field.name: [-1.0, float("inf"), "small", *([5.0] if field.metadata["unit"] == "m" else [])]
         for field in fields(Detector)
-    }
-    | {"scene_criteria": [["no_such"], ["capture_radius", "no_such"], "min_dwell", 3]},
+    },
     "recorder": {},
 }
 # name of the case: node, its parameters or remappings, words of the refusal
 AT_THE_START = {
     "rtf out of range": ("simulator", {"rtf": "-1.0"}, ["rtf = -1.0", "0 to 1000"]),
     "rtf without point": ("simulator", {"rtf": "1"}, ["rtf = 1", "decimal point"]),
-    "no such role": ("simulator", {"consumers": "[nobody]"}, ["consumers", "capture_detector"]),
     "topics are numbers": ("recorder", {"topics": "[3]"}, ["topics = [3]", "texts"]),
     "no folder": ("recorder", {"out": "[]"}, ["out = []", "a text"]),
     "no radius": (
@@ -76,7 +73,11 @@ AT_THE_START = {
         ["parameter max_still_speed = inf m/s: must be finite and > 0"],
     ),
     "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
-    "no override of a scene": ("launcher", {"scene": "tilt_0", "overrides": "[x]"}, ["x", "="]),
+    "no override of a scene": (
+        "launcher",
+        {"actuator": "none", "scene": "tilt_0", "overrides": "[x]"},
+        ["x", "="],
+    ),
     "rclpy's own parameter": ("launcher", {"use_sim_time": "[]"}, ["use_sim_time"]),
     "no name": ("launcher", {"__node": "a-b"}, ["a-b"]),
     "unknown scene": ("simulator", {"scenes": "[tilt_1]"}, ["tilt_1", "did you mean"]),
@@ -87,11 +88,6 @@ AT_THE_START = {
     ),
     "same scene twice": ("simulator", {"scenes": "[tilt_0, tilt_0]"}, ["different names"]),
     "no scene": ("simulator", {"scenes": "[]"}, ["scenes = []", "names of scenes"]),
-    "same consumer twice": (
-        "simulator",
-        {"consumers": "[launcher, launcher]"},
-        ["consumers", "once"],
-    ),
     "out is no folder": ("recorder", {"out": os.devnull}, [os.devnull, "folder"]),
     "no bag": ("player", {"paused": "true"}, ["parameter bag = ''"]),
     "no such bag": ("player", {"bag": "/nowhere.mcap"}, ["/nowhere.mcap: cannot read"]),
@@ -112,13 +108,15 @@ AT_THE_START = {
         ["parameter report = '/no/such/r.json'", "/no/such is not a folder"],
     ),
     "report is a folder": ("loop_simulator", {"report": "/"}, ["report = '/'", "it is a folder"]),
-    "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output"]),
+    "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output, none"]),
+    "scene of a simulator": ("launcher", {"scene": "tilt_0"}, ["scene = 'tilt_0'", "be empty"]),
+    "pose age": ("launcher", {"max_pose_age": "0.0"}, ["max_pose_age = 0.0", "0.02 to 10"]),
     "no such state": ("simulator", {"initial_state": "gone"}, ["'gone'", "stopped, playing"]),
-    "in a file": ("simulator", {"--params-file": "{file}"}, ["consumer_timeout = 5000.0"]),
+    "in a file": ("simulator", {"--params-file": "{file}"}, ["reader_timeout = 5000.0"]),
     "in a file, for any namespace": (
         "simulator",
         {"--params-file": "{file}", "__ns": "/bench_2"},
-        ["consumer_timeout = 5000.0: must be"],
+        ["reader_timeout = 5000.0: must be"],
     ),
     "no syntax": ("launcher", {"auto_release": "["}, ["auto_release"]),
     "no bool": ("launcher", {"auto_release": "3"}, ["auto_release = 3", "true or false"]),
@@ -136,7 +134,7 @@ def bench(tmp_path_factory):
             "capture_detector": start("capture_detector"),
             "launcher": start("launcher"),
             "simulator": start(
-                "simulator", rtf=0.001, consumers="[recorder, capture_detector, launcher]"
+                "simulator", rtf=0.001, wait_for="[recorder, capture_detector, launcher]"
             ),
         }
         nodes["simulator"].wait_for("released")
@@ -199,14 +197,10 @@ def test_every_parameter_has_a_value(node, bench):
     _, client, _ = bench
     names = client.ask(ListParameters, f"/{node}/list_parameters").result.names
     values = client.ask(GetParameters, f"/{node}/get_parameters", names=names).values
-    assert len(values) == len(names) > 5
+    assert len(values) == len(names) > 4
     by_name = {n: parameter_value_to_python(v) for n, v in zip(names, values, strict=True)}
     assert not [name for name, value in by_name.items() if value is None]
-    # what takes part in a run is counted: only what a rig's drivers publish is the user's
-    overridden = {name.split(".")[1] for name in names if name.startswith("qos_overrides.")}
-    own = {topic.absolute_name for topic in TOPICS if topic.type_name.startswith("capture_sim/")}
-    assert overridden.isdisjoint(own | {"/clock"})
-    assert "/motion_capture/chaser" in overridden
+    assert not [name for name in names if name.startswith("qos_overrides.")]
 
 
 def test_reasons_say_what_is_wrong(bench):
@@ -226,8 +220,8 @@ def test_reasons_say_what_is_wrong(bench):
 def test_run_notices_nothing_of_the_refusals(bench):
     nodes, client, path = bench
     assert client.set("simulator", rtf=0.0) == (True, "")
-    assert {name: node.status() for name, node in nodes.items()} == dict.fromkeys(NODES, 0)
-    run = read_run(path)
+    assert statuses(nodes) == dict.fromkeys(NODES, 0), nodes["recorder"].text
+    run = read_bag(path)
     assert run.complete
     assert run.samples.tobytes() == simulate(load_scene("tilt_0")).samples.tobytes()
 
@@ -235,7 +229,7 @@ def test_run_notices_nothing_of_the_refusals(bench):
 def test_wrong_parameters_are_refused_at_the_start_with_one_line(tmp_path):
     bag, file = tmp_path / "run.mcap", tmp_path / "nodes.yaml"
     write_run(simulate(load_scene("tilt_0", ["run.t_end=0.1"])), bag)
-    default, wrong = "consumer_timeout: 10.0", "consumer_timeout: 5000.0"
+    default, wrong = "reader_timeout: 10.0", "reader_timeout: 5000.0"
     file.write_text((config_dir() / "nodes.yaml").read_text().replace(default, wrong))
     begun = {}
     for case, (name, parameters, _) in AT_THE_START.items():

@@ -7,27 +7,33 @@ import time
 import numpy as np
 import pytest
 from bags import in_two_files
-from bench_processes import Client, Simulation, wait_until
 from rosbags.rosbag2 import StoragePlugin, Writer
 from std_srvs.srv import Trigger
+from threads import Client, threads, wait_until
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.control.simulation import Code, State
 from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import (
+    BENCH_STATE,
     CAPTURE_DETECTOR,
     RUN_INFO,
     TOPICS,
     Rate,
     Topic,
 )
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.playback import Playback, Rewritten
-from capture_sim.recording.read import read_run
+from capture_sim.recording.playback import Playback, PlayedCounts
 
 NAME = "tilt_m10"
+
+
+@pytest.fixture
+def start():
+    with threads() as start:
+        yield start
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +47,7 @@ def path(tmp_path_factory):
 
 
 def test_messages_come_in_the_order_of_their_times(path):
-    run = read_run(path)
+    run = read_bag(path)
     played = list(Playback(path).messages())
     times = [time for time, *_ in played]
     assert times == sorted(times)
@@ -53,7 +59,7 @@ def test_messages_come_in_the_order_of_their_times(path):
 
 
 def test_what_is_latched_is_played_before_an_offset(path):
-    run = read_run(path)
+    run = read_bag(path)
     begin = 10**9 + 3 * 10**9
     played = list(Playback(path).messages(3.0, {"/bench/run_info", "/bench/event", "/bench/state"}))
     assert played[0][:2] == (begin, "/bench/run_info")
@@ -76,7 +82,7 @@ def test_what_is_latched_is_played_before_an_offset(path):
 )
 def test_late_start_plays_what_the_publisher_would_have_kept(path, topic, depth):
     """As a subscriber that comes late is sent it: of a stream nothing, of latched ones the last."""
-    run = read_run(path)
+    run = read_bag(path)
     earlier = sum(run.log_times(topic) < 4 * 10**9)
     assert earlier > 1
     played = [data for *_, data in Playback(path).messages(3.0, {topic})]
@@ -88,7 +94,7 @@ def test_late_start_plays_what_the_publisher_would_have_kept(path, topic, depth)
 def test_folder_is_played_as_one(path, tmp_path):
     folder = in_two_files(path, tmp_path / "bag", 3.0)
     states = [data for _, name, data in Playback(folder).messages() if name == "/bench/state"]
-    assert states == read_run(path).raw("bench/state")
+    assert states == read_bag(path).raw("bench/state")
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="contains no"):
         Playback(tmp_path / "empty")
@@ -113,18 +119,19 @@ def padded(data):
 def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
     options = ["--rtf", "10", "--with", "capture_detector", "recorder"]
     assert main(["replay", str(path), *options, "--out", str(tmp_path / "out")]) == 0
-    one, two = read_run(path), read_run(tmp_path / "out" / f"{NAME}.mcap")
+    one, two = read_bag(path), read_bag(tmp_path / "out" / f"{NAME}.mcap")
     assert two.problems == ()
     played = [topic for topic in TOPICS if CAPTURE_DETECTOR not in topic.publishers]
     for topic in played:
         if topic.name != "bench/run_info":
             assert two.raw(topic.name) == [padded(data) for data in one.raw(topic.name)], topic.name
-    # announced as recorded, but for those that take part now
+    # announced as recorded, but for who announces it and who takes part
     announced = [dict(run.columns("bench/run_info")) for run in (one, two)]
-    assert announced[1].pop("consumers").tolist() == [["capture_detector", "recorder"]]
-    del announced[0]["consumers"]
-    for name, column in announced[0].items():
-        assert np.array_equal(column, announced[1][name]), name
+    assert announced[1]["source"].tolist() == ["replay"]
+    (participants,) = announced[1]["participants"].tolist()
+    assert [name.partition("#")[0] for name in participants] == ["/capture_detector", "/recorder"]
+    for name in announced[0].keys() - {"source", "announcer", "participants"}:
+        assert np.array_equal(announced[0][name], announced[1][name]), name
     # judged anew, from the played messages: by the same criteria, state by state at the same time
     criteria = [dict(run.columns("capture/criteria")) for run in (one, two)]
     assert criteria[0].keys() == criteria[1].keys()
@@ -139,19 +146,19 @@ def test_what_is_left_out_is_not_missed(path, tmp_path):
     topics = ["/bench/state", "/bench/run_info", "/bench/stream_counts"]
     command = ["replay", str(path), "--rtf", "0", "--start", "3", "--topics", *topics]
     assert main([*command, "--with", "recorder", "--out", str(tmp_path)]) == 0
-    two = read_run(tmp_path / f"{NAME}.mcap")
+    two = read_bag(tmp_path / f"{NAME}.mcap")
     assert two.problems == ()
-    assert two.raw("bench/state") == read_run(path).raw("bench/state")[3000:]
+    assert two.raw("bench/state") == read_bag(path).raw("bench/state")[3000:]
 
 
 def test_what_the_recording_lacks_is_missed_still(path):
-    run = read_run(path)
+    run = read_bag(path)
     counts = run.raw("bench/stream_counts")[0]
     store = typestore()
     told = store.deserialize_cdr(counts, "capture_sim/msg/StreamCounts")
     before = dict(zip(told.topics, told.counts.tolist(), strict=True))
     skipped = Playback(path).skipped(3.0, {"/bench/state", "/bench/event"})
-    rewritten = Rewritten(skipped=skipped)("/bench/stream_counts", counts)
+    rewritten = PlayedCounts(skipped=skipped)(counts)
     told = store.deserialize_cdr(rewritten, "capture_sim/msg/StreamCounts")
     after = dict(zip(told.topics, told.counts.tolist(), strict=True))
     # what is promised does not hang on what the file holds: 3000 states come before 3 s
@@ -163,7 +170,7 @@ def test_what_the_recording_lacks_is_missed_still(path):
 @pytest.fixture(scope="module")
 def bench_bag(path, tmp_path_factory):
     """Poses of a bench, and a topic that is declared and was silent; nobody announced a run."""
-    run, store = read_run(path), typestore()
+    run, store = read_bag(path), typestore()
     folder = tmp_path_factory.mktemp("bench") / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         writer.add_connection("/target/odom", "nav_msgs/msg/Odometry", typestore=store)
@@ -187,43 +194,47 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag, capsys):
     errors = capsys.readouterr().err
     (said,) = [line for line in errors.splitlines() if line.startswith("capture-sim: ")]
     assert "error:" not in errors
-    assert "consumers = ['capture_detector']: must be empty: the replay contains no" in said
+    assert "wait_for = ['capture_detector']: must be empty: the replay contains no" in said
 
 
-def test_pause_step_and_latched_topics(path, start):
+def test_pause_resume_and_latched_topics(path, start):
     # at real time: an unpaced one is through before it can be asked again
-    start("player", bag=path, paused="true", rtf=1.0, delay=0.5)
+    player = start("player", bag=path, paused="true", rtf=1.0, delay=0.5)
     with Client() as client:
+        states, announced = client.listen(BENCH_STATE), client.listen(RUN_INFO)
 
         def ask(name):
             return client.ask(Trigger, f"/player/{name}").success
 
-        player = Simulation(client, "player")
-        states = player.states
-        # until the topics are connected, both ways: the services are later than those
-        assert player.state is State.PAUSED
-        assert list(player.features().features) == [24, 25, 26, 31, 32]
+        assert not ask("pause")  # it is
         time.sleep(1.0)
         assert not states
-        # all of the first time: the announcement and a state
-        assert player.step(1) == (Code.OK, "")
-        wait_until(lambda: states)
-        # a late subscriber gets what is latched, and nothing else moves
-        announced = client.listen(RUN_INFO)
-        wait_until(lambda: announced)
-        assert (len(announced), len(states)) == (1, 1)
-        assert player.step(5) == (Code.OK, "")
-        wait_until(lambda: len(states) >= 6)
-        assert player.settle() == 6
-        assert not ask("pause")  # it is
-        assert player.set(State.PAUSED)[0] == Code.ALREADY_IN_TARGET_STATE
-        assert player.set(State.STOPPED)[0] == Code.INCORRECT_TRANSITION
-        assert player.reset()[0] == Code.FEATURE_UNSUPPORTED
-        assert player.set(State.PLAYING) == (Code.OK, "")
-        assert player.step()[0] == Code.OPERATION_FAILED
-        assert ask("pause")
         assert ask("resume")
-        wait_until(lambda: len(states) > 1000)
+        wait_until(lambda: len(states) > 100)
+        assert ask("pause")
+        time.sleep(0.3)
+        held = len(states)
+        time.sleep(0.3)
+        assert len(states) == held
+        # a late subscriber gets what is latched, and nothing else moves
+        late = client.listen(RUN_INFO)
+        wait_until(lambda: late)
+        assert [info.source for info in (*announced, *late)] == ["replay"] * 2
+        assert ask("resume")
+        wait_until(lambda: len(states) > held + 500)
+        assert player.end() == 0
+
+
+def test_two_players_in_turn_play_the_same_run_to_nodes_that_stay(path, start, tmp_path):
+    """Unpaced, to a recorder and a detector: nothing that is counted is lost."""
+    recorder, detector = start("recorder", out=tmp_path), start("capture_detector")
+    for name in (NAME, f"{NAME}_2"):
+        player = start("player", bag=path, rtf=0.0, wait_for="[recorder, capture_detector]")
+        assert player.status() == 0, player.text
+        played = read_bag(tmp_path / f"{name}.mcap")
+        assert played.problems == ()
+        assert played.topics == read_bag(path).topics
+    assert [recorder.end(), detector.end()] == [0, 0]
 
 
 def test_bag_of_others_is_played(tmp_path, start):

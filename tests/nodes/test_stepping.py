@@ -19,7 +19,7 @@ SHORT = ["run.t_end=0.5"]
 )
 def test_transforms_move_with_every_periodic_sample(changes):
     scene = load_scene("tilt_0", SHORT + changes)
-    control = SimulationControl(State.PLAYING, Pacer(0.0))
+    control = SimulationControl(State.PLAYING, Pacer(0.0), lambda limit: None)
     description = RunDescription.of(scene, "a run", [SIMULATOR])
     stepping = Stepping(Bench(scene), BenchTelemetry(Messages(), scene, description), control)
     sent, shown = [], []

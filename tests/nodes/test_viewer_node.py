@@ -7,16 +7,16 @@ import time
 
 import numpy as np
 import pytest
-from bench_processes import Client, wait_until
+from bench_processes import Client, statuses, wait_until
 from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 
 import capture_sim
 from capture_sim.messages.topics import CHASER_ODOMETRY, JOINT_STATES, TARGET_ODOMETRY
-from capture_sim.nodes.node import message_class, qos_of
+from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.read import read_run
 from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")
@@ -39,7 +39,7 @@ def viewer(start):
 
     def viewer(**parameters):
         port = free_port()
-        node = start("viewer", port=port, exit_when_done="false", **parameters)
+        node = start("viewer", port=port, **parameters)
         node.wait_for("waiting for a run")
         return node, f"rerun+http://127.0.0.1:{port}/proxy"
 
@@ -66,15 +66,15 @@ def test_server_that_does_not_start_is_reported(start):
 
 def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_path):
     node, address = viewer()
-    consumers = "[launcher, capture_detector, recorder]"
-    nodes = [
-        start("simulator", scenes="[tilt_p10]", rtf=0.0, consumers=consumers),
-        start("launcher"),
-        start("capture_detector"),
-        start("recorder", out=tmp_path),
-    ]
-    assert [node.status() for node in nodes] == [0, 0, 0, 0]
-    recorded = read_run(tmp_path / "tilt_p10.mcap")
+    wait_for = "[launcher, capture_detector, recorder]"
+    nodes = {
+        "simulator": start("simulator", scenes="[tilt_p10]", rtf=0.0, wait_for=wait_for),
+        "launcher": start("launcher"),
+        "capture_detector": start("capture_detector"),
+        "recorder": start("recorder", out=tmp_path),
+    }
+    assert statuses(nodes) == dict.fromkeys(nodes, 0)
+    recorded = read_bag(tmp_path / "tilt_p10.mcap")
     assert recorded.complete, recorded.problems
     node.wait_for("tilt_p10: shown")
 
@@ -98,7 +98,7 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_
 def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
     path = write_run(run, tmp_path / "bench.mcap")
     node, address = viewer(scene="tilt_0")
-    recorded = read_run(path)
+    recorded = read_bag(path)
     topics = (JOINT_STATES, CHASER_ODOMETRY, TARGET_ODOMETRY)
     kinds = [message_class(topic.type_name) for topic in topics]
     with Client() as client:

@@ -1,0 +1,56 @@
+"""Topics as ROS has them: message classes, quality of service, names of nodes."""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from capture_sim.errors import MessageError
+from capture_sim.messages.topics import CLOCK, Rate, Topic
+
+#: The last message, for subscribers that come later.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@cache
+def message_class(type_name: str) -> Any:
+    """Return the class of a message type given as ``package/msg/Name``."""
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
+    """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
+
+    ``latched``: whether a subscriber wants what a latched topic keeps; as the topic unless given.
+    """
+    latched = topic.latched if latched is None else latched
+    keeps_last = (topic.latched and latched) or topic.rate is Rate.CONTROL
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
+        depth=topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def is_own(topic: Topic) -> bool:
+    """Return True if only nodes of this suite publish a topic: it is reliable then."""
+    return topic is CLOCK or topic.type_name.startswith("capture_sim/")
+
+
+def from_bytes(topic: Topic, data: bytes) -> Any:
+    """Return the message of a topic that was taken raw; MessageError if the bytes are none."""
+    try:
+        return deserialize_message(data, message_class(topic.type_name))
+    except RuntimeError:  # rclpy's RMWError, of several lines
+        raise MessageError(f"{len(data)} bytes are not a {topic.type_name}") from None
+
+
+def full_name(end: Any) -> str:
+    """Return the full name of the node that an end of a topic belongs to."""
+    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"

@@ -1,0 +1,215 @@
+"""The roll call: who takes part in runs, who is ready for one, who has done with it.
+
+Every node that takes part publishes its part on bench/roll, transient local.  Publisher and
+subscription of the roll are the last that a node creates.  DDS announces them in that order, so a
+node that has a message of another's roll is matched with it in both directions: the other knows all
+its subscriptions, and it knows all publishers of the other.  A node is ready when it has a message
+of each participant; the first message of a run comes when all are ready, so nobody misses it.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+from capture_sim.messages.topics import ROLL, RunSource
+from capture_sim.nodes.endpoints import message_class
+from capture_sim.nodes.node import BenchNode
+
+#: Which nodes are there is looked up this often, s (wall): the look-up costs 0.1 ms.
+PRESENCE_PERIOD = 0.1
+FREE, READY, DONE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a participant reports of a run at its end."""
+
+    problems: tuple[str, ...] = ()  # a line each; empty if nothing is missing
+    file: str = ""  # recording, if it has written one
+
+
+@dataclass(frozen=True)
+class Part:
+    """A node's part as it has reported it, see msg/Roll.msg."""
+
+    id: str
+    role: str
+    sources: tuple[str, ...]
+    state: int
+    run: str
+    report: RunReport
+
+    @property
+    def node(self) -> str:
+        """Full name of the node."""
+        return node_of(self.id)
+
+    @property
+    def number(self) -> str:
+        """Unique number of the node; that of an older one is smaller."""
+        return number_of(self.id)
+
+    def is_called(self, name: str) -> bool:
+        """Return True if the node has this role, name or full name."""
+        return name in (self.role, self.node, self.node.rpartition("/")[2])
+
+    def is_ready(self, run: str) -> bool:
+        """Return True if the node has joined this run, and perhaps left it."""
+        return self.run == run and self.state in (READY, DONE)
+
+    def is_done(self, run: str) -> bool:
+        """Return True if the node has left this run."""
+        return self.run == run and self.state == DONE
+
+
+def node_of(participant: str) -> str:
+    """Return the full name of the node in a participant's id."""
+    return participant.partition("#")[0]
+
+
+def number_of(participant: str) -> str:
+    """Return the number in a participant's id."""
+    return participant.partition("#")[2]
+
+
+def run_key(info: Any) -> str:
+    """Return by what the roll knows a run, from its RunInfo or description.
+
+    A recorded run can be announced by several players.
+    """
+    return f"{info.run_id}@{info.announcer}"
+
+
+class Roll:
+    """The roll as one node sees it: its own part, and :attr:`parts` of the others, by id.
+
+    Create it after all publishers and subscriptions of the node.  ``on_part`` is called with each
+    part that is reported.  A node that is not listed only listens.
+    """
+
+    def __init__(
+        self,
+        node: BenchNode,
+        role: str,
+        sources: Collection[RunSource] = (),
+        on_part: Callable[[Part], None] = lambda part: None,
+        *,
+        is_listed: bool = True,
+    ) -> None:
+        started = (
+            f"{time.time_ns():016x}"  # in front: the older of two nodes has the smaller number
+        )
+        self.id = f"{node.get_fully_qualified_name()}#{started}{uuid.uuid4().hex[:8]}"
+        self.parts: dict[str, Part] = {}
+        self._node = node
+        self._role = role
+        self._sources = [str(source) for source in sources]
+        self._on_part = on_part
+        self._is_listed = is_listed
+        self._present: Counter[str] = Counter()  # publishers of the roll, by node
+        self._looked = -1.0
+        if is_listed:
+            node.open([ROLL])
+        watch = SubscriptionEventCallbacks(matched=node.guarded(self._changed))
+        node.listen(ROLL, self._hear, event_callbacks=watch)
+        self.report(FREE)
+
+    def report(self, state: int, run: str = "", report: RunReport | None = None) -> None:
+        """Publish this node's part."""
+        if not self._is_listed:
+            return
+        report = report or RunReport()
+        message = message_class(ROLL.type_name)(
+            participant=self.id,
+            role=self._role,
+            sources=self._sources,
+            state=state,
+            run=run,
+            complete=not report.problems,
+            reason="; ".join(report.problems),
+            file=report.file,
+        )
+        self._node.send(ROLL, message)
+
+    def heard(self, participants: Sequence[str]) -> bool:
+        """Return True if all of these that are there have been heard: this node reads them all."""
+        return all(
+            id_ in self.parts or id_ == self.id or not self._is_there(id_) for id_ in participants
+        )
+
+    def not_ready(self, run: str, participants: Sequence[str]) -> list[str]:
+        """Return the nodes that have yet to join a run; those that have gone do not."""
+        return self._pending(participants, lambda part: part.is_ready(run))
+
+    def not_done(self, run: str, participants: Sequence[str]) -> list[str]:
+        """Return the nodes that have yet to leave a run."""
+        return self._pending(participants, lambda part: part.is_done(run))
+
+    def free(self, source: RunSource) -> list[Part]:
+        """Return the parts of nodes that are there, in no run, and take part in such runs."""
+        return [
+            part
+            for part in self.parts.values()
+            if part.state != READY and str(source) in part.sources and self._is_there(part.id)
+        ]
+
+    def unheard(self) -> list[str]:
+        """Return the nodes that publish on the roll and have not been heard yet."""
+        own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
+        heard = Counter(part.node for part in self.parts.values())
+        return sorted((self._nodes() - own - heard).elements())
+
+    def is_present(self, participant: str) -> bool:
+        """Return True if a participant, by its id, is still there."""
+        return participant == self.id or self._is_there(participant)
+
+    def _pending(self, participants: Sequence[str], has: Callable[[Part], bool]) -> list[str]:
+        missing = [
+            id_
+            for id_ in participants
+            if id_ != self.id and not (id_ in self.parts and has(self.parts[id_]))
+        ]
+        return [node_of(id_) for id_ in missing if self._is_there(id_)]
+
+    def _is_there(self, participant: str) -> bool:
+        """Return True if a participant's publisher is there; of namesakes the newest are."""
+        name = node_of(participant)
+        count = self._nodes()[name] - (
+            self._is_listed and name == self._node.get_fully_qualified_name()
+        )
+        namesakes = [part.id for part in self.parts.values() if part.node == name]
+        if participant in namesakes:
+            namesakes = namesakes[max(0, len(namesakes) - count) :]
+            return participant in namesakes
+        return count > 0
+
+    def _nodes(self) -> Counter[str]:
+        now = time.monotonic()
+        if now > self._looked + PRESENCE_PERIOD:
+            self._looked = now
+            self._present = Counter(self._node.nodes_that_publish(ROLL))
+        return self._present
+
+    def _changed(self, _: Any) -> None:
+        self._looked = -1.0
+
+    def _hear(self, message: Any) -> None:
+        if message.participant == self.id:
+            return
+        part = Part(
+            message.participant,
+            message.role,
+            tuple(message.sources),
+            message.state,
+            message.run,
+            RunReport(() if message.complete else (message.reason,), message.file),
+        )
+        self.parts[part.id] = part
+        self._on_part(part)

@@ -1,0 +1,144 @@
+"""A trial as the other nodes see it: announced, commanded, reported, closed."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import replace
+from typing import Any
+
+from capture_sim.launch.trial import Trial, TrialPhase, TrialStep
+from capture_sim.launch.watch import LauncherPhase
+from capture_sim.messages.convert import LaunchAction, RunDescription
+from capture_sim.messages.telemetry import LauncherTelemetry
+from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    LAUNCHER,
+    RECORDER,
+    RUN_INFO,
+    RunSource,
+    topics_of,
+)
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, run_key
+
+
+class TrialAnnouncement:
+    """Does the steps of a trial, and follows which nodes take part in it."""
+
+    def __init__(self, node: BenchNode, roll: Roll, trial: Trial) -> None:
+        self.trial = trial
+        self._node, self._roll = node, roll
+        self._description: RunDescription | None = None
+        self._roles: set[str] = set()  # of the nodes that take part
+        self._telemetry: LauncherTelemetry
+        self._is_closed = self._is_delivered = False
+
+    def perform(self, step: TrialStep, stamp: int) -> None:
+        """Do a step of the trial; ``stamp``: of the chaser's latest pose, ns."""
+        launcher = self.trial.launcher
+        match step:
+            case TrialStep.ANNOUNCE:
+                self._announce()
+            case TrialStep.RELEASE:
+                for action in (LaunchAction.ARM, LaunchAction.RELEASE):
+                    self._node.publish(self._telemetry.command(0.0, action, launcher.plan))
+                self._node.publish(*self._telemetry.status(0.0, launcher.status))
+                self._node.get_logger().info(f"{self.trial.goal.name}: released")
+            case TrialStep.ABORT:
+                self._telemetry.zero_ns = stamp
+                self._node.publish(self._telemetry.command(0.0, LaunchAction.ABORT, launcher.plan))
+                self._node.publish(*self._telemetry.status(0.0, launcher.status))
+            case TrialStep.CLOSE:
+                self._close()
+
+    def report_launch(self) -> None:
+        """Publish what the poses since the last call have shown of the launch."""
+        for stamp, status in self.trial.take_statuses():
+            if self.trial.is_released and not self._is_closed:
+                self._telemetry.zero_ns = stamp
+                self._node.publish(*self._telemetry.status(0.0, status))
+            if status.state is LauncherPhase.DELIVERED and not self._is_delivered:
+                self._is_delivered = True
+                text = status.reason or f"contact at {status.measured_speed:.4g} m/s"
+                self._node.get_logger().info(f"{self.trial.goal.name}: {text}")
+
+    def state_of_others(self) -> dict[str, Any]:
+        """Return which of the other nodes have joined and ended: arguments of Trial.set_others."""
+        if self._description is None:
+            return {"ready": False, "done": False, "pending": ""}
+        key, ids = run_key(self._description), self._description.participants
+        not_ready, not_done = self._roll.not_ready(key, ids), self._roll.not_done(key, ids)
+        pending = not_ready if self.trial.phase is TrialPhase.PREPARING else not_done
+        return {
+            "ready": not not_ready,
+            "done": self._is_closed and not not_done,
+            "pending": f"waiting for {', '.join(pending)}" if pending else "",
+        }
+
+    def result(self) -> dict[str, Any]:
+        """Return the fields of the result of a trial that is over."""
+        trial, reports = self.trial, self._reports()
+        verdict, reason = trial.outcome
+        if CAPTURE_DETECTOR not in self._roles and trial.is_released:
+            reason = reason or "no capture_detector takes part"
+        files = [report.file for report in reports if report.file]
+        problems = [*trial.problems, *(p for report in reports for p in report.problems)]
+        return {
+            "verdict": verdict,
+            "reason": reason,
+            "as_expected": trial.goal.expected in ("", verdict),
+            "recording": files[0] if files else "",
+            "complete": bool(files) and not problems,
+            "problems": problems,
+            "impact_speed": trial.impact_speed,
+            "max_force": trial.loads.max_force,
+            "max_stroke": trial.loads.max_stroke,
+            "max_torsion": trial.loads.max_torsion,
+        }
+
+    def _announce(self) -> None:
+        """Announce the trial to all nodes that take part in trials."""
+        parts = self._roll.free(RunSource.TRIAL)
+        self._roles = {part.role for part in parts}
+        for role in {CAPTURE_DETECTOR, RECORDER} - self._roles:
+            self._node.get_logger().warning(f"{self.trial.goal.name}: no {role} takes part")
+        run = RunDescription.of(
+            self.trial.scene,
+            uuid.uuid4().hex,
+            sorted(role for role in {LAUNCHER, *self._roles} if len(topics_of(role)) > 1),
+            source=RunSource.TRIAL,
+            announcer=self._roll.id,
+            participants=sorted({self._roll.id, *(part.id for part in parts)}),
+        )
+        goal = self.trial.goal
+        run = replace(run, name=goal.name, note=goal.note, expected=goal.expected)
+        self._description = run
+        self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
+        self._send_info(run)
+        self._roll.report(READY, run_key(run))
+        plan = self.trial.launcher.plan
+        how = "no string"
+        if plan.hanging_mass > 0.0:
+            how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
+        self._node.get_logger().info(f"{goal.name}: {how} for {plan.impact_speed:.6g} m/s")
+
+    def _close(self) -> None:
+        """Send the counts of the launcher's messages, and that no run is on."""
+        assert self._description is not None
+        failure = self.trial.failure
+        self._node.publish(self._telemetry.end(complete=not failure, reason=failure))
+        self._send_info(replace(self._description, run_id=""))
+        report = RunReport((failure,) if failure else ())
+        self._roll.report(DONE, run_key(self._description), report)
+        self._is_closed = True
+
+    def _send_info(self, run: RunDescription) -> None:
+        messages = self._node.messages
+        self._node.send(RUN_INFO, messages.serialise(messages.run_info(run)))
+
+    def _reports(self) -> list[RunReport]:
+        """Return what the other nodes report of the trial."""
+        if self._description is None:
+            return []
+        key = run_key(self._description)
+        return [part.report for part in self._roll.parts.values() if part.is_done(key)]

@@ -1,0 +1,407 @@
+"""The action launcher/run_trial: trials of a real bench, one at a time.
+
+Nothing but a goal of this action lets a real chaser go.  The decisions are those of
+:class:`capture_sim.launch.trial.Trial`: measurements, verdicts and a timer reach it in callbacks,
+and launcher/hold follows it there; commands to the other nodes are sent between callbacks.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.task import Future
+
+from capture_sim.action import RunTrial
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.errors import CaptureSimError, one_line
+from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
+from capture_sim.launch.trial import (
+    Trial,
+    TrialGoal,
+    TrialPhase,
+    TrialStep,
+)
+from capture_sim.launch.watch import Launcher
+from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.definitions import typestore
+from capture_sim.messages.measurements import MeasurementReader
+from capture_sim.messages.topics import (
+    BUFFER_STATE,
+    CAPTURE_VERDICT,
+    CHASER_ODOMETRY,
+    CHASER_POSE,
+    HOLD,
+    JOINT_STATES,
+    LAUNCHER,
+    LOAD_CELL,
+    RUN_INFO,
+    TARGET_ODOMETRY,
+    TARGET_POSE,
+    Topic,
+    topics_of,
+)
+from capture_sim.nodes.endpoints import LATCHED, full_name, message_class, qos_of
+from capture_sim.nodes.launch_settings import LaunchSettings
+from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.requested_scene import load_requested
+from capture_sim.nodes.roll import Roll, node_of
+from capture_sim.nodes.trial_announcement import TrialAnnouncement
+from capture_sim.scene.parts import Scene
+
+#: Repeated this often, s (wall): a driver holds if it hears nothing for five times as long.
+HOLD_PERIOD = 0.1
+#: Time limits are looked at this often, s (wall).
+TICK = 0.02
+#: A timer that is later by more than this shows that this node was busy: messages wait for it.
+#: It gets as long to read them before it decides by them, s (wall).
+MAX_LATENESS = 0.1
+#: Feedback is sent, and publishers are looked up, this often, s (wall).
+FEEDBACK_PERIOD, LOOK_UP_PERIOD = 0.1, 0.5
+#: Name of a node that DDS does not know, or not any more.
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+#: A node that has just joined the roll is heard within this long, s (wall).
+HEARING_TIMEOUT = 2.0
+#: After Ctrl-C a trial gets this long to close its recording, s (wall).
+SHUTDOWN_TIMEOUT = 3.0
+#: What measures, by sensor.
+MEASURES = {
+    Sensor.CHASER: (CHASER_POSE, CHASER_ODOMETRY),
+    Sensor.TARGET: (TARGET_POSE, TARGET_ODOMETRY),
+    Sensor.BUFFER: (JOINT_STATES, BUFFER_STATE),
+}
+INTERRUPTED = "launcher interrupted"
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """How trials are run.
+
+    ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.  ``scene``: of
+    goals that name none; ``scene_folder``: whose files a goal may name besides the packaged scenes.
+    """
+
+    has_actuator: bool
+    limits: TrialLimits
+    scene: Scene | None = None
+    scene_folder: Path | None = None
+
+
+class TrialServer:
+    """Serves launcher/run_trial for a node; call :meth:`work` as the node's work."""
+
+    def __init__(self, node: BenchNode, settings: TrialSettings, launch: LaunchSettings) -> None:
+        self._node, self._settings, self._launch = node, settings, launch
+        topics = {
+            sensor: [topic.name for topic in measuring] for sensor, measuring in MEASURES.items()
+        }
+        self._interlocks = Interlocks(settings.limits, topics)
+        self._trial: Trial | None = None
+        self._steps: list[TrialStep] = []
+        self._handle: Any = None  # of the goal that is served
+        self._finished: Future | None = None
+        self._ignored: set[str] = set()  # announcers that have been named in a line
+        self._last_tick = self._caught_up = time.monotonic()
+        self._last_stamp = 0  # ns
+        self._said = ""  # the last deviation that was logged
+        self._hold_output: Any = None
+        self._held: bool | None = None  # as last published
+        self._hold_time = -math.inf
+        if settings.has_actuator:
+            # latched, so that a driver which starts late holds from its first message on
+            self._bool = message_class("std_msgs/msg/Bool")
+            self._hold_output = node.create_publisher(self._bool, HOLD, LATCHED)
+            self._output_hold()
+        self._force = Numbers(
+            typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
+        )
+        for sensor, measuring in MEASURES.items():
+            for topic in measuring:
+                take = partial(self._receive, sensor, topic, MeasurementReader(topic))
+                node.listen(topic, take, raw=True)
+        node.listen(LOAD_CELL, self._receive_force, raw=True)
+        node.listen(CAPTURE_VERDICT, self._receive_verdict)
+        node.listen(RUN_INFO, self._hear_announcement)
+        node.open([*topics_of(LAUNCHER), RUN_INFO])
+        self._server = ActionServer(
+            node,
+            RunTrial,
+            "~/run_trial",
+            execute_callback=self._execute,
+            goal_callback=node.guarded(self._receive_goal),
+            handle_accepted_callback=node.guarded(self._accept),
+            cancel_callback=node.guarded(self._cancel),
+        )
+        node.every(TICK, self._tick)
+        node.every(LOOK_UP_PERIOD, self._look_up_publishers)
+        # takes part in no run that another node announces
+        self._roll = Roll(node, LAUNCHER)
+
+    def work(self) -> int:
+        """Serve goals until the node is asked to end; return the exit status."""
+        actuator = "launcher/hold" if self._settings.has_actuator else "none: let go by hand"
+        self._node.get_logger().info(f"ready for trials, actuator {actuator}")
+        try:
+            while True:
+                self._node.wait(lambda: self._handle is not None)
+                self._serve()
+        finally:
+            self._trial = None
+            self._output_hold()
+
+    def settings_changed(self) -> None:
+        """Use settings that have been changed, also in the trial that is on."""
+        if self._trial is not None:
+            self._trial.launcher.tolerance = self._launch.tolerance
+            self._trial.launcher.aborts = self._launch.aborts and self._settings.has_actuator
+
+    # what comes in, in callbacks
+
+    def _receive(
+        self, sensor: Sensor, topic: Topic, reader: MeasurementReader, data: bytes
+    ) -> None:
+        stamp, values = reader(data)
+        now = time.monotonic()
+        # rates are not used: a driver without velocities may send NaN
+        if sensor is Sensor.BUFFER:
+            self._interlocks.add(topic.name, stamp, values[:2], now)
+            if self._trial is not None:
+                self._trial.add_buffer(topic.name, values[0], values[1])
+            return
+        pose = values[0], values[1], values[2]
+        self._interlocks.add(topic.name, stamp, pose, now)
+        if self._trial is None:
+            return
+        self._trial.add_pose(sensor, topic.name, stamp, pose, now)
+        if sensor is Sensor.CHASER:
+            self._last_stamp = stamp
+            self._decide(now)
+
+    def _receive_force(self, data: bytes) -> None:
+        if self._trial is not None:
+            self._trial.add_force(*self._force(data).item())
+
+    def _receive_verdict(self, status: Any) -> None:
+        if self._trial is None:
+            return
+        stamp = status.header.stamp.sec * 10**9 + status.header.stamp.nanosec
+        label = CaptureState(status.state).label
+        self._trial.add_verdict(label, status.reason, is_final=status.final, stamp=stamp)
+        self._decide(time.monotonic())
+
+    def _hear_announcement(self, info: Any) -> None:
+        """Name once who announces runs here: they move nothing."""
+        announcer = info.announcer
+        if not info.run_id or announcer == self._roll.id or announcer in self._ignored:
+            return
+        self._ignored.add(announcer)
+        self._node.get_logger().warning(
+            one_line(
+                f"{node_of(announcer) or 'a node'} announces {info.name} ({info.source}): "
+                "ignored, only a goal of ~/run_trial begins a trial here"
+            )
+        )
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self._is_late(now):
+            self._caught_up = now + MAX_LATENESS
+        self._last_tick = now
+        self._decide(now)
+        if now >= self._hold_time + HOLD_PERIOD:
+            self._output_hold(repeated=True)
+
+    def _is_late(self, now: float) -> bool:
+        return now > self._last_tick + TICK + MAX_LATENESS
+
+    def _look_up_publishers(self) -> None:
+        nodes, mismatches = {}, {}
+        for topic in (topic for measuring in MEASURES.values() for topic in measuring):
+            name = self._node.resolve_topic_name(topic.name)
+            ends = self._node.get_publishers_info_by_topic(name)
+            # of a process that was killed the name goes first
+            nodes[topic.name] = sorted({full_name(e) for e in ends if UNKNOWN not in e.node_name})
+            for end in ends:
+                if problem := _mismatch(topic, end):
+                    mismatches[topic.name] = problem
+        self._interlocks.note_publishers(nodes, mismatches)
+
+    # goals, in callbacks
+
+    def _receive_goal(self, request: Any) -> GoalResponse:
+        if self._handle is None and self._finished is None:
+            return GoalResponse.ACCEPT
+        name = one_line(request.name or request.scene)[:100]
+        on = "a trial" if self._trial is None else self._trial.goal.name
+        self._node.get_logger().error(f"goal {name}: rejected, {on} is on: cancel it first")
+        return GoalResponse.REJECT
+
+    def _accept(self, handle: Any) -> None:
+        self._handle, self._finished = handle, Future()
+        handle.execute()
+
+    async def _execute(self, handle: Any) -> Any:
+        """Wait for the trial's result, which :meth:`_serve` has."""
+        assert self._finished is not None
+        outcome, result = await self._finished
+        getattr(handle, outcome)()
+        self._finished = None
+        return result
+
+    def _cancel(self, _: Any) -> CancelResponse:
+        if self._trial is not None:
+            self._trial.cancel()
+            self._decide(time.monotonic())
+        return CancelResponse.ACCEPT
+
+    # decisions
+
+    def _decide(self, now: float) -> None:
+        """Let the trial decide; the chaser is let go or held at once.
+
+        Measurements that wait for a node that was busy come first.
+        """
+        if self._trial is not None and now >= self._caught_up and not self._is_late(now):
+            self._steps += self._trial.advance(now)
+            self._output_hold()
+
+    def _output_hold(self, *, repeated: bool = False) -> None:
+        """Publish whether the chaser is held, if that has changed or is due."""
+        hold = self._trial is None or self._trial.holds
+        if self._hold_output is not None and (repeated or hold is not self._held):
+            self._held, self._hold_time = hold, time.monotonic()
+            self._hold_output.publish(self._bool(data=hold))
+
+    # a trial, between callbacks
+
+    def _serve(self) -> None:
+        """Run the trial of the goal that was accepted."""
+        handle, self._handle = self._handle, None
+        try:
+            goal, scene = self._checked(handle.request)
+            trial = Trial(
+                goal,
+                scene,
+                Launcher(
+                    scene,
+                    self._launch.tolerance,
+                    aborts=self._launch.aborts and self._settings.has_actuator,
+                ),
+                self._interlocks,
+                has_actuator=self._settings.has_actuator,
+                now=time.monotonic(),
+            )
+        except CaptureSimError as error:
+            self._refuse(handle, str(error))
+            return
+        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        self._look_up_publishers()
+        run = TrialAnnouncement(self._node, self._roll, trial)
+        self._steps.clear()
+        self._said = ""
+        self._trial = trial
+        if handle.is_cancel_requested:
+            trial.cancel()
+        try:
+            self._follow(handle, run)
+        except KeyboardInterrupt:
+            trial.cancel(INTERRUPTED)
+            self._follow(handle, run, SHUTDOWN_TIMEOUT)
+            raise
+        except Exception as error:
+            trial.failure = f"launcher failed: {error}"
+            raise
+        finally:
+            self._trial = None
+            self._output_hold()
+            self._finish(handle, run)
+
+    def _follow(self, handle: Any, run: TrialAnnouncement, limit: float = math.inf) -> None:
+        trial, deadline, reported = run.trial, time.monotonic() + limit, -math.inf
+        while trial.phase is not TrialPhase.OVER and time.monotonic() < deadline:
+            self._node.wait(lambda: bool(self._steps), TICK)
+            steps, self._steps = self._steps, []
+            for step in steps:
+                run.perform(step, self._last_stamp)
+            run.report_launch()
+            trial.set_others(**run.state_of_others())
+            now = time.monotonic()
+            if now >= reported + FEEDBACK_PERIOD:
+                reported = now
+                handle.publish_feedback(_feedback(trial, now))
+            if trial.deviation != self._said:  # what it is, once
+                if trial.deviation.split(" ")[0] != self._said.split(" ")[0] and trial.deviation:
+                    self._node.get_logger().warning(f"{trial.goal.name}: {trial.deviation}")
+                self._said = trial.deviation
+
+    def _checked(self, request: Any) -> tuple[TrialGoal, Scene]:
+        """Return goal and scene of a request; CaptureSimError if they cannot be used."""
+        if request.scene:
+            scene = load_requested(request.scene, folder=self._settings.scene_folder)
+        elif self._settings.scene is not None:
+            scene = self._settings.scene
+        else:
+            raise CaptureSimError(
+                "scene = '': must be given, as the launcher has no parameter scene"
+            )
+        return TrialGoal(request.name or scene.name, request.note, request.expected), scene
+
+    def _refuse(self, handle: Any, reason: str) -> None:
+        self._node.get_logger().error(one_line(f"trial refused: {reason}"))
+        nothing = dict.fromkeys(
+            ("impact_speed", "max_force", "max_stroke", "max_torsion"), math.nan
+        )
+        self._set_outcome(handle, "abort", RunTrial.Result(reason=reason, **nothing))
+
+    def _finish(self, handle: Any, run: TrialAnnouncement) -> None:
+        """Send the result to the client."""
+        trial, result = run.trial, RunTrial.Result(**run.result())
+        log = self._node.get_logger()
+        if trial.failure:
+            text = "aborted" if trial.is_released else "refused"
+            log.error(one_line(f"{trial.goal.name}: {text}: {trial.failure}"))
+        else:
+            log.info(one_line(f"{trial.goal.name}: {result.verdict}, {result.reason}"))
+        if not result.as_expected:
+            log.warning(f"{trial.goal.name}: {result.verdict}, expected {trial.goal.expected}")
+        for problem in result.problems:
+            log.warning(one_line(f"{trial.goal.name}: {problem}"))
+        outcome = "abort" if trial.failure else "succeed"
+        self._set_outcome(handle, outcome, result)
+
+    def _set_outcome(self, handle: Any, outcome: str, result: Any) -> None:
+        assert self._finished is not None
+        if handle.is_cancel_requested:
+            outcome = "canceled"
+        self._finished.set_result((outcome, result))
+
+
+def _feedback(trial: Trial, now: float) -> Any:
+    """Return what the operator sees of a trial."""
+    return RunTrial.Feedback(
+        phase=int(trial.phase),
+        waiting_for=trial.waiting_for(now),
+        t=now - trial.released,
+        gap=trial.gap,
+    )
+
+
+def _mismatch(topic: Topic, publisher: Any) -> str:
+    """Return why no message of a publisher can come; empty if messages can.
+
+    Reliability is no reason: a topic of a driver is read as it is published.
+    """
+    if publisher.topic_type != topic.type_name:
+        return f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"
+    wanted = qos_of(topic)
+    wanted.reliability = publisher.qos_profile.reliability
+    is_possible, reason = qos_check_compatible(publisher.qos_profile, wanted)
+    if is_possible is not QoSCompatibility.ERROR:
+        return ""
+    return f"{full_name(publisher)} offers another quality of service: {reason}"

@@ -1,0 +1,212 @@
+"""Nodes in processes of their own: kills, Ctrl-C, full disks, exit statuses."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+from bench_processes import Started, fresh, statuses, wait_until
+
+import capture_sim
+from capture_sim import load_scene, simulate
+from capture_sim.nodes.supervisor import run_suite
+from capture_sim.recording.bag import read_bag
+from capture_sim.recording.read import run_of
+from capture_sim.run import detect
+
+
+@pytest.fixture
+def start_all(start, tmp_path):
+    """Start the whole suite; parameters go to the simulator."""
+
+    def start_all(recorder_change="", **simulator):
+        wait_for = {"rtf": "0.0", "wait_for": "[launcher, capture_detector, recorder]"}
+        return {
+            "simulator": start("simulator", **{**wait_for, **simulator}),
+            "launcher": start("launcher"),
+            "capture_detector": start("capture_detector"),
+            "recorder": start("recorder", recorder_change, out=tmp_path / "out"),
+        }
+
+    return start_all
+
+
+def begun(tmp_path):
+    """Wait until the recorder has written about 1000 samples; return its file."""
+    path = tmp_path / "out" / "tilt_0.mcap"
+    wait_until(lambda: path.is_file() and path.stat().st_size > 300_000)
+    return path
+
+
+def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(start_all, tmp_path):
+    nodes = start_all(rtf=2.0)
+    path = begun(tmp_path)
+    nodes.pop("simulator").process.kill()
+    for node in nodes.values():
+        node.wait_for("the simulator has gone")
+        assert node.end() == 1
+    run = read_bag(path)
+    assert not run.complete
+    assert not run.damage
+    whole = simulate(load_scene("tilt_0")).samples
+    assert 500 < run.samples.size < whole.size
+    assert run.samples.tobytes() == whole[: run.samples.size].tobytes()
+    assert run.scene == load_scene("tilt_0")
+
+
+@pytest.mark.parametrize("victim", ["capture_detector", "recorder"])
+def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
+    nodes = start_all(rtf=2.0, reader_timeout=60.0)
+    path = begun(tmp_path)
+    nodes.pop(victim).process.kill()
+    nodes["simulator"].wait_for("done, 5936 samples")
+    found = statuses(nodes)
+    assert found.pop("recorder", 1) == 1
+    assert not any(found.values())
+    if victim != "recorder":
+        assert victim in nodes["recorder"].text
+    run = read_bag(path)
+    assert not run.complete
+    assert run.samples.size > 500
+
+
+def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
+    program = """
+        import sys
+        from pathlib import Path
+        from capture_sim import load_scene
+        from capture_sim.nodes.supervisor import run_suite
+        try:
+            run_suite([load_scene("tilt_0")], Path(sys.argv[1]), rtf=1.0)
+        except KeyboardInterrupt:
+            sys.exit(130)
+    """
+    suite = Started(fresh(textwrap.dedent(program), [str(tmp_path)]))
+    try:
+        suite.wait_for("released")
+        time.sleep(1.0)
+        assert suite.end() == 130, suite.text
+    finally:
+        suite.process.kill()
+    text = suite.text
+    assert "Traceback" not in text
+    assert "killed" not in text  # no node had to be
+    assert "interrupted" in text
+    assert "undecided, run ended before any contact" in text
+    run = read_bag(tmp_path / "tilt_0.mcap")
+    assert not run.damage
+    assert run.samples.size > 100
+    # all that was sent is there, and no verdict is claimed that the run has not come to
+    assert all("ended the run early" in line for line in run.problems), run.problems
+    assert len(run.problems) == 3  # simulator, launcher, detector
+    last = run.statuses[-1]
+    assert (last.state.label, last.final) == ("undecided", False)
+    assert detect(run_of(run), from_series=True)[-1] == last
+
+
+_SMALL_DISK = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+"""
+
+
+def test_disk_that_is_full_ends_the_recording_with_one_line_and_no_run(start_all):
+    nodes = start_all(_SMALL_DISK)
+    found = statuses(nodes)
+    assert found == {"simulator": 0, "launcher": 0, "capture_detector": 0, "recorder": 1}
+    assert "Traceback" not in nodes["recorder"].text
+    assert "Error occurred at" not in nodes["recorder"].text
+    (line,) = [line for line in nodes["recorder"].lines if "[ERROR]" in line]
+    assert "tilt_0.mcap: cannot write: File too large" in line
+    assert "done, 5936 samples" in nodes["simulator"].text  # as without a full disk
+
+
+_STALLED_DISK = """
+import time
+from capture_sim.recording import live
+from capture_sim.recording.write import RunWriter
+live.STALL_LIMIT = live.CLOSE_LIMIT = 2.0
+write = RunWriter.write
+def stall(self, *message):
+    if self.bag.span and self.bag.span[1] > 1_500_000_000:
+        time.sleep(600.0)
+    write(self, *message)
+RunWriter.write = stall
+"""
+
+
+def test_stalled_disk_ends_the_recording_and_no_run(start_all):
+    nodes = start_all(_STALLED_DISK)
+    found = statuses(nodes)
+    assert found == {"simulator": 0, "launcher": 0, "capture_detector": 0, "recorder": 1}
+    assert "the disk has written nothing for 2 s" in nodes["recorder"].text
+
+
+def test_stopped_process_is_named_and_the_others_record_the_run(start_all, tmp_path):
+    nodes = start_all(rtf=2.0, reader_timeout=2.0)
+    path = begun(tmp_path)
+    detector = nodes.pop("capture_detector")
+    detector.process.send_signal(signal.SIGSTOP)
+    try:
+        assert nodes["simulator"].status() in (0, 1), nodes["simulator"].text
+        nodes["recorder"].wait_for("capture_detector: never reported")
+    finally:
+        detector.process.send_signal(signal.SIGCONT)
+    run = read_bag(path)
+    assert run.samples.size == 5936
+    assert run.problems == (
+        "capture_detector: never reported how many messages it sent; it may have been killed",
+    )
+
+
+def test_own_detector_of_the_page_misses_no_sample(start):
+    example = Path(__file__).parents[2] / "examples" / "own_detector.py"
+    assert len(example.read_text().splitlines()) <= 45
+    detector = subprocess.Popen(
+        [sys.executable, example], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        simulator = start("simulator", wait_for="[own_detector]", rtf=0.0)
+        assert simulator.status() == 0, simulator.text
+        text = detector.communicate(timeout=60.0)[0]
+    finally:
+        detector.kill()
+    samples = simulate(load_scene("tilt_0")).samples
+    inside = samples["tip_distance"] < 0.005
+    since, count = re.search(r"captured since ([\d.]+) s; sample (\d+)", text).groups()
+    start_of_dwell = samples["t"][int(count) - 1] - 0.2
+    assert float(since) == pytest.approx(start_of_dwell, abs=2e-3)
+    assert inside[round(float(since) * 1000) : int(count)].all()
+
+
+# the command line
+
+
+def test_help_shows_the_parameters_and_starts_nothing():
+    command = [sys.executable, "-m", "capture_sim.nodes.simulator", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
+        assert word in done.stdout
+    assert "launcher:" not in done.stdout  # another node's
+
+
+def test_help_into_a_closed_pipe_ends_quietly():
+    command = [sys.executable, "-m", "capture_sim.nodes.capture_detector", "--help"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert done.returncode == 0
+    assert not done.stderr
+
+
+def test_suite_ends_when_a_node_refuses(tmp_path, capfd):
+    (tmp_path / "out").write_text("not a folder")
+    assert run_suite([capture_sim.load_scene("tilt_0")], tmp_path / "out") == (2, [])
+    assert "must be a folder" in capfd.readouterr().out

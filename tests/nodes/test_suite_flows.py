@@ -1,0 +1,403 @@
+"""Runs of the whole suite over real DDS, the nodes in threads of this process."""
+
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from recorded import values_of
+from threads import Client, statuses, threads, wait_until
+
+from capture_sim import load_scene, simulate
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.errors import CaptureSimError
+from capture_sim.launch.scenes import load_scene_text
+from capture_sim.launch.watch import LauncherPhase
+from capture_sim.messages.topics import (
+    BENCH_STATE,
+    CAPTURE_STATUS,
+    CAPTURE_VERDICT,
+    LAUNCHER_PHASE,
+    LAUNCHER_STATE,
+    RUN_INFO,
+    TARGET_ODOMETRY,
+)
+from capture_sim.nodes import simulator as simulator_module
+from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.recording.bag import read_bag
+from capture_sim.recording.offline import write_run
+from capture_sim.recording.read import run_of
+from capture_sim.results import loads_of
+from capture_sim.run import detect
+
+SENSED = "tilt_m10"
+WAIT_FOR = "[launcher, capture_detector, recorder]"
+# These carry the run's id, or values computed from odometry instead of the state.
+OF_THE_RUN = {"bench/run_info", "launcher/command", "capture/criteria", "bench/stream_counts"}
+DETECTED = {"capture/status", "capture/verdict"}
+
+
+@pytest.fixture
+def start():
+    with threads() as start:
+        yield start
+
+
+@pytest.fixture
+def start_all(start, tmp_path):
+    """Start the whole suite; parameters go to the simulator, to all nodes those in ``common``."""
+
+    def start_all(change=None, launcher=None, common=None, **simulator):
+        common = common or {}
+        parameters = {"rtf": 0.0, "wait_for": WAIT_FOR, **simulator, **common}
+        return {
+            "launcher": start("launcher", **(launcher or {}), **common),
+            "capture_detector": start("capture_detector", **common),
+            "recorder": start("recorder", out=tmp_path, **common),
+            "simulator": start("simulator", change, **parameters),
+        }
+
+    return start_all
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    # one with its contact at the integrator's own steps, one with sensors
+    sensors = ["motion_capture={}", "motion_capture.rate=200", "load_cell={}", "seed=3"]
+    return {
+        "tilt_0": load_scene("tilt_0"),
+        "tilt_p10": load_scene("tilt_p10", ["run.trace=true"]),
+        SENSED: load_scene(SENSED, [f"sensors.{change}" for change in sensors]),
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(scenes, tmp_path_factory):
+    """Recordings of a suite; in ``lab`` those of another one in a namespace, at the same time."""
+    out = tmp_path_factory.mktemp("suite")
+    for name, scene in scenes.items():
+        (out / f"{name}.yaml").write_text(scene.to_yaml(), encoding="utf-8")
+    paths = ", ".join(str(out / f"{name}.yaml") for name in scenes)
+    with threads() as start:
+
+        def start_suite(where, scenes, **names):
+            common = {"__ns": f"/{where}"} if where else {}
+            return {
+                "launcher": start("launcher", **common, **names.get("launcher", {})),
+                "recorder": start("recorder", out=out / where, **common),
+                "simulator": start(
+                    "simulator", rtf=0.0, wait_for=WAIT_FOR, scenes=scenes, **common
+                ),
+                "capture_detector": start("capture_detector", **common),
+            }
+
+        lab = start_suite("lab", "[tilt_0]", launcher={"__node": "my_launcher"})
+        suite = start_suite("", f"[{paths}]")
+        assert statuses(lab) == dict.fromkeys(lab, 0)
+        assert statuses(suite) == dict.fromkeys(suite, 0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def suite(folder, scenes):
+    return {name: read_bag(folder / f"{name}.mcap") for name in scenes}
+
+
+def same_bits(a, b):
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+# a suite compared with a call
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", SENSED])
+def test_suite_and_call_agree_bit_for_bit(name, suite, scenes, tmp_path):
+    live, offline = suite[name], simulate(scenes[name])
+    assert live.problems == ()
+    assert same_bits(live.samples, offline.samples)
+    for field in set(live.touches.dtype.names) - {"rate_ratio"}:  # no message has that
+        assert same_bits(live.touches[field], offline.touches[field])
+    assert loads_of(live.extremes, live.touches) == loads_of(offline.extremes, offline.touches)
+    for a, b in zip(live.events, offline.events, strict=True):
+        assert (a.kind, a.t, a.wall, a.detail) == (b.kind, b.t, b.wall, b.detail)
+        assert same_bits(np.asarray(a.q), np.asarray(b.q))
+    written = read_bag(write_run(offline, tmp_path / "offline.mcap"))
+    assert live.topics == written.topics
+    for topic in {key.lstrip("/") for key in live.topics} - OF_THE_RUN - DETECTED:
+        assert values_of(live, topic) == values_of(written, topic), topic
+    for a, b in zip(live.statuses, offline.statuses, strict=True):
+        # times are the stamps' own; numbers differ by the round-off of a quaternion
+        assert (a.t, a.state, a.final, a.reason) == (b.t, b.state, b.final, b.reason)
+        # no message has the counts of measurements that were not used
+        assert a == pytest.approx(b._replace(not_used=""), abs=1e-12)
+    if name == SENSED:
+        again = detect(run_of(live), from_series=True)
+        assert [status._replace(not_used="") for status in again] == list(live.statuses)
+
+
+def test_trace_of_the_contact_is_sent_only_where_it_is_asked_for(suite):
+    assert suite["tilt_0"].topics["/bench/contact_trace"] == 0
+    assert suite["tilt_p10"].topics["/bench/contact_trace"] > 100
+
+
+def test_two_suites_in_one_domain_do_not_mix(suite, folder):
+    alone, run = suite["tilt_0"], read_bag(folder / "lab" / "tilt_0.mcap")
+    assert run.complete
+    assert run.run_id != alone.run_id
+    assert run.topics == alone.topics
+    for topic in {key.lstrip("/") for key in run.topics} - OF_THE_RUN:
+        assert values_of(run, topic) == values_of(alone, topic), topic
+
+
+def test_launcher_delivers(suite):
+    states = suite["tilt_0"].columns("launcher/state")
+    assert states["state"][:2].tolist() == [1, 2]  # armed, released
+    assert states["state"][-1] == 4  # delivered
+    assert states["measured_speed"][-1] == pytest.approx(0.1, rel=0.01)
+
+
+# who takes part
+
+
+def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
+    second = start("recorder", out=tmp_path / "second")
+    nodes = start_all(overrides="[run.t_end=1.0]")
+    assert statuses(nodes) == dict.fromkeys(nodes, 0)
+    assert second.end() == 0
+    one, other = (read_bag(f / "tilt_0.mcap") for f in (tmp_path, tmp_path / "second"))
+    assert one.problems == other.problems == ()
+    assert one.topics == other.topics
+
+
+@pytest.mark.parametrize("name", ["my_detector", "/lab/my_detector"])
+def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start):
+    """It has the name that the simulator waits for, and starts after it."""
+    wait_for = f"[{name}]"
+    simulator = start("simulator", rtf=0.0, wait_for=wait_for, overrides="[run.t_end=1.0]")
+    time.sleep(0.5)
+    keep_all = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, depth=1, reliability=ReliabilityPolicy.RELIABLE
+    )
+    with Client("my_detector", namespace="/lab") as client:
+        received = {}
+        for topic in (BENCH_STATE, TARGET_ODOMETRY):
+            received[topic] = messages = []
+            kind = message_class(topic.type_name)
+            name = topic.absolute_name
+            client.node.create_subscription(kind, name, messages.append, keep_all)
+        assert simulator.status() == 0, simulator.text
+        wait_until(lambda: len(received[BENCH_STATE]) == 1001)
+        wait_until(lambda: len(received[TARGET_ODOMETRY]) == 101)
+    assert [m.seq for m in received[BENCH_STATE]] == list(range(1001))
+
+
+def test_node_that_does_not_come_is_named(start):
+    simulator = start("simulator", wait_for="[nobody]", start_timeout=1.0)
+    assert simulator.status() == 1
+    assert "waiting for nobody to start: timed out after 1 s" in simulator.text
+
+
+def test_second_simulator_on_the_same_topics_ends_with_a_line(start):
+    first = start("simulator", rtf=0.1)
+    first.wait_for("released")
+    second = start("simulator", rtf=0.1, __node="second")
+    assert second.status() == 1
+    assert "another simulator, /simulator, publishes /bench/state: use another" in second.text
+    assert first.end() == 0
+    assert "another simulator" not in first.text
+
+
+def test_of_two_simulators_that_start_together_the_older_one_runs(start):
+    older = start("simulator", rtf=0.1)
+    younger = start("simulator", rtf=0.1)
+    assert younger.status() == 1
+    older.wait_for("released")
+    assert older.end() == 0
+
+
+def test_run_waits_for_its_release_and_a_latecomer_gets_how_it_ended(start_all):
+    nodes = start_all(launcher={"auto_release": "false"}, exit_when_done="false")
+    nodes["simulator"].wait_for("waiting for the release")
+    with Client() as client:
+        assert client.set("launcher", auto_release=True) == (True, "")
+        nodes["simulator"].wait_for("all runs finished")
+        topics = CAPTURE_VERDICT, LAUNCHER_PHASE, RUN_INFO
+        verdicts, phases, infos = (client.listen(topic) for topic in topics)
+        wait_until(lambda: verdicts and phases and infos)
+        time.sleep(0.3)
+        assert [(m.state, m.final) for m in verdicts] == [(CaptureState.CAPTURED, True)]
+        assert [m.state for m in phases] == [LauncherPhase.DELIVERED]
+        # no run is on any more, and its scene is still there
+        assert [(m.run_id, m.name) for m in infos] == [("", "tilt_0")]
+        assert load_scene_text(infos[0].scene) == load_scene("tilt_0")
+    assert {name: node.end() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+
+
+def test_streams_are_echoed_without_a_warning(start_all):
+    """As `ros2 topic echo` does: by the QoS that is offered."""
+    nodes = start_all(rtf=1.0, overrides="[run.t_end=1.5]", exit_when_done="false")
+    with Client() as client:
+        nodes["simulator"].wait_for("released")
+        warnings, echoed = [], []
+        for topic in (CAPTURE_STATUS, LAUNCHER_STATE, LAUNCHER_PHASE):
+            name = topic.absolute_name
+            wait_until(lambda name=name: client.node.count_publishers(name))
+            (offered,) = client.node.get_publishers_info_by_topic(name)
+            qos = QoSProfile(
+                depth=10,
+                reliability=ReliabilityPolicy.RELIABLE,
+                durability=offered.qos_profile.durability,
+            )
+            echoed.append(messages := [])
+            client.node.create_subscription(
+                message_class(topic.type_name),
+                name,
+                messages.append,
+                qos,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=warnings.append),
+            )
+        wait_until(lambda: all(echoed))
+        assert not warnings
+
+
+# losses
+
+
+def test_dropped_messages_are_named(start_all, monkeypatch):
+    """The simulator counts a message and does not send it: all that need it must notice."""
+    monkeypatch.setattr("capture_sim.nodes.follower.DRAIN_TIMEOUT", 1.0)
+
+    def leaky(node):
+        left = {BENCH_STATE: 1234, TARGET_ODOMETRY: 56}
+        send = node.send
+
+        def leak(topic, message):
+            if topic in left:
+                left[topic] -= 1
+                if left[topic] == -1:
+                    return True
+            return send(topic, message)
+
+        node.send = leak
+
+    nodes = start_all(leaky)
+    found = statuses(nodes)
+    assert found == {"simulator": 0, "launcher": 0, "capture_detector": 1, "recorder": 1}
+    text = nodes["recorder"].text
+    assert re.search(r"bench/state: 1 messages? missing \(seq 1234\)", text), text
+    assert re.search(r"target/odom: 1 messages? missing", text), text
+    assert re.search(r"target/odom: \d+ of \d+ messages received", nodes["capture_detector"].text)
+
+
+def test_every_topic_with_every_sample_loses_nothing_with_a_slow_reader(start_all, tmp_path):
+    nodes = start_all(overrides="[run.rate=1000, run.t_end=1.2]")
+    part = nodes["launcher"].node._part
+    observe = part._observe
+    part._observe = lambda *a: (time.sleep(5e-4), observe(*a))
+    assert statuses(nodes) == dict.fromkeys(nodes, 0)
+    run = read_bag(tmp_path / "tilt_0.mcap")
+    assert run.complete
+    assert run.topics["/joint_states"] == run.topics["/bench/state"] == 1201
+
+
+def test_reader_that_stalls_is_dropped_by_name_and_costs_the_others_nothing(start_all, tmp_path):
+    """A plain node subscribes with KEEP_ALL and never reads: the run has more than DDS keeps."""
+    keep_all = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, depth=1, reliability=ReliabilityPolicy.RELIABLE
+    )
+    with Client("asleep") as client:
+        client.stop()
+        kind = message_class(BENCH_STATE.type_name)
+        client.node.create_subscription(kind, "bench/state", print, keep_all)
+        nodes = start_all(
+            reader_timeout=1.0, overrides="[run.state_rate=20000, run.t_end=1.5, run.rate=100]"
+        )
+        assert statuses(nodes) == dict.fromkeys(nodes, 0)
+    assert "/asleep: no message read from bench/state for 1 s" in nodes["simulator"].text
+    assert read_bag(tmp_path / "tilt_0.mcap").complete
+
+
+def test_error_of_publishing_is_reported_at_once_with_its_cause(start):
+    """Only a full queue is waited for: here the message cannot be converted."""
+    node = start("simulator", initial_state="stopped", rtf=0.0).node
+
+    class Broken:
+        def publish(self, message):
+            raise RuntimeError("Failed to publish: type support not from this implementation")
+
+        def wait_for_all_acked(self, limit):
+            return True
+
+    node.outbox._senders[BENCH_STATE] = Broken()
+    began = time.monotonic()
+    with pytest.raises(CaptureSimError, match=r"bench/state: cannot be published: .*type support"):
+        node.outbox.send(BENCH_STATE, b"")
+    assert time.monotonic() < began + 0.5 * node.outbox.reader_timeout
+
+
+# the launch
+
+
+def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
+    """The bench is not as planned: here the mass that was fitted is heavier by half."""
+    plan_of = simulator_module._plan
+
+    def heavier(scene, armed):
+        plan = plan_of(scene, armed)
+        return replace(plan, hanging_mass=1.5 * plan.hanging_mass)
+
+    monkeypatch.setattr(simulator_module, "_plan", heavier)
+    launcher = start("launcher")
+    simulator = start("simulator", wait_for="[launcher]", rtf=2.0)
+    assert simulator.status() == 1
+    assert "aborted by the launcher" in simulator.text
+    assert launcher.end() == 1
+    assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: must be", launcher.text)
+
+
+def test_launcher_with_an_actuator_follows_no_simulator(start):
+    """Only a trial moves hardware: what a simulator or player announces releases nothing."""
+    with Client() as client:
+        launcher = start("launcher", actuator="output", scene="tilt_0")
+        kind = message_class("std_msgs/msg/Bool")
+        holds = []
+        qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        client.node.create_subscription(kind, "launcher/hold", holds.append, qos)
+        wait_until(lambda: holds)
+        assert start("simulator", rtf=0.0, overrides="[run.t_end=1.0]").status() == 0
+        launcher.wait_for("announces tilt_0 (simulation): ignored")
+        assert launcher.end() == 0
+        assert {message.data for message in holds} == {True}
+
+
+# errors in a node
+
+
+def test_node_whose_callback_fails_ends_with_a_line(start):
+    node = start("launcher", lambda node: node.every(0.01, lambda: 1 / 0))
+    assert node.status() == 1
+    assert "stopped by ZeroDivisionError: division by zero" in node.text
+
+
+def test_unknown_parameter_is_named(start):
+    node = start("launcher", auto_relase="true")
+    node.wait_for("auto_relase is unknown here and has no effect; did you mean auto_release?")
+    assert node.end() == 0
+
+
+def test_unusable_messages_of_a_publisher_give_one_line(start):
+    with Client() as client:
+        node = start("launcher")
+        kind = message_class(RUN_INFO.type_name)
+        publisher = client.node.create_publisher(kind, RUN_INFO.name, qos_of(RUN_INFO))
+        wait_until(lambda: publisher.get_subscription_count() > 0)
+        for number in range(12):
+            publisher.publish(kind(run_id=f"{number}", scene="no scene"))
+            time.sleep(0.01)
+        wait_until(lambda: node.node._rejections.total() >= 1)
+        time.sleep(0.3)
+        assert node.end() == 0
+    assert len([line for line in node.lines if "bench/run_info: rejected" in line]) == 1
