@@ -1,25 +1,37 @@
 """Restitution, energy and load of a rig in the loop; writes docs/hardware_checked.md.
 
-.venv/bin/python -m benchmarks.hardware_in_the_loop    # ten minutes, in one process
+.venv/bin/python -m benchmarks.hardware_in_the_loop    # half an hour, in one process
 """
 
 from __future__ import annotations
 
 import math
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
 
 from benchmarks.pages import table, write_parts
+from capture_sim import load_scene, simulate
 from capture_sim.hardware.law import WallLaw
-from capture_sim.hardware.loop import METHODS
+from capture_sim.hardware.loop import METHODS, N_AT_REST, Loop
+from capture_sim.hardware.pacing import Pacer, request_priority
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
+from capture_sim.hardware.stage import LoopStage
 from tests.plate import (
     MASS,
     SCENE,
+    STEP,
     WIDE,
     close,
     close_often,
+    ideal_rig,
     plate_law,
     predicted_restitution,
     response_of,
+    restitution_on,
+    vehicles_restitution,
 )
 
 SERVOS = {"100 Hz": 100.0, "10 Hz": 10.0}
@@ -54,7 +66,7 @@ def methods(_, __):
                     for bandwidth in SERVOS.values():
                         servo = Servo(bandwidth, delay)
                         loop, why = touch(method, duration, true, servo)
-                        row += cells(loop, why, servo, duration, true)
+                        row += cells(loop, why, servo, duration, vehicles_on(duration, true))
                     rows.append(row)
         head = ["wall", "delay ms"]
         for name in SERVOS:
@@ -66,21 +78,27 @@ def methods(_, __):
         "transport with their defaults, wall 20 um nearer than the scene's, servo of 100 Hz and of",
         "10 Hz; the delay is the servo's. `model` starts with half the stiffness, and its row is",
         "the second touch; the others' is the first. Energy: the most that vehicles, buffer and",
-        "law had above their energy at the touch; energy_limit 1 J, force_limit 2000 N.",
+        "law had above their energy at the touch; energy_limit 1 J, force_limit 2000 N. The",
+        "rig's e is that of the same vehicles simulated on the rig's wall.",
         "",
         *parts,
     ]
+
+
+def vehicles_on(duration, true, offset=2e-5):
+    """Return the restitution of the vehicles on the rig's wall, simulated without a rig."""
+    return restitution_on(plate_law(MASS, duration, true, offset), 0.35 + 3.0 * duration)
 
 
 def cells(loop, why, servo, duration, true):
     """Return the four cells of a run: lag over duration, restitution, energy, load."""
     lag = f"{servo.lag / duration:.2f}"
     load = f"{loop.rig_peak_force:.0f}"
-    energy = f"{1e3 * loop.energy.excess:.3g}"
-    if why or not loop.touches:
+    energy = f"{1e3 * loop.energy_excess:.3g}"
+    if why or not loop.episodes:
         reason = why.partition(": ")[2].partition(" = ")[0] if why else "no touch"
         return [lag, f"stops: {reason}" if why else reason, energy, load]
-    return [lag, f"{loop.touches[0].restitution / true:.3f}", energy, load]
+    return [lag, f"{loop.episodes[0].restitution / true:.3f}", energy, load]
 
 
 def map_of_methods(_, __):
@@ -93,9 +111,10 @@ def map_of_methods(_, __):
                 continue
             for true in (1.0, 0.3):
                 offset = -offset if true < 1.0 else offset
+                expected = vehicles_on(duration, true, offset)
                 for method in METHODS:
                     loop, why = touch(method, duration, true, servo, offset, int(ratio * 100))
-                    points[method].append(point(loop, why, name, ratio, true))
+                    points[method].append(point(loop, why, name, ratio, expected))
     rows = []
     for method, found in points.items():
         for name in dict.fromkeys(p[0] for p in found):
@@ -117,7 +136,7 @@ as not held or not known.
 
 def point(loop, why, name, ratio, true):
     """Return servo, lag over duration, e, error of the restitution, and whether it is reported."""
-    touches = loop.touches
+    touches = loop.episodes
     if why or not touches:
         return name, ratio, true, math.inf, bool(why)
     error = abs(touches[0].restitution / true - 1.0)
@@ -141,13 +160,134 @@ def closed_forms(_, __):
             expected = predicted_restitution(duration, response_of(rig, loop.latency, lag))
             whole = servo.lag + loop.latency + 1e-3
             row = [name, f"{whole / duration:.3f}", method]
-            measured = loop.touches[0].restitution if loop.touches else math.nan
+            measured = loop.episodes[0].restitution if loop.episodes else math.nan
             rows.append([*row, f"{measured:.3f}", f"{expected:.3f}"])
     return table(["servo", "whole lag / T", "method", "measured e", "predicted e"], rows).split(
         "\n"
     )
 
 
+def conditions(_, __):
+    """Eighty random rigs under the conditions of the page: the second contact with model."""
+    rng, rows, shares = np.random.default_rng(5), [], []
+    for number in range(80):
+        servo = (Servo(100.0, 0.001), Servo(50.0, 0.002), Servo())[number % 3]
+        duration = 0.0
+        while not 0.005 <= duration <= 0.25:
+            ratio = math.exp(rng.uniform(math.log(0.02), 0.0))
+            duration = servo.lag / ratio
+        law = plate_law(MASS, duration, rng.uniform(0.3, 1.0), rng.choice([-2e-5, 2e-5]))
+        t_end = 0.35 + 3.0 * duration
+        expected = restitution_on(law, t_end)
+        loops = close_often(
+            2,
+            WallLaw(0.5 * law.stiffness),
+            lambda k, law=law, servo=servo, n=number: Rig(
+                SCENE, law, servo, Cell(force_range=5000.0), Transport(), seed=2 * n + k
+            ),
+            t_end,
+            LIMITS._replace(force=5000.0),
+        )
+        errors = [
+            math.inf if why else abs(vehicles_restitution(loop.stage) / expected - 1.0)
+            for loop, why in loops
+        ]
+        shares.append((ratio, *errors))
+    for low, high in ((0.0, 0.1), (0.1, 0.2), (0.2, 1.0)):
+        some = [entry for entry in shares if low < entry[0] <= high]
+        within = [sum(entry[k] <= 0.05 for entry in some) for k in (1, 2)]
+        rows.append([f"{low:g} to {high:g}", *(f"{n} of {len(some)}" for n in within)])
+    head = ["servo lag / T", "first contact", "second contact"]
+    return [
+        "Contacts within 5 % of the vehicles on the rig's wall; T from 5 to 250 ms, e from 0.3 to",
+        "1, servos of 10, 50 and 100 Hz, wall 20 um nearer or farther. The first law is elastic",
+        "and has half the wall's stiffness.",
+        "",
+        table(head, rows),
+    ]
+
+
+def engine(_, __):
+    """Error and cost of a step of the vehicles."""
+    changes = ["contact.restitution=1.0", "friction.law=none"]
+    scene = load_scene("paper_designed", changes)
+    stage = LoopStage(scene)
+    stage.set_law(WallLaw(scene.contact_stiffness, 1.5))
+    times = []
+    for _ in range(400):
+        begin = time.perf_counter()
+        stage.go()
+        times.append(1e6 * (time.perf_counter() - begin))
+    exact = simulate(scene, t_end=0.4, rtol=1e-12)
+    error = float(np.abs(stage.q - exact.q[-1]).max())
+    loop = Loop(LoopStage(SCENE), "model", plate_law(MASS, 0.05), WIDE)
+    rig, whole = ideal_rig(SCENE, plate_law(MASS, 0.05), 0.001), []
+    for _ in range(N_AT_REST):
+        loop.receive(*rig.answer(loop.pose)[0])
+    loop.begin()
+    while loop.t < 0.5:
+        begin = time.perf_counter()
+        loop.advance()
+        whole.append(1e6 * (time.perf_counter() - begin))
+        for answer in rig.answer(loop.pose):
+            loop.receive(*answer)
+    rows = [
+        [
+            "vehicles with a law, paper_designed",
+            *(f"{q:.0f}" for q in np.percentile(times, (50, 99))),
+        ],
+        ["loop with model", *(f"{q:.0f}" for q in np.percentile(whole, (50, 99)))],
+    ]
+    return [
+        f"Error of the coordinates after 0.4 s against rtol 1e-12: {error:.1e} m and rad.",
+        "",
+        table(["a step of 1 ms", "p50 us", "p99 us"], rows),
+    ]
+
+
+def intervals(_, __):
+    """Intervals of the positions of a paced loop in a process, with and without a priority."""
+    rows = []
+    for priority in (0, 50):
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            refused, gaps, late = pool.submit(paced, priority).result()
+        name = f"SCHED_FIFO {priority}" if priority else "ordinary"
+        values = [f"{1e3 * q:.3f}" for q in (*np.percentile(gaps, (50, 99)), max(gaps), min(gaps))]
+        rows.append([name + (", not granted" if refused else ""), *values, f"{late:.1%}"])
+    return table(
+        ["process", "p50 ms", "p99 ms", "largest ms", "least ms", "late steps"], rows
+    ).split("\n")
+
+
+def paced(priority, seconds=10.0):
+    """Return why a priority was refused, intervals (s) at 1 kHz, and the share of late ones."""
+    rig = ideal_rig(SCENE, plate_law(MASS, 0.05), 0.001)
+    loop = Loop(LoopStage(SCENE), "model", plate_law(MASS, 0.05), WIDE)
+    for _ in range(N_AT_REST):
+        loop.receive(*rig.answer(loop.pose)[0])
+    loop.begin()
+    refused = request_priority(priority) if priority else ""
+    pacer, sent = Pacer(STEP, 10.0, 1.0), []
+    while loop.t < seconds:
+        time.sleep(pacer.time_to_work())
+        loop.advance()
+        pacer.work_done()
+        time.sleep(pacer.time_to_send())
+        pacer.release()
+        sent.append(time.monotonic())
+        for answer in rig.answer(loop.pose):
+            loop.receive(*answer)
+    return refused, np.diff(sent), pacer.late_share
+
+
 if __name__ == "__main__":
-    parts = {"methods": methods, "map": map_of_methods, "closed_forms": closed_forms}
-    write_parts("hardware_checked", __doc__, parts, untimed=parts)
+    parts = {
+        "methods": methods,
+        "map": map_of_methods,
+        "conditions": conditions,
+        "closed_forms": closed_forms,
+        "engine": engine,
+        "intervals": intervals,
+    }
+    untimed = set(parts) - {"engine", "intervals"}
+    write_parts("hardware_checked", __doc__, parts, untimed=untimed)

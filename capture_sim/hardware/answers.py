@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.hardware.guard import Guard
 from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
-from capture_sim.hardware.limits import Limits, check_limit
-from capture_sim.hardware.stage import SafeStopError
 
 
 class Answer(NamedTuple):
@@ -26,11 +25,15 @@ _CLOCK = 1e6
 
 
 class Answers:
-    """The rig's answers: at rest bias and noise are taken, then each is checked."""
+    """The rig's answers: at rest bias and noise are taken, then each is checked.
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
+    ``start`` (s) is the stamp of the first position.
+    """
+
+    def __init__(self, guard: Guard, start: float = 0.0) -> None:
+        self._guard, self._start = guard, start
         self._rest: list[Wrench] = []
+        self._is_tared = False
         self._last_rejection = ""
         self.bias = NO_WRENCH
         self.noise = 0.0  # N, standard deviation of a component of the force
@@ -51,12 +54,13 @@ class Answers:
         rest = np.array(self._rest)
         self.bias = Wrench(*np.median(rest, axis=0).tolist())
         self.noise = float(rest[:, :3].std(axis=0).max())
-        if self.bias.force > self._limits.bias:
-            raise SafeStopError(
-                f"force at rest = {self.bias.force:.4g} N: must be <= {self._limits.bias:g} "
-                "(bias_limit); the tip is in contact, or the load cell must be tared"
-            )
-        self.latest = Answer(0.0, NO_WRENCH, None)
+        self._guard.check_rest(self._rest, self.bias)
+        self._is_tared = True
+        self.latest = Answer(self._start, NO_WRENCH, None)
+
+    def tared(self, wrench: Wrench) -> Wrench:
+        """Return a reading without the bias."""
+        return Wrench(*(a - b for a, b in zip(wrench, self.bias, strict=True)))
 
     def offer(
         self, stamp: float, now: float, wrench: Wrench, tip: TipState | None
@@ -64,27 +68,27 @@ class Answers:
         """Return the answer if it can be used; else count why not.
 
         ``stamp`` (s) is that of the position that it answers, ``now`` (s) the loop's time, ``tip``
-        where the rig has measured its tip.  SafeStopError if force or torque is beyond its limit.
+        where the rig has measured its tip.  SafeStopError if force or torque is beyond its limit,
+        whatever the stamp is.
         """
-        numbers = (stamp, *wrench, *(tip or ()))
-        if not all(map(math.isfinite, numbers)):
+        is_finite = all(map(math.isfinite, wrench))
+        if self._is_tared and is_finite:
+            self._guard.check_wrench(self.tared(wrench))
+        if not (is_finite and all(map(math.isfinite, (stamp, *(tip or ()))))):
             reason = "not finite"
         elif stamp - now > _CLOCK:
             reason = "stamped by a wall clock; must be the stamp of the position it answers"
         elif stamp > now + 1e-9:
             reason = "stamped ahead of the loop"
-        elif stamp < -1e-9:
+        elif stamp < self._start - 1e-9:
             reason = "stamped before the loop's start"
-        elif now == 0.0:
+        elif not self._is_tared:
             self._rest.append(wrench)
             return None
         elif stamp <= self.latest.stamp:
             reason = "not newer than the one before"
         else:
-            tared = Wrench(*(a - b for a, b in zip(wrench, self.bias, strict=True)))
-            self.latest = Answer(stamp, tared, tip)
-            check_limit("force on the rig", tared.force, "N", self._limits.force)
-            check_limit("torque on the rig", tared.torque, "N m", self._limits.torque)
+            self.latest = Answer(stamp, self.tared(wrench), tip)
             return self.latest
         self.reject(reason)
         return None
@@ -96,9 +100,6 @@ class Answers:
 
     def check_latency(self, now: float) -> None:
         """Raise SafeStopError if the latest answer is too old."""
-        age = now - self.latest.stamp
-        if age > self._limits.latency + 1e-9:
-            n = sum(self.rejections.values())
-            why = f"; {n} wrenches rejected, the last one {self._last_rejection}" if n else ""
-            limit = f"{self._limits.latency:g} (timeout)"
-            raise SafeStopError(f"latency of the wrench = {age:.3g} s: must be <= {limit}{why}")
+        n = sum(self.rejections.values())
+        hint = f"; {n} wrenches rejected, the last one {self._last_rejection}" if n else ""
+        self._guard.check_latency(now - self.latest.stamp, hint)

@@ -1,4 +1,4 @@
-"""What walls do to the tip: a law of contact in plain Python, for rigs and for the fit."""
+"""The walls' contact law outside of the bench: on a rig, and in the fit."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import math
 from typing import NamedTuple
 
 from capture_sim.kernels import plain
-from capture_sim.model.contact import returned_restitution
+from capture_sim.model.contact import (
+    TANH,
+    friction_coefficient,
+    normal_force,
+    returned_restitution,
+)
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
 
 _nearest_on_wall = plain(nearest_on_wall)
+_normal_force, _friction_coefficient = plain(normal_force), plain(friction_coefficient)
 
 
 class Wrench(NamedTuple):
@@ -62,31 +68,37 @@ class WallLaw(NamedTuple):
     friction: float = 0.0  # mu of mu F_n tanh(slip / slip_speed)
     slip_speed: float = 1e-3  # m/s
 
+    def duration(self, mass: float, speed: float) -> float:
+        """Return the duration (s) of an elastic touch of a mass (kg) at this speed (m/s)."""
+        return self._duration_factor * self._peak_depth(mass, speed) / speed
+
+    def lasting(self, mass: float, speed: float, duration: float) -> WallLaw:
+        """Return the elastic law with this exponent whose touch of a mass lasts so long (s)."""
+        n, depth = self.exponent + 1.0, duration * speed / self._duration_factor
+        stiffness = 0.5 * n * mass * speed**2 / depth**n
+        return self._replace(stiffness=stiffness, damping=0.0)
+
+    @property
+    def _duration_factor(self) -> float:
+        n = self.exponent + 1.0  # pi for a spring
+        return 2.0 / n * math.gamma(1.0 / n) * math.gamma(0.5) / math.gamma(1.0 / n + 0.5)
+
+    def peak_force(self, mass: float, speed: float) -> float:
+        """Return the peak force (N) of that touch."""
+        return float(self.stiffness * self._peak_depth(mass, speed) ** self.exponent)
+
+    def _peak_depth(self, mass: float, speed: float) -> float:
+        n = self.exponent + 1.0
+        return float((0.5 * n * mass * speed**2 / self.stiffness) ** (1.0 / n))
+
     def restitution(self, speed: float) -> float:
         """Return the restitution of a touch at this approach speed (m/s), in closed form."""
         if self.stiffness <= 0.0 or self.damping <= 0.0:
             return 1.0
         return returned_restitution(self.damping * speed / self.stiffness)
 
-    def within(self, max_force: float) -> WallLaw:
-        """Return the law with the same restitution, no stiffer than this at a depth of 1 m (N)."""
-        share = min(1.0, max_force / self.stiffness)
-        return self._replace(stiffness=share * self.stiffness, damping=share * self.damping)
-
 
 NO_LAW = WallLaw(0.0)
-
-
-def duration_factor(exponent: float) -> float:
-    """Return C of the elastic touch that lasts C max_depth / speed: pi for a spring."""
-    n = exponent + 1.0
-    return 2.0 / n * math.gamma(1.0 / n) * math.gamma(0.5) / math.gamma(1.0 / n + 0.5)
-
-
-def max_stiffness(exponent: float, mass: float, speed: float, duration: float) -> float:
-    """Return the stiffness (N/m^p) whose elastic touch of a mass (kg) lasts so long, s."""
-    depth = duration * speed / duration_factor(exponent)
-    return 0.5 * (exponent + 1.0) * mass * speed**2 / depth ** (exponent + 1.0)
 
 
 class Penetration(NamedTuple):
@@ -126,10 +138,10 @@ class Walls:
         fx = fy = torque = 0.0
         for wall in self.penetrations(tip):
             depth = wall.depth + law.offset
-            if depth > 0.0:
-                force = depth**law.exponent * (law.stiffness + law.damping * wall.rate)
-                force = max(force, 0.0)
-                friction = -law.friction * force * math.tanh(wall.slip / law.slip_speed)
+            force, _ = _normal_force(depth, wall.rate, law.stiffness, law.exponent, law.damping)
+            if force > 0.0:
+                slip = wall.slip / law.slip_speed
+                friction = -force * _friction_coefficient(slip, law.friction, 0.0, TANH)
                 fx += force * wall.nx - friction * wall.ny
                 fy += force * wall.ny + friction * wall.nx
                 torque -= wall.distance * friction

@@ -34,6 +34,11 @@ TIP_WRENCH = Topic(
 #: Where the rig has measured its tip when it read that wrench, with the same stamp; optional.
 RIG_TIP = Topic("loop/rig_tip", "nav_msgs/msg/Odometry", (CONTACT_RIG,), Rate.CONTROL, depth=1)
 
+#: Why the rig must hold its position; empty while the loop runs.
+HOLD = Topic(
+    "loop/hold", "std_msgs/msg/String", (LOOP_SIMULATOR,), Rate.ONCE, depth=1, latched=True
+)
+
 
 def stamp_of(message: Any) -> float:
     """Return the stamp of a message with a header, s since the loop's start."""

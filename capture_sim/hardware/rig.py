@@ -88,10 +88,10 @@ class Rig:
     def answer(self, pose: TipState) -> list[Answer]:
         """Take a position; return the answers that come until the next one is sent.
 
-        The first position of a loop, at 0 s and repeated, is answered at once: nothing moves.
-        Between two loops the tip was driven back to it.
+        The first position of a loop, repeated, is answered at once: nothing moves.  Between two
+        loops the tip was driven back to it: their time begins again.
         """
-        if self._tip is None or pose.t <= 0.0:
+        if self._tip is None or pose.t < self._tip.t:
             self._tip, self._target = pose, np.array(pose[1:4])
             self._filtered = NO_WRENCH
             for pending in (self._commands, self._contacts, self._on_the_way):

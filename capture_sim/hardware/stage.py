@@ -1,30 +1,26 @@
-"""Vehicles and buffer, simulated in steps of fixed length under a wrench from outside."""
+"""Vehicles and buffer: the ordinary bench, in steps of fixed length, with a wrench on its tip."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.engine.held_wrench import (
-    ENERGY,
-    IMPULSE_SIZE,
-    LAW,
-    N_LOOP,
-    TRACE_COLUMNS,
-    step_with_wrench,
-    stored_energy,
-    tip_state,
-)
-from capture_sim.errors import CaptureSimError, SceneError
-from capture_sim.hardware.law import TipState, WallLaw
+from capture_sim.bench import Bench, Checkpoint
+from capture_sim.errors import CaptureSimError, SceneError, SimulationError
+from capture_sim.hardware.law import NO_LAW, NO_WRENCH, TipState, WallLaw, Wrench
 from capture_sim.interrupts import in_worker
-from capture_sim.kernels import records
-from capture_sim.model.equations import make_system
-from capture_sim.model.parameters import pack
+from capture_sim.kernels import plain
+from capture_sim.model.equations import tip_motion
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
+
+#: Samples of a step, from which forces and energy within it are read.
+N_SAMPLES = 10
+
+_tip_motion = plain(tip_motion)
 
 
 class SafeStopError(CaptureSimError):
@@ -32,11 +28,21 @@ class SafeStopError(CaptureSimError):
 
 
 class StageState(NamedTuple):
-    """All that a stage may be set back to: state vector, number of steps, mode."""
+    """A state of a stage, for :meth:`LoopStage.restore`."""
 
-    y: np.ndarray
+    bench: Checkpoint
     steps: int
-    mode: np.ndarray
+    samples: np.ndarray  # of the step before, of dtype SAMPLE
+
+    @property
+    def energy(self) -> float:
+        """See :attr:`LoopStage.energy`."""
+        return float(_energies(self.samples)[-1])
+
+
+def _energies(samples: np.ndarray) -> np.ndarray:
+    lost = samples["dissipated_contact"] + samples["dissipated_friction"]
+    return np.asarray(samples["energy_residual"] - lost)
 
 
 def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -54,26 +60,29 @@ def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 class LoopStage:
     """Vehicles, buffer, stroke stops and latch, floating free, with the tip's wrench from outside.
 
-    The wrench is held over each ``step`` (s), of ``substeps`` Runge-Kutta steps.  With a rail the
-    stage begins where the chaser leaves it.  Once latched, the wrench acts no more.  SceneError for
-    a scene with supports.
+    The wrench is held over each ``step`` (s).  With a rail the stage begins where the chaser leaves
+    it.  Once latched, the wrench acts no more.  The walls of the scene do not act; see
+    :meth:`set_law`.  SceneError for a scene with supports.  ``state``: coordinates (8,) and rates
+    (8,) to begin with, None for those of the scene.
     """
 
-    def __init__(self, scene: Scene, step: float = 1e-3, substeps: int = 10) -> None:
+    def __init__(
+        self, scene: Scene, step: float = 1e-3, state: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> None:
         if scene.supports is not None:
             raise SceneError("supports: must be null for hardware in the loop")
-        self.scene = scene
-        self.step, self.substeps = step, substeps
-        self._system = make_system(pack(scene, 0.0, 0.0))
-        self._mode = self._system["mode"]
-        q, v = state_after_rail(scene) if scene.rail is not None else scene.initial_coordinates()
-        self._y = np.concatenate([q, v, np.zeros(N_LOOP - 16)])
-        self._stages = np.zeros((6, N_LOOP))
-        self._laws = records(np.zeros(1, LAW))
-        self._trace = np.zeros((substeps, TRACE_COLUMNS))
+        self.scene, self.step = scene, step
+        self._bench = Bench(scene)
+        if state is None:
+            has_rail = scene.rail is not None
+            state = state_after_rail(scene) if has_rail else scene.initial_coordinates()
+        self._bench.start_at(*state)
+        self._fractions = np.arange(1, N_SAMPLES + 1) / N_SAMPLES
         self._count = 0
+        self.set_law(NO_LAW)
+        self._bench.drive_tip((0.0, 0.0, 0.0), 0.0)
         # the kernels are loaded, or compiled, now: within the loop each would cost a wrench
-        in_worker(lambda: (self.effective_mass(1.0, 0.0), self.tip, self.energy))
+        self._samples = in_worker(lambda: self._bench.advance(np.zeros(1)))
 
     @property
     def t(self) -> float:
@@ -83,104 +92,145 @@ class LoopStage:
     @property
     def q(self) -> np.ndarray:
         """Coordinates (8,), m and rad."""
-        return self._y[:8].copy()
+        return np.array(self._samples["q"][-1])
 
     @property
     def v(self) -> np.ndarray:
         """Rates (8,)."""
-        return self._y[8:16].copy()
+        return np.array(self._samples["v"][-1])
 
     @property
     def tip(self) -> TipState:
         """Where the tip is now."""
-        return self.tip_at(tip_state(self._system, self._y))
-
-    def tip_at(self, row: np.ndarray | tuple[float, ...]) -> TipState:
-        """Return the tip of a row of :attr:`trace`, as of now."""
-        x, y, theta, vx, vy, omega = map(float, row[:6])
-        return TipState(self.t, x + self.scene.cone.L_T, y, theta, vx, vy, omega)
+        q, v = self._samples["q"][-1].tolist(), self._samples["v"][-1].tolist()
+        angles = [f(q[i]) for i in (2, 3, 7) for f in (math.sin, math.cos)]
+        x, y, vx, vy = _tip_motion([*q, *v], self.scene.buffer.hinge_offset, *angles)
+        return TipState(self.t, x + self.scene.cone.L_T, y, q[3] - q[7], vx, vy, v[3] - v[7])
 
     @property
     def energy(self) -> float:
-        """Kinetic energy, that of all springs, and what the buffer's dampers have dissipated, J.
+        """Energy that vehicles, springs and law have gained since the start, J.
 
-        Only the wrench can raise it; damping and friction of the law lower it.
+        What the dampers of buffer, stops and latch dissipate counts as theirs: only the wrench can
+        raise this energy; damping and friction of the law lower it.
         """
-        return float(stored_energy(self._system, self._laws, self._y))
+        return float(_energies(self._samples)[-1])
 
     @property
     def peak_energy(self) -> float:
-        """The largest energy (J) at the end of any Runge-Kutta step of the last step."""
-        return float(self._trace[:, ENERGY].max())  # NaN where one is
+        """The largest of :attr:`energy` within the last step, J; NaN where it is not finite."""
+        return float(_energies(self._samples).max())
 
     @property
-    def impulse(self) -> float:
-        """Integral of the size of the force on the tip so far, N s."""
-        return float(self._y[IMPULSE_SIZE])
+    def forces(self) -> np.ndarray:
+        """Magnitude of the force on the tip within the last step, (N_SAMPLES,), N."""
+        force = self._samples["contact_force"]
+        return np.hypot(force[:, 0], force[:, 1])
 
     @property
     def latched(self) -> bool:
         """Whether the latch has closed."""
-        return bool(self._mode["latched"][0])
+        return bool(self._samples["elastic_latch"][-1] > 0.0)
 
-    @property
-    def trace(self) -> np.ndarray:
-        """Tip (pose, rates), force, energy of the last step's Runge-Kutta steps, (substeps, 9)."""
-        return self._trace
+    def closing_speed(self, nx: float, ny: float, state: StageState | None = None) -> float:
+        """Return how fast both vehicles approach at the tip, against a normal (target's axes), m/s.
+
+        Of the chaser with its buffer as one rigid body of their momentum and spin: a buffer that
+        rings does not change it.  ``state``: None for the present one.
+        """
+        samples = self._samples if state is None else state.samples
+        chaser, target, tip, normal = self._contact(nx, ny, samples)
+        speed = chaser.velocity_at(tip) - target.velocity_at(tip)
+        return -float(normal @ speed)
+
+    def contact_mass(self, nx: float, ny: float) -> float:
+        """Return the mass, kg, that a contact with this normal moves if the buffer is rigid."""
+        chaser, target, tip, normal = self._contact(nx, ny, self._samples)
+        return 1.0 / (chaser.mobility(tip, normal) + target.mobility(tip, normal))
+
+    def _contact(
+        self, nx: float, ny: float, samples: np.ndarray
+    ) -> tuple[RigidBody, RigidBody, np.ndarray, np.ndarray]:
+        """Return chaser and target as rigid bodies, tip and normal in the world's axes."""
+        q, v, scene = samples["q"][-1], samples["v"][-1], self.scene
+        c, s = math.cos(q[7]), math.sin(q[7])
+        along, across = (
+            np.array([math.cos(q[3]), math.sin(q[3])]),
+            np.array([-math.sin(q[3]), math.cos(q[3])]),
+        )
+        offset = scene.buffer.hinge_offset
+        hinge = q[:2] + offset * np.array([math.cos(q[2]), math.sin(q[2])])
+        hinge_rate = v[:2] + offset * v[2] * np.array([-math.sin(q[2]), math.cos(q[2])])
+
+        def on_probe(distance: float, rate: float) -> tuple[np.ndarray, np.ndarray, float]:
+            velocity = hinge_rate + rate * along + distance * v[3] * across
+            return hinge + distance * along, velocity, float(v[3])
+
+        cylinder = on_probe(-0.5 * scene.cylinder.length, 0.0)
+        probe = on_probe(q[4] - scene.probe.com_offset, v[4])
+        chaser = joined_body(
+            RigidBody(scene.chaser.mass, scene.chaser.inertia, q[:2], v[:2], float(v[2])),
+            RigidBody(scene.cylinder.mass, scene.cylinder.inertia, *cylinder),
+            RigidBody(scene.probe.mass, scene.probe.inertia, *probe),
+        )
+        target = RigidBody(scene.target.mass, scene.target.inertia, q[5:7], v[5:7], float(v[7]))
+        normal = np.array([c * nx - s * ny, s * nx + c * ny])
+        return chaser, target, hinge + q[4] * along, normal
 
     def set_law(self, law: WallLaw) -> None:
-        """Put walls of this law into the vehicles' own steps; none for a stiffness of 0."""
-        self._laws[0] = law
-
-    def effective_mass(self, nx: float, ny: float) -> float:
-        """Return the mass that a contact with this normal (target's axes) feels, kg.
-
-        What a blow of 1e-3 N s within 1e-9 s meets.
-        """
-        saved_state, laws, trace = (
-            self.saved(),
-            np.zeros_like(self._laws),
-            np.zeros((1, TRACE_COLUMNS)),
+        """Let walls of this law act on the tip, which must be clear of them; see NO_LAW."""
+        self._bench.set_contact(
+            law.stiffness, law.exponent, law.damping, law.offset, law.friction, law.slip_speed
         )
-        par, speeds = self._system["par"], []
-        has_latch = par["has_latch"].copy()
-        par["has_latch"] = 0  # a tip in its zone would be caught
-        for force in (0.0, 1e6):
-            self.restore(saved_state)
-            self._mode["latched"] = 0
-            push = (force * nx, force * ny, 0.0)
-            step_with_wrench(self._system, laws, self._y, self._stages, trace, 1e-9, *push)
-            speeds.append(self.tip.vx * nx + self.tip.vy * ny)
-        self.restore(saved_state)
-        par["has_latch"] = has_latch
-        return 1e-3 / (speeds[1] - speeds[0])
 
     def saved(self) -> StageState:
-        """Return the state, for :meth:`restore`."""
-        return StageState(self._y.copy(), self._count, self._mode.copy())
+        """Return the state, for :meth:`restore` of this stage or of another one of this scene."""
+        return StageState(self._bench.saved(), self._count, self._samples)
 
     def restore(self, state: StageState) -> None:
-        """Go back to a saved state."""
-        self._y[:], self._count = state.y, state.steps
-        self._mode[:] = state.mode
+        """Go back to a saved state, and to the law of then."""
+        self._bench.restore(state.bench)
+        self._count, self._samples = state.steps, state.samples
 
-    def go(self, force_x: float, force_y: float, torque: float) -> None:
-        """Go one step with this wrench held (N, N, N m)."""
-        step = (self._y, self._stages, self._trace, self.step / self.substeps)
-        step_with_wrench(self._system, self._laws, *step, force_x, force_y, torque)
+    def go(self, wrench: Wrench = NO_WRENCH) -> None:
+        """Go one step with this wrench held; SafeStopError where the bench cannot go on."""
+        times = (self._count + self._fractions) * self.step
+        self._bench.drive_tip((wrench.fx, wrench.fy, wrench.tz), times[-1])
+        try:
+            self._samples = self._bench.advance(times)
+        except SimulationError as error:
+            raise SafeStopError(str(error)) from None
         self._count += 1
 
-    def advance(self, force_x: float, force_y: float, torque: float) -> TipState:
-        """Go one step with this wrench held; return where the tip is then.  See :meth:`check`."""
-        self.go(force_x, force_y, torque)
-        self.check()
-        return self.tip
 
-    def check(self) -> None:
-        """Raise SafeStopError if the probe is pushed in up to its tip or the state not finite."""
-        if not np.isfinite(self._y).all() or self._y[4] < self.scene.probe.tip_radius:
-            radius = self.scene.probe.tip_radius
-            raise SafeStopError(
-                f"h = {self._y[4]:.4g} m: must be >= {radius:g}; the probe is pushed in up to its "
-                "tip"
-            )
+class RigidBody(NamedTuple):
+    """A body in the plane: kg, kg m2, centre of mass (2,) and its velocity (2,), rad/s."""
+
+    mass: float
+    inertia: float
+    centre: np.ndarray
+    velocity: np.ndarray
+    spin: float
+
+    def velocity_at(self, point: np.ndarray) -> np.ndarray:
+        """Return the velocity (2,) of the body's material at a point."""
+        x, y = point - self.centre
+        return self.velocity + self.spin * np.array([-y, x])
+
+    def mobility(self, point: np.ndarray, normal: np.ndarray) -> float:
+        """Return the speed along a normal that a unit impulse at a point gives there, 1/kg."""
+        x, y = point - self.centre
+        return float(1.0 / self.mass + (x * normal[1] - y * normal[0]) ** 2 / self.inertia)
+
+
+def joined_body(*bodies: RigidBody) -> RigidBody:
+    """Return the rigid body with the mass, momentum and spin of several bodies."""
+    mass = sum(body.mass for body in bodies)
+    centre = sum(body.mass * body.centre for body in bodies) / mass
+    velocity = sum(body.mass * body.velocity for body in bodies) / mass
+    inertia = spin = 0.0
+    for body in bodies:
+        (x, y), (vx, vy) = body.centre - centre, body.velocity - velocity
+        inertia += body.inertia + body.mass * (x * x + y * y)
+        spin += body.inertia * body.spin + body.mass * (x * vy - y * vx)
+    return RigidBody(mass, inertia, np.asarray(centre), np.asarray(velocity), spin / inertia)

@@ -5,18 +5,19 @@ import math
 import numpy as np
 import pytest
 
+from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.answers import Answers
+from capture_sim.hardware.guard import Guard, Limits
 from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
-from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.messages import tip_message, tip_of, wrench_message, wrench_of
-from capture_sim.hardware.stage import SafeStopError
+from capture_sim.hardware.stage import LoopStage, SafeStopError
 from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 
 
 def at_rest(limits=Limits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - a tuple
-    answers = Answers(limits)
+    answers = Answers(Guard(LoopStage(load_scene("_loop")), limits))
     for wrench in rest:
         answers.offer(0.0, 0.0, wrench, None)
     answers.tare()
@@ -75,6 +76,7 @@ def test_a_wrench_is_held_up_to_the_limit_and_no_longer():
         answers.check_latency(0.012)
 
 
+@pytest.mark.parametrize("stamp", [0.002, 0.001, -1.0, 5.0, 1.7e9])
 @pytest.mark.parametrize(
     "wrench, message",
     [
@@ -83,9 +85,11 @@ def test_a_wrench_is_held_up_to_the_limit_and_no_longer():
         (Wrench(tx=20.0, tz=25.0), "torque on the rig = 32.02 N m: must be <= 30"),
     ],
 )
-def test_all_six_components_are_limited(wrench, message):
+def test_all_six_components_are_limited_whatever_the_stamp_is(wrench, message, stamp):
+    answers = at_rest()
+    answers.offer(0.001, 0.002, NO_WRENCH, None)
     with pytest.raises(SafeStopError, match=message):
-        at_rest().offer(0.001, 0.001, wrench, None)
+        answers.offer(stamp, 0.002, wrench, None)
 
 
 def test_messages_say_what_was_put_in():

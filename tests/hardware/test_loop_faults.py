@@ -9,8 +9,8 @@ from four_bodies import kinetic
 from plate import plate_law, plate_mass
 
 from capture_sim import load_scene
+from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
-from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import METHODS, Loop, run_in_process
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
@@ -130,7 +130,7 @@ def drawn(seed):
     transport = Transport(rng.uniform(0.0, 0.02), 3e-4, 0.01, 0.01)
     rig = Rig(SCENE, law, servo, cell, transport, sends_tip=bool(rng.integers(2)), seed=seed)
     guess = WallLaw(law.stiffness * 10.0 ** rng.uniform(-1.0, 1.0))
-    loop = Loop(LoopStage(SCENE, 1e-3, 10), method, guess, LIMITS, MASS)
+    loop = Loop(LoopStage(SCENE), method, guess, LIMITS)
     return loop, FaultyRig(rig, kind, rng.uniform(0.02, 0.2), rng.uniform()), kind
 
 
@@ -147,10 +147,12 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
         allowed = LIMITS.energy * (1.0 + 1e-6) + 1e-9
         assert max(channel.energies) - channel.energies[0] <= allowed, case
         assert bodies_energy(loop.stage) - channel.energies[0] <= allowed, case
-        assert loop.energy.excess <= allowed, case
+        assert loop.energy_excess <= allowed, case
         if loop.stage.t < 0.25 - 1e-9:
             assert why.startswith("stopped at t = "), case
-            assert "must be <=" in why or "disagree" in why or "pushed in" in why, case
+            assert any(
+                text in why for text in ("must be <=", "disagree", "pushed in", "too soft")
+            ), case
         stops.setdefault(kind, []).append(why.partition(": ")[2])
     if CASES >= 300:  # each of these ends a loop at least once, and by its own reason
         for kind, reason in (
@@ -166,17 +168,17 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
 
 
 @pytest.mark.parametrize("method", ["none", "prediction"])
-@pytest.mark.parametrize("kind", ["frozen", "doubled", "wrong sign", "pulls"])
+@pytest.mark.parametrize("kind", ["doubled", "wrong sign", "pulls"])
 def test_a_rig_that_gives_energy_is_stopped_by_the_energy_limit(method, kind):
     """At the deepest, where such a fault gives the most; a pull while the tip goes in."""
     law = WallLaw(2000.0)
-    limits = LIMITS._replace(acceleration=1e4)
-    loop = Loop(LoopStage(SCENE, 1e-3, 10), method, law, limits, MASS)
+    limits = LIMITS._replace(acceleration=1e4, depth=1.0)
+    loop = Loop(LoopStage(SCENE), method, law, limits)
     rig = Rig(SCENE, law, Servo(0.0, 0.0), Cell(), Transport())
-    start = 0.165 if kind in ("frozen", "doubled") else 0.08
+    start = 0.165 if kind == "doubled" else 0.08
     why = run_in_process(loop, FaultyRig(rig, kind, start, 1.0), 0.9)
     assert "energy_limit" in why
-    assert loop.energy.excess <= LIMITS.energy * (1.0 + 1e-6)
+    assert loop.energy_excess <= LIMITS.energy * (1.0 + 1e-6)
     assert any("scaled down" in note for note in loop.notes)
 
 
@@ -184,15 +186,15 @@ def test_a_rig_that_gives_energy_is_stopped_by_the_energy_limit(method, kind):
 @pytest.mark.parametrize("offset", [0.0, -5e-5, 5e-5])
 def test_a_model_generates_no_energy_on_a_rig_of_any_stiffness(share, offset):
     """Three shots, each from the law that the one before has found."""
-    law, wide = WallLaw(2000.0), Limits(1e-3, 1e9, 1e9, 1e3, 1e9, 1.0)
+    law, wide = WallLaw(2000.0), Limits(1e-3, 1e9, 1e9, 1e3, 1e9, 1.0, depth=1.0)
     for seed in range(3):
-        stage = LoopStage(SCENE, 1e-3, 40)
-        loop = Loop(stage, "model", law, wide, MASS)
+        stage = LoopStage(SCENE)
+        loop = Loop(stage, "model", law, wide)
         rig_law = WallLaw(2000.0 * share, offset=offset)
         cell = Cell(force_range=1e9)
         rig = Rig(SCENE, rig_law, Servo(0.0, 0.0), cell, Transport(), seed=seed)
         energy = bodies_energy(stage)
         why = run_in_process(loop, rig, 0.6)
-        assert loop.touches, why
+        assert loop.episodes, why
         assert bodies_energy(stage) <= energy * (1.0 + 2e-3)
         law = loop.estimate.law

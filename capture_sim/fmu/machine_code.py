@@ -1,0 +1,112 @@
+"""Machine code of the engine's loop, for programs without Python.
+
+Only public parts of Numba and llvmlite are used: ``cfunc``, the text of its LLVM module, and LLVM's
+code generator.  The mangled name of the function in that text is the one thing that no
+documentation of Numba promises; an error names it if it is not found.
+"""
+
+from __future__ import annotations
+
+import platform
+from functools import cache
+
+import llvmlite.binding as llvm
+import numba
+from numba import carray, cfunc, types
+
+from capture_sim.engine import loop
+from capture_sim.engine.state import WORKSPACE
+from capture_sim.errors import CaptureSimError
+from capture_sim.samples import SAMPLE
+
+#: Name of the function in the object file.
+SYMBOL = "capture_sim_advance"
+#: Instructions beyond the architecture's first generation that the C compiler can ask for.
+_TESTABLE = ("avx", "avx2", "fma", "bmi", "bmi2", "avx512f", "avx512dq", "avx512bw", "avx512vl")
+_OLDEST = {"x86_64": "x86-64", "aarch64": "generic"}
+
+
+class FmuError(CaptureSimError):
+    """A unit cannot be made on this machine."""
+
+
+def instructions(*, portable: bool) -> tuple[str, ...]:
+    """Return the names of the instruction sets that :func:`machine_code` may use."""
+    if portable or platform.machine() != "x86_64" or numba.config.CPU_NAME:
+        return ()
+    has = llvm.get_host_cpu_features()
+    return tuple(name for name in _TESTABLE if has.get(name))
+
+
+@cache
+def machine_code(*, portable: bool) -> bytes:
+    """Return an object file with the function :data:`SYMBOL`; compiling it needs about 8 s.
+
+    ``portable``: for any processor of this architecture, and not only for processors with the
+    instructions of this one.  The results of the two differ by round-off.
+
+    Raises
+    ------
+    FmuError
+        The architecture or this version of Numba is not supported.
+    """
+    if platform.machine() not in _OLDEST or platform.system() != "Linux":
+        raise FmuError(
+            f"platform = {platform.system()} {platform.machine()}: must be Linux on "
+            + " or ".join(_OLDEST)
+        )
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    module = llvm.parse_assembly(_llvm_text())
+    _keep_only_the_loop(module)
+    cpu, features = _OLDEST[platform.machine()], ""
+    if not portable and numba.config.CPU_NAME:  # as the kernels in Python are compiled
+        cpu, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES or ""
+    elif not portable:
+        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    target = llvm.Target.from_default_triple().create_target_machine(
+        cpu=cpu, features=features, opt=3, reloc="pic"
+    )
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(target, llvm.PipelineTuningOptions(speed_level=3)))
+    return bytes(target.emit_object(module))
+
+
+def _llvm_text() -> str:
+    """Return the LLVM module of the loop with all its kernels, optimised by Numba."""
+    advance = loop.advance.compiled  # type: ignore[attr-defined]
+    workspace, sample = (types.CPointer(numba.from_dtype(t)) for t in (WORKSPACE, SAMPLE))
+    number = types.CPointer(types.float64)
+
+    def capture_sim_advance(w, times, n_times, samples, trace, n_trace):  # type: ignore[no-untyped-def]
+        return advance(
+            carray(w, 1), carray(times, n_times), carray(samples, n_times), carray(trace, n_trace)
+        )
+
+    signature = types.int64(workspace, number, types.int64, sample, sample, types.int64)
+    text: str = cfunc(signature)(capture_sim_advance).inspect_llvm()
+    return text
+
+
+def _keep_only_the_loop(module: llvm.ModuleRef) -> None:
+    """Give the loop its name, and hide everything else, so that what it does not call goes.
+
+    Next to the function itself, the module has a wrapper that reports exceptions to Python.
+    """
+    found = [
+        function
+        for function in module.functions
+        if not function.is_declaration
+        and SYMBOL in function.name
+        and not function.name.startswith("cfunc")
+    ]
+    if len(found) != 1:
+        raise FmuError(
+            f"Numba {numba.__version__} names compiled functions in a way that is not known: "
+            f"{len(found)} functions contain {SYMBOL!r}, not 1"
+        )
+    for thing in (*module.functions, *module.global_variables):
+        if not thing.is_declaration:
+            thing.linkage = "internal"
+    found[0].name, found[0].linkage = SYMBOL, "external"

@@ -1,0 +1,138 @@
+"""What a unit lets its user set and read: names, units, and their places in the records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capture_sim.engine.state import WORKSPACE
+from capture_sim.samples import SAMPLE, columns_of, unit_of_column
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import ANY, Range, declared
+
+#: Springs and dampers of the buffer: any value of these makes the buffer's general law apply.
+_BUFFER = ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "c_A_rebound", "k_T3", "c_T2")
+#: Other fields of a scene whose value stands in the record as it is, with the record's name.
+_OTHERS = {
+    "contact.hysteresis_factor": "hysteresis",
+    "friction.mu": "mu",
+    "friction.mu_s": "mu_s",
+    "latch.stiffness": "k_L",
+    "latch.damping": "c_L",
+    "stops.stiffness": "k_stop",
+    "stops.damping": "c_stop",
+}
+#: Entries of the state that a body's initial values set; the probe is at rest in the chaser.
+_CHASER = {"x": (0,), "y": (1,), "theta": (2, 3), "vx": (8,), "vy": (9,), "omega": (10, 11)}
+_TARGET = {"x": (5,), "y": (6,), "theta": (7,), "vx": (13,), "vy": (14,), "omega": (15,)}
+_INITIAL: tuple[tuple[str, Mapping[str, tuple[int, ...]]], ...] = (
+    ("initial.chaser", _CHASER),
+    ("initial.target", _TARGET),
+)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A number of a unit.
+
+    Attributes
+    ----------
+    name
+        Field of the scene, or column of a table of samples.
+    unit
+        SI unit.
+    places
+        Offsets in bytes: a parameter's in the workspace (one or two), an output's in a sample.
+    is_integer
+        True for int64, False for double.
+    allowed
+        Range of a parameter; None for an output.
+    start
+        Value in the scene.
+    doc
+        Meaning.
+    shapes_buffer
+        True if the buffer's general law has to apply once this parameter is set.
+    """
+
+    name: str
+    unit: str
+    places: tuple[int, ...]
+    is_integer: bool = False
+    allowed: Range | None = None
+    start: float = 0.0
+    doc: str = ""
+    shapes_buffer: bool = False
+
+
+def offset_of(record: np.dtype, *names: str) -> int:
+    """Return the place of a field, or of a field in a field, in bytes."""
+    offset = 0
+    for name in names:
+        fields: Mapping[str, Any] = record.fields or {}
+        offset += fields[name][1]
+        record = fields[name][0]
+    return offset
+
+
+def outputs() -> list[Variable]:
+    """Return the numbers of a sample but for its time, named as in tables."""
+    places = np.zeros(1, [(name, "i8", SAMPLE[name].shape) for name in SAMPLE.names or ()])
+    for name in SAMPLE.names or ():
+        n = max(1, int(np.prod(SAMPLE[name].shape)))
+        start = offset_of(SAMPLE, name)
+        places[name] = (start + 8 * np.arange(n)).reshape(SAMPLE[name].shape)
+    found = []
+    for column, place in columns_of(places).items():
+        is_integer = SAMPLE[column.partition(".")[0]].base.kind == "i"
+        if column != "t":
+            unit = unit_of_column(column)
+            found.append(Variable(column, unit, (int(place[0]),), is_integer))
+    return found
+
+
+def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
+    """Return the fields of a scene that may be set before the release.
+
+    These are numbers that the engine reads as they are.  The launch and the scale of errors follow
+    from other fields; they are those of the exported scene.
+    """
+    raw = workspace.view(np.uint8)
+
+    def variable(path: str, *places: int, shapes_buffer: bool = False) -> Variable:
+        part_path, _, name = path.rpartition(".")
+        part: Any = scene
+        for step in part_path.split("."):
+            part = getattr(part, step)
+        spec = declared(type(part))[name]
+        start = float(raw[places[0] : places[0] + 8].view(np.float64)[0])
+        allowed = spec.allowed or ANY
+        return Variable(path, spec.unit, places, False, allowed, start, spec.doc, shapes_buffer)
+
+    def parameter(name: str) -> int:
+        return offset_of(WORKSPACE, "system", "par", name)
+
+    found = []
+    for name in _BUFFER:
+        places = [parameter(name)]
+        if name == "c_A" and scene.buffer.c_A_rebound is None:
+            places.append(parameter("c_A_rebound"))
+        found.append(variable(f"buffer.{name}", *places, shapes_buffer=True))
+    for path, name in _OTHERS.items():
+        if getattr(scene, path.partition(".")[0]) is None:
+            continue
+        if path.startswith("friction") and scene.friction.law == "none":
+            continue
+        places = [parameter(name)]
+        if name == "mu" and scene.friction.mu_s is None:
+            places.append(parameter("mu_s"))
+        found.append(variable(path, *places))
+    if scene.rail is None and scene.supports is None:
+        state = offset_of(WORKSPACE, "stepper", "y")
+        for body, entries in _INITIAL:
+            for name, numbers in entries.items():
+                found.append(variable(f"{body}.{name}", *(state + 8 * k for k in numbers)))
+    return found

@@ -1,0 +1,199 @@
+"""The guard of the loop: nothing reaches rig or vehicles but through its checks.
+
+The loop has no other way to send a position (:meth:`Guard.send`), to use a wrench
+(:meth:`Guard.check_wrench`, :meth:`Guard.check_answer`) or to move the vehicles (:meth:`Guard.go`).
+Each raises SafeStopError beyond a limit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from capture_sim.hardware.law import NO_LAW, NO_WRENCH, Penetration, TipState, WallLaw, Wrench
+from capture_sim.hardware.stage import LoopStage, SafeStopError, StageState
+
+#: States of the stage before its latest steps.
+HISTORY = 128
+#: Trials that find the share of a wrench that the energy limit leaves.
+_TRIALS = 3
+#: Share of the energy limit that is left for round-off.
+_MARGIN = 1e-3
+#: So many identical readings in a row, and so many times the longest such row at rest, are of a
+#: cell that no longer measures.
+_FROZEN_READINGS, _FROZEN_ROWS = 10, 3
+#: Stiffness of the softest wall where no law is known, N/m.
+_LEAST_STIFFNESS = 500.0
+#: A wall may be this much softer than its law.
+_LEAST_SHARE = 0.05
+
+
+class Limits(NamedTuple):
+    """What stops the loop; :data:`LIMITS` describes all but the latency."""
+
+    energy: float = 0.02
+    force: float = 300.0
+    torque: float = 30.0
+    speed: float = 0.5
+    acceleration: float = 100.0
+    latency: float = 0.05  # s, from a position to the use of its wrench
+    angular_speed: float = 3.0
+    bias: float = 10.0
+    depth: float = 1e-3
+
+
+#: By field of :class:`Limits`: what it bounds, with its unit, and its largest value.
+LIMITS = {
+    "energy": ("energy that the loop may add to the vehicles, J", 1e6),
+    "force": ("force on the rig, N", 1e9),
+    "torque": ("torque on the rig, N m", 1e9),
+    "speed": ("speed of the commanded position, m/s", 1e3),
+    "acceleration": ("acceleration of the commanded position, m/s^2", 1e6),
+    "angular_speed": ("angular speed of the commanded position, rad/s", 1e3),
+    "bias": ("bias of the load cell at rest, N", 1e9),
+    "depth": ("depth of the tip in the scene's wall without force, m", 1e3),
+}
+
+
+def _check(name: str, value: float, unit: str, limit: float, hint: str = "") -> None:
+    """Raise SafeStopError if a value is beyond its limit, or not a number."""
+    if not value <= limit:
+        raise SafeStopError(f"{name} = {value:.4g} {unit}: must be <= {limit:g}{hint}")
+
+
+class Guard:
+    """The limits of a loop on its way to the rig and to the vehicles.
+
+    ``law``: the contact that is expected.  ``excess`` (J): the most by which the
+    vehicles' energy was above the least before the touch.  ``withheld`` (J): what scaled wrenches
+    would have added.  ``history``: states of the stage before its latest steps, newest last.
+    """
+
+    def __init__(self, stage: LoopStage, limits: Limits, law: WallLaw = NO_LAW) -> None:
+        self._stage, self._limits = stage, limits
+        self._expected = WallLaw(_LEAST_STIFFNESS, offset=law.offset)
+        if law.stiffness > 0.0:
+            self._expected = law._replace(stiffness=_LEAST_SHARE * law.stiffness, damping=0.0)
+        self._reference = stage.energy  # J, the least before the touch
+        self._sent: deque[TipState] = deque(maxlen=2)
+        self._max_row = math.inf  # identical readings in a row
+        self._row, self._reading = 1, NO_WRENCH
+        self.excess = self.withheld = 0.0
+        self.history: deque[StageState] = deque(maxlen=HISTORY)
+
+    # to the rig
+
+    def send(self, pose: TipState) -> TipState:
+        """Return a position that may be sent: not too far, fast or abrupt after the two before it.
+
+        The first position is one at rest.
+        """
+        limits, step = self._limits, self._stage.step
+        if not self._sent:
+            self._sent.extend((pose, pose))
+        before, last = self._sent
+        dx, dy = pose.x - last.x, pose.y - last.y
+        _check("commanded speed", math.hypot(dx, dy) / step, "m/s", limits.speed)
+        turned = abs(_turn(pose.theta - last.theta)) / step
+        _check("commanded angular speed", turned, "rad/s", limits.angular_speed)
+        bent = math.hypot(dx - (last.x - before.x), dy - (last.y - before.y)) / step**2
+        _check("commanded acceleration", bent, "m/s^2", limits.acceleration)
+        self._sent.append(pose)
+        return pose
+
+    # from the rig
+
+    def check_rest(self, readings: Sequence[Wrench], bias: Wrench) -> None:
+        """Check the readings at rest; learn how long a row of identical ones is without a fault."""
+        hint = " (bias_limit); the tip is in contact, or the load cell must be tared"
+        _check("force at rest", bias.force, "N", self._limits.bias, hint)
+        rows = [len(list(row)) for _, row in itertools.groupby(readings)]
+        if len(rows) > 1:  # else there is no noise by which to know
+            self._max_row = max(_FROZEN_READINGS, _FROZEN_ROWS * max(rows))
+
+    def check_wrench(self, wrench: Wrench) -> None:
+        """Check a wrench without bias; also one that comes too late to be used."""
+        _check("force on the rig", wrench.force, "N", self._limits.force)
+        _check("torque on the rig", wrench.torque, "N m", self._limits.torque)
+
+    def check_answer(self, reading: Wrench, push: float, wall: Penetration, lag: float) -> None:
+        """Check what belongs together: a raw reading, its force off the wall (N), and the tip then.
+
+        ``lag``: by how much the tip may be behind that, s.
+        """
+        self._row = self._row + 1 if reading == self._reading else 1
+        self._reading = reading
+        if self._row > self._max_row:
+            raise SafeStopError(
+                f"identical readings of the load cell in a row = {self._row}: must be <= "
+                f"{self._max_row}; there was noise at rest"
+            )
+        expected, limit = self._expected, self._limits.depth
+        depth = wall.depth + expected.offset - max(wall.rate, 0.0) * lag
+        if depth > limit and push < expected.stiffness * (depth - limit) ** expected.exponent:
+            raise SafeStopError(
+                f"depth of the tip in the scene's wall = {depth:.3g} m at a push of {push:.3g} "
+                f"N: must be <= {limit:g} (depth_limit); load cell, its sign or the wall's "
+                "position is wrong"
+            )
+
+    def check_latency(self, latency: float, hint: str) -> None:
+        """Check the age (s) of the wrench in use."""
+        limit = self._limits.latency
+        if not latency <= limit + 1e-9:
+            _check("latency of the wrench", latency, "s", limit, f" (timeout){hint}")
+
+    # to the vehicles
+
+    def note_free_motion(self) -> None:
+        """Note the energy before a step outside of a touch."""
+        self._reference = min(self._reference, self._stage.energy)
+
+    def go(self, wrench: Wrench, *, is_correction: bool = False) -> None:
+        """Move the vehicles a step under a wrench; one that would add too much is scaled down.
+
+        A correction of a law may add nothing.  Of other wrenches, SafeStopError if as much again as
+        the limit was withheld.
+        """
+        stage, limit = self._stage, self._limits.energy
+        before, energy = stage.saved(), stage.energy
+        self.history.append(before)
+        stage.go(wrench)
+        allowed = (_MARGIN if is_correction else 1.0) * limit
+        if not stage.peak_energy <= self._reference + allowed:
+            demanded = stage.energy - energy
+            self._go_within(self._reference + allowed - _MARGIN * limit, wrench, before)
+            self.withheld += max(demanded - (stage.energy - energy), 0.0)
+        self.excess = max(self.excess, stage.peak_energy - self._reference)
+        _check("energy added to the vehicles", self.excess, "J", limit, " (energy_limit)")
+        if self.withheld > limit and not is_correction:
+            raise SafeStopError(
+                f"energy withheld from the vehicles = {self.withheld:.3g} J, after "
+                f"{self.excess:.3g} J added: must be <= {limit:g} (energy_limit)"
+            )
+
+    def _go_within(self, limit: float, wrench: Wrench, before: StageState) -> None:
+        """Repeat a step with a share of the wrench that keeps the energy below a limit, J.
+
+        The peak energy is a convex function of the share, as of a linear system's: the chord
+        through a share that is small enough and one that is too large gives another small one.
+        """
+        stage, high, share = self._stage, self._stage.peak_energy, 0.0
+        stage.restore(before)
+        stage.go(NO_WRENCH)
+        within, low = stage.saved(), stage.peak_energy
+        for _ in range(_TRIALS if high > limit > low else 0):
+            trial = share + (1.0 - share) * (limit - low) / (high - low)
+            stage.restore(before)
+            stage.go(Wrench(trial * wrench.fx, trial * wrench.fy, tz=trial * wrench.tz))
+            if not stage.peak_energy <= limit:
+                break
+            within, low, share = stage.saved(), stage.peak_energy, trial
+        stage.restore(within)
+
+
+def _turn(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi) if math.isfinite(angle) else math.nan

@@ -1,0 +1,105 @@
+"""The report of a loop: what was measured, as data and in words."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import asdict
+from typing import Any
+
+from capture_sim.hardware.episodes import ContactEpisode
+from capture_sim.hardware.loop import Loop
+from capture_sim.hardware.pacing import Pacer
+
+#: Latencies and round trips that are kept.
+_KEPT = 100_000
+
+
+class Timing:
+    """Latencies in simulated time, and round trips in wall time, of each position."""
+
+    def __init__(self) -> None:
+        self._sent: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # stamp, s (wall)
+        self.latencies: deque[float] = deque(maxlen=_KEPT)
+        self.round_trips: deque[float] = deque(maxlen=_KEPT)
+
+    def sent(self, stamp: float, now: float) -> None:
+        """Note when (s, wall) a position was sent."""
+        self._sent.append((stamp, now))
+
+    def answered(self, stamp: float, now: float) -> None:
+        """Note when (s, wall) a position was answered; older ones are forgotten."""
+        while self._sent and self._sent[0][0] < stamp - 1e-9:
+            self._sent.popleft()
+        if self._sent and self._sent[0][0] < stamp + 1e-9:
+            self.round_trips.append(now - self._sent.popleft()[1])
+
+
+def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> dict[str, Any]:
+    """Return the measured values, of types that JSON has; None for what is not known."""
+    rejections = dict(loop.answers.rejections)
+    is_known = loop.known_lag is not None
+    return {
+        "stopped": stopped,
+        "notes": loop.notes,
+        "steps": max(round(loop.t / loop.stage.step), 0),
+        "rate": pacer.rate if pacer else None,
+        "late_steps": pacer.late_steps if pacer else 0,
+        "late_share": pacer.late_share if pacer else 0.0,
+        "largest_lateness": pacer.largest_lateness if pacer else 0.0,
+        "refused": sum(rejections.values()),
+        "rejections": rejections,
+        "ages": list(timing.latencies),
+        "round_trips": list(timing.round_trips),
+        "lag": {
+            "servo": loop.servo_lag if is_known else None,
+            "force": loop.estimate.lag,
+            "whole": loop.known_lag,
+        },
+        "load_cell": {
+            "bias": loop.answers.bias,
+            "noise": loop.answers.noise,
+            "threshold": loop.threshold,
+        },
+        "energy_excess": loop.energy_excess,
+        "energy_withheld": loop.energy_withheld,
+        "rig_peak_force": loop.rig_peak_force,
+        "vehicle_peak_force": max((e.peak_force for e in loop.episodes), default=0.0),
+        "law": loop.estimate.law._asdict(),
+        "contacts": [_entry(episode) for episode in loop.episodes],
+    }
+
+
+def _entry(episode: ContactEpisode) -> dict[str, Any]:
+    entry = asdict(episode)
+    for name in ("restitution", "rig_restitution"):
+        if math.isnan(entry[name]):
+            entry[name] = None
+    return entry
+
+
+def summary(loop: Loop, report: dict[str, Any]) -> list[str]:
+    """Return the lines that end a loop."""
+    latencies = sorted(report["ages"]) or [0.0]
+    whole = f"{loop.lag * 1e3:.1f} ms"
+    if loop.known_lag is None:
+        whole = f"not known: {whole} is above timeout"
+    rate = "" if report["rate"] is None else f"{report['rate']:.0f} per second, "
+    lines = [
+        f"{report['steps']} steps, {rate}{report['late_share']:.1%} late; latency "
+        f"{latencies[len(latencies) // 2] * 1e3:.1f} ms (median), {latencies[-1] * 1e3:.1f} ms "
+        f"(maximum), whole lag {whole}; peak force on the rig {loop.rig_peak_force:.4g} N, energy "
+        f"added to the vehicles {loop.energy_excess:.3g} J"
+    ]
+    if loop.episodes:
+        value = loop.episodes[0].restitution
+        lines.append(
+            f"first contact: restitution {'not known' if math.isnan(value) else f'{value:.4f}'}"
+        )
+    if loop.estimate.deviations is not None:
+        law = loop.estimate.law
+        lines.append(
+            f"next law: -p stiffness:={law.stiffness:.6g} -p exponent:={law.exponent:.6g} "
+            f"-p damping:={law.damping:.6g} -p wall_offset:={law.offset:.4g}"
+        )
+    return lines

@@ -1,0 +1,269 @@
+"""A scene as a unit of FMI 3.0 and as a library in C: another program's runs equal Python's."""
+
+import re
+import subprocess
+from contextlib import contextmanager
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
+
+from capture_sim import load_scene, scene_names, simulate
+from capture_sim.bench import Bench
+from capture_sim.cli import main
+from capture_sim.fmu.description import write_fmu
+from capture_sim.fmu.library import make_unit
+from capture_sim.fmu.machine_code import instructions
+from capture_sim.samples import SAMPLE, columns_of
+
+ROOT = Path(__file__).resolve().parents[2]
+#: Every instance that runs the same machine code does the same operations; 1e-12 is the promise.
+EQUAL = 1e-12
+SCENES = [name for name in scene_names() if not name.startswith("_")]
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory):
+    """A function that returns a scene's unit, made once."""
+    folder, made = tmp_path_factory.mktemp("units"), {}
+
+    def path_of(name):
+        if name not in made:
+            made[name] = folder / f"{name}.fmu"
+            write_fmu(make_unit(load_scene(name)), made[name])
+        return made[name]
+
+    return path_of
+
+
+class Instance:
+    """An instance of a unit, driven by its names."""
+
+    def __init__(self, path, folder, messages, **options):
+        description = fmpy.read_model_description(path)
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.slave = FMU3Slave(
+            guid=options.pop("token", description.guid),
+            unzipDirectory=fmpy.extract(path, unzipdir=folder),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+        )
+
+        def log(_environment, _status, _category, text):
+            messages.append(text.decode())
+
+        self.slave.instantiate(logMessage=log, **options)
+
+    def set(self, values):
+        for name, value in values.items():
+            self.slave.setFloat64([self.references[name]], [value])
+
+    def get(self, name):
+        return self.slave.getFloat64([self.references[name]])[0]
+
+    def begin(self, **values):
+        self.slave.enterInitializationMode()
+        self.set(values)
+        self.slave.exitInitializationMode()
+
+    def step(self, t, h):
+        """Take a step; return its end, and whether it ended at an event and with the run."""
+        _, over, early, last = self.slave.doStep(t, h)
+        return last, early, over
+
+
+@pytest.fixture
+def instances(tmp_path):
+    """A function that makes an instance; its messages are in ``messages`` of the function."""
+    made = []
+
+    def make(path, **options):
+        made.append(Instance(path, tmp_path / str(len(made)), make.messages, **options))
+        return made[-1]
+
+    make.messages = []
+    yield make
+    for instance in made:
+        if instance.slave.component:
+            instance.slave.freeInstance()
+
+
+@contextmanager
+def raises(messages, text, error=FMICallException):
+    """The call fails, and the unit reports a text."""
+    with pytest.raises(error):
+        yield
+    assert any(text in message for message in messages), messages
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_unit_is_valid_and_equals_the_run_in_python(unit, name):
+    """At every communication point, in every output."""
+    path = unit(name)
+    assert validate_fmu(str(path)) == []
+    names = [v.name for v in fmpy.read_model_description(path).modelVariables]
+    outputs = [n for n in names if n.partition(".")[0] in SAMPLE.names]
+    t_end = min(load_scene(name).run.t_end, 4.0)
+    rows = fmpy.simulate_fmu(
+        str(path), stop_time=t_end, output_interval=0.004, step_size=0.004, output=outputs
+    )
+    samples = columns_of(Bench(load_scene(name)).advance(rows["time"]))
+    assert len(samples["t"]) == len(rows) > 100
+    for output in outputs:
+        scale = max(1.0, np.abs(samples[output]).max())
+        assert np.abs(rows[output] - samples[output]).max() <= EQUAL * scale, output
+
+
+def columns_of_sample():
+    return {
+        name.partition(".")[0] for name in columns_of(Bench(load_scene("tilt_0")).advance([0.0]))
+    }
+
+
+def test_a_step_returns_early_at_each_event(unit, instances):
+    instance = instances(unit("tilt_0"), earlyReturnAllowed=True)
+    instance.begin()
+    t, found = 0.0, []
+    while t < 3.0:
+        t, is_early, _ = instance.step(t, 0.1)
+        found += [t] * is_early
+    events = [event.t for event in simulate("tilt_0").events if 0.0 < event.t < 3.0]
+    assert len(found) > 10
+    assert np.array_equal(found, np.unique(events))
+
+
+def test_the_run_ends_where_its_scene_ends(unit, instances):
+    """That is between two communication points, some time after the latch has closed."""
+    instance = instances(unit("tilt_0"))
+    instance.begin()
+    result, t, is_over = simulate("tilt_0"), 0.0, False
+    while not is_over:
+        t, _, is_over = instance.step(t, 0.7)
+    assert t == pytest.approx(result.events[-1].t, abs=EQUAL)
+    assert instance.get("q.x_S") == pytest.approx(result.events[-1].q[0], abs=EQUAL)
+
+
+@pytest.mark.parametrize(
+    "name, changes",
+    [
+        ("tilt_p10", {"buffer.k_A": 620.0, "buffer.c_A": 21.0, "friction.mu": 0.2}),
+        ("tilt_0", {"buffer.k_A3": 2e5, "buffer.c_T2": 0.3, "latch.damping": 12.0}),
+        (
+            "paper_designed",
+            {"initial.chaser.vy": 0.003, "initial.target.theta": 0.02, "initial.chaser.theta": 0.01}
+            | {"contact.hysteresis_factor": 0.4},
+        ),
+    ],
+)
+def test_parameters_are_those_of_the_scene(unit, instances, name, changes):
+    """Up to the error of the integration, whose scale is that of the exported scene."""
+    instance = instances(unit(name))
+    instance.begin(**changes)
+    t_end = 3.2 if name.startswith("tilt") else 0.4
+    t = 0.0
+    while t < t_end - 1e-9:
+        t, _, _ = instance.step(t, 0.1)
+    own = Bench(load_scene(name, changes)).advance([t])[0]
+    unchanged = Bench(load_scene(name)).advance([t])[0]
+    assert instance.get("q.x_T") == pytest.approx(own["q"][5], abs=1e-9)
+    assert abs(unchanged["q"][5] - own["q"][5]) > 1e-5
+
+
+def test_two_instances_do_not_disturb_each_other(unit, instances):
+    one, other = (instances(unit(name)) for name in ("tilt_0", "tilt_p10"))
+    one.begin()
+    other.begin(**{"buffer.c_A": 25.0})
+    t = 0.0
+    while t < 3.0:
+        one.step(t, 0.25)
+        t, _, _ = other.step(t, 0.25)
+    for instance, name, changes in ((one, "tilt_0", {}), (other, "tilt_p10", {"buffer.c_A": 25.0})):
+        alone = Bench(load_scene(name, changes)).advance([t])[0]
+        assert instance.get("tip_axial") == pytest.approx(alone["tip_axial"], abs=EQUAL)
+
+
+def test_a_state_that_was_kept_continues_in_another_instance(unit, instances):
+    one, other = instances(unit("tilt_m10")), instances(unit("tilt_m10"))
+    one.begin()
+    one.step(0.0, 2.75)  # between two touches
+    kept = one.slave.serializeFMUState(one.slave.getFMUState())
+    one.step(2.75, 0.5)
+    other.slave.setFMUState(other.slave.deserializeFMUState(kept))
+    other.step(2.75, 0.5)
+    assert other.get("impulse.+y") == one.get("impulse.+y") > 0.0
+
+
+def test_wrong_use_is_reported_with_value_unit_and_range(unit, instances):
+    instance = instances(unit("tilt_0"))
+    instance.slave.enterInitializationMode()
+    for name, value, text in (
+        ("buffer.k_A", -5.0, "buffer.k_A = -5 N/m: must be >"),
+        ("buffer.c_A", float("nan"), "buffer.c_A = nan N s/m: must be >= 0"),
+        ("friction.mu", float("inf"), "friction.mu = inf 1: must be >= 0"),
+        ("tip_axial", 0.1, "not a parameter"),
+    ):
+        with raises(instances.messages, text):
+            instance.set({name: value})
+    instance.slave.exitInitializationMode()
+    with raises(instances.messages, "must be set before the release"):
+        instance.set({"buffer.k_A": 600.0})
+    with raises(instances.messages, "communicationStepSize = 0 s: must be > 0"):
+        instance.step(0.0, 0.0)
+    with raises(instances.messages, "currentCommunicationPoint = 0.5 s: must be 0"):
+        instance.step(0.5, 0.1)
+    # FMPy raises a bare Exception for an instance that it does not get
+    with raises(instances.messages, "instantiationToken", error=Exception):
+        instances(unit("tilt_0"), token="another")
+
+
+def test_a_run_that_cannot_continue_says_why(tmp_path, instances):
+    path = tmp_path / "soft.fmu"
+    changes = {"initial.chaser.vx": 3.0, "stops": None, "buffer.k_A": 10.0, "buffer.c_A": 0.0}
+    write_fmu(make_unit(load_scene("paper_designed", changes)), path)
+    instance = instances(path)
+    instance.begin()
+    with raises(instances.messages, "the probe is pushed in up to its tip"):
+        instance.step(0.0, 1.0)
+
+
+def test_the_portable_unit_needs_no_special_instructions(tmp_path):
+    assert instructions(portable=True) == ()
+    unit = make_unit(load_scene("tilt_0"), portable=True)
+    assert "CS_NEEDS" not in unit.header
+    write_fmu(unit, tmp_path / "portable.fmu")
+    row = fmpy.simulate_fmu(
+        str(tmp_path / "portable.fmu"), stop_time=2.8, step_size=0.1, output=["q.x_S"]
+    )[-1]
+    own = Bench(load_scene("tilt_0")).advance([row["time"]])[0]
+    assert row["q.x_S"] == pytest.approx(own["q"][0], abs=1e-10)
+
+
+def test_the_library_runs_in_a_program_in_c_and_allocates_nothing(tmp_path):
+    """The program is the one of the page."""
+    assert main(["fmu", "tilt_0", "--c", str(tmp_path)]) == 0
+    library = tmp_path / "libtilt_0.so"
+    listing = ["nm", "-D", "--undefined-only", library]
+    needed = subprocess.run(listing, capture_output=True, text=True, check=True).stdout
+    symbols = set(re.findall(r"U (\w+)", needed))
+    assert {"pow", "memcpy"} <= symbols
+    assert not {s for s in symbols if re.match(r"(m|c|re)alloc|free|Py|_Py|NRT|numba", s)}
+    page = (ROOT / "docs" / "fmu.md").read_text()
+    [source] = re.findall(r'^```c title="host.c"\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "host.c").write_text(source)
+    build = ["cc", "-Wall", "-Werror", "-o", "host", "host.c", "-L.", "-ltilt_0", "-Wl,-rpath,."]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    done = subprocess.run(["./host"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    t, x, force = map(float, done.stdout.split()[-3:])
+    own = Bench(load_scene("tilt_0")).advance([t])[0]
+    assert x == pytest.approx(own["q"][0], abs=1e-9)  # as printed
+    assert force >= 0.0
+
+
+def test_bad_arguments_are_reported_in_one_line(tmp_path, capsys):
+    assert main(["fmu", "tilt_0", "--out", str(tmp_path / "no" / "x.fmu")]) == 2
+    assert main(["fmu", "tilt_0", "--set", "buffer.k_A=-1", "--out", str(tmp_path / "x")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+    assert not list(tmp_path.iterdir())
