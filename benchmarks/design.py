@@ -1,11 +1,10 @@
-"""The design flow over random scenes, each answer checked by runs that the flow did not make.
+"""Designs over random scenes, each answer checked by runs that the design did not make.
 
-    .venv/bin/python -m benchmarks.design    # four minutes; --scenes 2 for a look
+    .venv/bin/python -m benchmarks.design    # ten minutes; --scenes 2 for a look
 
-Writes the parts of docs/design_checked.md and the figures.  A buffer is checked by whole runs at a
-tenth of the tolerance: captured, the force kept, the strokes within 2 % of the target.
-A refusal is checked by a search that knows nothing of the flow: grids of springs, the best places
-of them refined, and a grid of dampers.
+Writes the parts of docs/design_checked.md and the figures.  A buffer for limits is compared with a
+grid of 20^3 buffers around it, and with the grid over the whole ranges where none was found.  A
+buffer for the strokes of the first contact is checked by runs at a tenth of the tolerance.
 """
 
 from __future__ import annotations
@@ -16,38 +15,42 @@ import time
 from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.pages import DOCS, table, write_parts
-from capture_sim import SimulationError, load_scene, simulate
+from capture_sim import load_scene, simulate
+from capture_sim.launch.approach import Approach, placed
 from capture_sim.launch.plan import travel_to_touch
 from capture_sim.results import first_cluster
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.approach import placed
-from capture_sim.studies.design import (
-    ACCEPTED,
-    Design,
-    DesignTarget,
-    design_buffer,
-    respond,
+from capture_sim.studies.design import FREE, Design, Requirements, design_buffer
+from capture_sim.studies.executors import answers, open_executor
+from capture_sim.studies.limits import Limit, make_limits
+from capture_sim.studies.outcome import run_first_contact, run_to_end
+from capture_sim.studies.paper_flow import (
+    FirstContactTarget,
+    design_first_contact,
     with_buffer,
 )
-from capture_sim.studies.outcome import run_first_contact
+from capture_sim.studies.sweep import Recipe, result_columns, run_rows
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.studies import draw_design, draw_trade_off
+from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
 
-WITHIN = 0.02  # of the target
+SERVICER = DOCS.parent / "examples" / "servicer.yaml"
+#: Relative error of a stroke of the first contact that confirms a design.
+WITHIN = 0.02
+#: The grid around a design: buffers along each axis, and the largest deviation of each value.
+GRID, WIDTH = 20, 0.2
+_CHUNK = 100
 
 
-def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
-    """Yield scenes and targets: every fourth on supports, every fifth limited in its force.
+def random_scenes(count: int, seed: int) -> Iterator[tuple[Scene, float]]:
+    """Yield scenes with their speed, m/s: every fourth on supports.
 
-    Of three targets one is for the whole run, the others for the first contact.
-
-    Speed 0.04 to 0.2 m/s, offset 3 to 45 mm to either side, angle up to 10 degrees; strokes
-    0.5 to 2.2 and 0.3 to 3 times those of the paper's springs in its case, times the speed.
+    Speed 0.04 to 0.2 m/s, offset 3 to 45 mm to either side, angle up to 10 degrees.
     """
     rng = np.random.default_rng(seed)
     free = load_scene("paper_designed")
@@ -55,165 +58,149 @@ def random_tasks(count: int, seed: int) -> Iterator[tuple[Scene, DesignTarget]]:
     number = 0
     while number < count:
         speed = math.exp(rng.uniform(math.log(0.04), math.log(0.2)))
-        near = placed(
-            bench if number % 4 == 3 else free,
-            angle=math.radians(rng.uniform(-10.0, 10.0)),
-            offset=rng.uniform(0.003, 0.045) * rng.choice([-1.0, 1.0]),
-            speed=speed,
+        approach = Approach(
+            math.radians(rng.uniform(-10.0, 10.0)),
+            rng.uniform(0.003, 0.045) * rng.choice([-1.0, 1.0]),
+            speed,
         )
-        axial = 7.68e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.5), math.log(2.2)))
-        torsion = 2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
-        limit = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
+        near = placed(bench if number % 4 == 3 else free, approach)
         if math.isfinite(travel_to_touch(near)):
-            bound = limit if number % 5 == 4 else None
-            yield near, DesignTarget(axial, torsion, number % 3 != 2, bound)
+            yield near, speed
             number += 1
 
 
-def met(scene: Scene, target: DesignTarget) -> tuple[bool, str, float]:
-    """Run a buffer whole; return whether it meets the target but for the strokes, and what it did.
-
-    The last is the largest force, N: of the whole run, or until the verdict.
-    """
-    try:
-        result = simulate(scene)
-    except SimulationError:
-        return False, "stopped", math.nan
-    end = math.inf
-    if target.first_contact:
-        end = next((s for s in result.statuses if s.final), result.statuses[-1]).t
-    before = result.touches[result.touches["start"] <= end]
-    force, verdict = float(before["peak_force"].max(initial=0.0)), result.verdict
-    kept = target.peak_force is None or force <= target.peak_force
-    return verdict == "captured" and kept, verdict, force
+def forces_within(scene: Scene, limits: tuple[Limit, ...], buffers, executor) -> np.ndarray:
+    """Return the peak force of each buffer, N; infinite where it fails or exceeds a limit."""
+    rows = list(buffers)
+    chunks = [rows[k : k + _CHUNK] for k in range(0, len(rows), _CHUNK)]
+    work = partial(run_rows, Recipe(scene, FREE), False, limits)
+    columns = result_columns(check=False, limited=True)
+    done = [row for found in answers(executor, work, chunks) for row in found]
+    by_name = dict(zip(columns, zip(*done, strict=True), strict=True))
+    is_good = np.array(by_name["verdict"]) == "captured"
+    is_good &= np.array(by_name["exceeded"]) == ""
+    return np.where(is_good, np.array(by_name["max_normal_force"], dtype=float), np.inf)
 
 
-def strokes_off(scene: Scene, target: DesignTarget) -> float:
-    """Largest relative error of a stroke, by samples every 50 us; over a whole run the excess."""
+def grid_around(design: Design) -> Iterator[tuple[float, ...]]:
+    """Yield the buffers of the grid around a design, or over the whole ranges of a refusal."""
+    axes = []
+    for variable in design.variables:
+        if design.met:
+            ends = design.best.values[variable.name] * np.array([1.0 - WIDTH, 1.0 + WIDTH])
+            axes.append(np.linspace(*ends, GRID).tolist())
+        else:
+            axes.append(np.geomspace(variable.low, variable.high, GRID).tolist())
+    yield from itertools.product(*axes)
+
+
+def limits_row(name: str, scene: Scene, limits: tuple[Limit, ...], executor) -> tuple[bool, list]:
+    """Design within limits and compare with the grid; return whether it is confirmed, its row."""
+    began = time.perf_counter()
+    design = design_buffer(scene, Requirements(limits), executor=executor)
+    seconds = time.perf_counter() - began
+    least = float(forces_within(scene, limits, grid_around(design), executor).min())
+    given = "; ".join(f"{limit.text}" for limit in limits if limit.key != "max_axial_stroke_out")
+    row = [name, given, str(len(design.history)), f"{seconds:.0f}"]
+    if not design.met:
+        holds = math.isinf(least)
+        return holds, [*row, "none", f"{least:.1f}", "yes" if holds else "**NO**"]
+    finer = replace(design.scene, run=replace(scene.run, rtol=0.1 * scene.run.rtol))
+    outcome = run_to_end(finer)
+    kept = all(outcome.loads[limit.key] <= limit.value * 1.001 for limit in limits)
+    holds = outcome.captured and kept and design.best.peak_force <= least
+    values = ", ".join(f"{design.best.values[variable]:.4g}" for variable in FREE)
+    found = f"{design.best.peak_force:.2f} ({values})"
+    return holds, [*row, found, f"{least:.2f}", "yes" if holds else "**NO**"]
+
+
+def limits(asked: Namespace, _: Path) -> list[str]:
+    """Designs within limits, against grids of 20^3 buffers."""
+    rows, held = [], 0
+    own = make_limits(
+        {"max_axial_stroke_in": 0.015, "max_axial_stroke_out": 0.015, "max_torsion": 0.015}
+    )
+    cases = [("servicer.yaml", load_scene(SERVICER), own)]
+    rng = np.random.default_rng(asked.seed + 1)
+    for number, (scene, speed) in enumerate(random_scenes(asked.scenes, asked.seed)):
+        stroke = 7.68e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.5), math.log(2.2)))
+        torsion = 2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
+        given = {"max_axial_stroke_in": stroke, "max_axial_stroke_out": stroke}
+        given["max_torsion"] = torsion
+        if number % 5 == 4:
+            given["max_normal_force"] = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
+        kind = "supports" if scene.supports else "free"
+        cases.append((f"{number}, {kind}", scene, make_limits(given)))
+    with open_executor() as executor:
+        for case in cases:
+            holds, row = limits_row(*case, executor)
+            held += holds
+            rows.append(row)
+            print(" | ".join(row), flush=True)
+    head = ["scene", "limits", "buffers tried", "time s"]
+    head += ["least force N (k_A N/m, k_T N m/rad, c_A N s/m)", "least of the grid N", "confirmed"]
+    return [f"{held} of {len(cases)} answers are confirmed.", "", table(head, rows)]
+
+
+def strokes_off(scene: Scene, target: FirstContactTarget) -> float:
+    """Return the largest relative error of a stroke of the first contact, by samples at 20 kHz."""
     b = scene.buffer
-    if target.first_contact:
-        scene = with_buffer(scene, b.k_A, b.k_T, 0.0)
-    touches = simulate(scene).touches
-    if target.first_contact:
-        touches = first_cluster(touches)
-    start = touches["start"].min()
-    end = touches["end"].max() if target.first_contact else scene.run.t_end
+    scene = with_buffer(scene, b.k_A, b.k_T, 0.0)
+    touches = first_cluster(simulate(scene).touches)
+    start, end = touches["start"].min(), touches["end"].max()
     times = np.append(np.arange(start, end, 5e-5), end)
     fine = simulate(scene, t_end=float(end), t_eval=times).samples
     strokes = np.array([np.abs(fine[name]).max() for name in ("axial_stroke", "torsion")])
-    off = strokes / (target.axial_stroke, target.torsion) - 1.0
-    return float(np.abs(off).max() if target.first_contact else max(off.max(), 0.0))
+    return float(np.abs(strokes / (target.axial_stroke, target.torsion) - 1.0).max())
 
 
-def springs_by_grid(
-    scene: Scene, target: DesignTarget, c_A: float
-) -> tuple[float, float, float, int]:
-    """Return the smallest miss of the strokes on grids of springs, those springs, and the runs.
-
-    Whole runs take longer: their grids are coarser.
-    """
-    fine = target.first_contact
-    runs = 0
-
-    def miss(k_A: float, k_T: float) -> float:
-        nonlocal runs
-        runs += 1
-        response = respond(with_buffer(scene, k_A, k_T, c_A), target)
-        if response.failure:
-            return math.inf
-        off = response.axial_stroke / target.axial_stroke - 1, response.torsion / target.torsion - 1
-        # below its target by 10 % a stroke of a whole run is met, see _WEIGHT_BELOW of the flow
-        below = 1.0 if fine else 0.1
-        return max(-below * min(off), *off)
-
-    def search(axial: np.ndarray, torsion: np.ndarray) -> list[tuple[float, float, float]]:
-        pairs = itertools.product(axial.tolist(), torsion.tolist())
-        return sorted((miss(a, t), a, t) for a, t in pairs)
-
-    n_a, n_t, n_around, best_of = (36, 40, 15, 8) if fine else (9, 11, 5, 2)
-    coarse = search(np.geomspace(5.0, 5e4, n_a), np.geomspace(1.0, 1e5, n_t))
-    best = coarse[0]
-    step_a, step_t = 1e4 ** (1 / (n_a - 1)), 1e5 ** (1 / (n_t - 1))
-    for _, a, t in coarse[:best_of]:
-        around = search(
-            a * np.geomspace(1 / step_a, step_a, n_around),
-            t * np.geomspace(1 / step_t, step_t, n_around),
+def first_contact(asked: Namespace, _: Path) -> list[str]:
+    """Designs as in the paper, for the strokes of the first contact of random scenes."""
+    rows, held = [], 0
+    rng = np.random.default_rng(asked.seed + 2)
+    for number, (scene, speed) in enumerate(random_scenes(asked.scenes, asked.seed)):
+        target = FirstContactTarget(
+            7.68e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.5), math.log(2.2))),
+            2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0))),
         )
-        best = min(best, around[0])
-    return *best, runs
-
-
-def confirm(design: Design, scene: Scene) -> tuple[bool, str]:
-    """Look for what a refusal denies; return whether it is confirmed, and what was found."""
-    target = design.target
-    dampers = [0.0, *np.geomspace(0.05, 3000.0, 300).tolist()]
-    if target.first_contact:
-        off, k_A, k_T, runs = springs_by_grid(scene, target, 0.0)
-        if design.refusal.startswith("no springs"):
-            return off > ACCEPTED, f"{runs} pairs of springs: the nearest misses by {off:.1%}"
-        springs = [(k_A, k_T, c_A) for c_A in dampers]
+        design = design_first_contact(scene, target)
+        strokes = f"{target.axial_stroke * 1e3:.2f} mm, {target.torsion * 1e3:.2f} mrad"
+        cells = [str(number), strokes, str(len(design.history))]
+        if not design.met:
+            rows.append([*cells, f"none: {design.refusal}", "", ""])
+            continue
         assert design.scene is not None
+        finer = replace(design.scene, run=replace(scene.run, rtol=0.1 * scene.run.rtol))
+        verdict, off = simulate(finer).verdict, strokes_off(finer, target)
+        holds = verdict == "captured" and off <= WITHIN
+        held += holds
         b = design.scene.buffer
-        springs += [(b.k_A, b.k_T, c_A) for c_A in dampers]
-    else:
-        springs = []
-        runs = 0
-        for c_A in [0.0, *np.geomspace(0.5, 500.0, 16).tolist()]:
-            off, k_A, k_T, more = springs_by_grid(scene, target, c_A)
-            runs += more
-            if off <= WITHIN:
-                springs.append((k_A, k_T, c_A))
-    good = [s for s in springs if met(with_buffer(scene, *s), target)[0]]
-    said = f"{runs} pairs of springs, {len(springs)} whole buffers: {len(good)} meet the target"
-    return not good, said
-
-
-def row(number: int, scene: Scene, target: DesignTarget) -> tuple[bool, list[str]]:
-    """Design and check; return whether the answer holds, and its row of the table."""
-    began = time.process_time()
-    design = design_buffer(scene, target)
-    cells = [
-        str(number),
-        "supports" if scene.supports else "free",
-        f"{target.axial_stroke * 1e3:.2f}{'' if target.first_contact else ' whole run'}",
-        f"{target.torsion * 1e3:.2f}",
-        f"{target.peak_force:.0f}" if target.peak_force else "",
-        str(len(design.history)),
-        f"{time.process_time() - began:.1f}",
-    ]
-    if not design.met:
-        holds, found = confirm(design, scene)
-        return holds, [*cells, f"none: {design.refusal}", found, "yes" if holds else "**NO**"]
-    assert design.scene is not None
-    assert design.capturing is not None
-    b, (low, high) = design.scene.buffer, design.capturing
-    finer = replace(design.scene, run=replace(design.scene.run, rtol=0.1 * scene.run.rtol))
-    good, verdict, force = met(finer, target)
-    off = strokes_off(finer, target) if good else math.nan
-    holds = good and off <= WITHIN
-    buffer = f"{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g} ({low:.3g} to {high:.3g})"
-    check = f"{verdict}, {force:.0f} N, error of the strokes {off:.2%}"
-    return holds, [*cells, buffer, check, "yes" if holds else "**NO**"]
+        cells.append(f"{b.k_A:.4g}, {b.k_T:.4g}, {b.c_A:.3g}")
+        rows.append([*cells, f"{verdict}, {off:.2%}", "yes" if holds else "**NO**"])
+    head = ["scene", "target", "runs", "k_A N/m, k_T N m/rad, c_A N s/m"]
+    head += ["verdict, error of the strokes", "confirmed"]
+    n_found = sum(bool(row[-1]) for row in rows)
+    return [f"{held} of {n_found} buffers are confirmed.", "", table(head, rows)]
 
 
 def paper(asked: Namespace, _: Path) -> list[str]:
     """The paper's springs from the strokes they give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
-    target = DesignTarget(own.axial_stroke, own.torsion, first_contact=True)
-    design = design_buffer(scene, target)
+    target = FirstContactTarget(own.axial_stroke, own.torsion)
+    design = design_first_contact(scene, target)
     assert design.scene is not None
     assert design.capturing is not None
     assert design.energy is not None
     if not asked.dry:
-        save(draw_design(design), DOCS / "design" / "design.png")
+        save(draw_first_contact_design(design), DOCS / "design" / "design.png")
         strokes = [
-            design_buffer(scene, replace(target, axial_stroke=factor * own.axial_stroke))
+            design_first_contact(scene, replace(target, axial_stroke=factor * own.axial_stroke))
             for factor in np.geomspace(0.3, 3.0, 9).tolist()
         ]
         save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
     b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
-    springs = sum(candidate.verdict is None for candidate in design.history)
+    springs = sum(trial.verdict is None for trial in design.history)
     return [
         "In the paper's case, springs of 500 N/m and 200 N m/rad give strokes of "
         f"{own.axial_stroke * 1e3:.4f} mm and {own.torsion * 1e3:.4f} mrad. With these strokes as "
@@ -226,25 +213,12 @@ def paper(asked: Namespace, _: Path) -> list[str]:
     ]
 
 
-def random(asked: Namespace, _: Path) -> list[str]:
-    """Random scenes and targets."""
-    held, rows = 0, []
-    for number, (scene, target) in enumerate(random_tasks(asked.scenes, asked.seed)):
-        holds, cells = row(number, scene, target)
-        held += holds
-        rows.append(cells)
-        print(" | ".join(cells), flush=True)
-    head = ["", "scene", "stroke mm", "torsion mrad", "limit N", "runs", "CPU time s"]
-    head += ["k_A N/m, k_T N m/rad, c_A N s/m (capturing)", "check", "confirmed"]
-    return [f"{held} of {asked.scenes} answers are confirmed.", "", table(head, rows)]
-
-
 if __name__ == "__main__":
     write_parts(
         "design_checked",
         __doc__,
-        {"paper": paper, "random": random},
-        scenes=(20, "random scenes"),
-        untimed=("paper",),
+        {"paper": paper, "limits": limits, "first_contact": first_contact},
+        scenes=(8, "random scenes"),
+        untimed=("paper", "first_contact"),
         seed=(7, "of the random scenes"),
     )

@@ -1,13 +1,16 @@
 """Sweeps: how much slower than their kernels, and how far their verdicts can be trusted.
 
-    .venv/bin/python -m benchmarks.sweep [speed trust] [--runs 10000]   # five minutes
+    .venv/bin/python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
 
-writes the parts of docs/sweep_checked.md.
+writes the parts of docs/sweep_checked.md, in six minutes.  ``before`` needs ``--before FOLDER``,
+the work tree of an earlier state, e.g. of ``git worktree add``.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from argparse import Namespace
 from pathlib import Path
@@ -37,6 +40,32 @@ SWEEPS = {
         },
     ),
 }
+
+
+#: Dispersions of the three experiments, of docs/sweep_dispersions.md.
+EXPERIMENTS = {
+    "tilt_0": {"initial.target.theta": "normal(0 deg, 1.5 deg)"},
+    "tilt_p10": {"initial.target.theta": "normal(10 deg, 1.5 deg)"},
+    "tilt_m10": {"initial.target.theta": "normal(-10 deg, 1.5 deg)"},
+}
+_OF_ALL = {
+    "string.impact_speed": "normal(0.1, 0.01)",
+    "friction.mu": "uniform(0.1, 0.3)",
+    "contact.restitution": "uniform(0.3, 0.9)",
+    "buffer.k_A": "loguniform(50%, 200%)",
+}
+#: CPU time of a run, ms, in this process; of each state with its own default tolerance.
+_TIME_A_RUN = """
+import sys, time
+from capture_sim import sweep
+from capture_sim.studies.executors import InProcess
+vary, runs = eval(sys.argv[1]), int(sys.argv[2])
+sweep("tilt_0", vary, runs=20, executor=InProcess())
+start = time.process_time()
+sweep("tilt_0", vary, runs=runs, executor=InProcess())
+print((time.process_time() - start) / runs * 1e3)
+"""
+_ROUNDS = 5
 
 
 def speed(asked: Namespace, _: Path) -> list[str]:
@@ -95,11 +124,56 @@ def trust(asked: Namespace, _: Path) -> list[str]:
     ]
 
 
+def verdicts(asked: Namespace, _: Path) -> list[str]:
+    """Verdicts of the experiments' dispersions at the tolerance of sweeps, against 1e-10."""
+    runs, rows = max(asked.runs // 5, 10), []
+    for name, own in EXPERIMENTS.items():
+        usual = sweep(name, {**_OF_ALL, **own}, runs=runs)
+        fine = sweep(name, {**_OF_ALL, **own}, runs=runs, rtol=1e-10)
+        differ = int((usual["verdict"] != fine["verdict"]).sum())
+        force = (usual["max_normal_force"] / fine["max_normal_force"] - 1.0).abs()
+        n_captured = int((fine["verdict"] == "captured").sum())
+        rows.append([name, runs, n_captured, differ, f"{force.max():.1e}"])
+    head = ["dispersions of", "draws", "captured", "other verdict", "peak force: largest error"]
+    return ["Tolerance 1e-6, the default, compared with 1e-10:", "", table(head, rows)]
+
+
+def before(asked: Namespace, _: Path) -> list[str]:
+    """CPU time of a run of a sweep, against an earlier state; rounds in turn."""
+    if asked.before is None:
+        return []
+    here = Path(__file__).resolve().parent.parent
+    rows, runs = [], max(asked.runs // 50, 20)
+    for name, (_scene, vary) in SWEEPS.items():
+        found: dict[Path, list[float]] = {here: [], Path(asked.before): []}
+        for _round in range(_ROUNDS):
+            for state, times in found.items():
+                done = subprocess.run(
+                    [sys.executable, "-c", _TIME_A_RUN, repr(vary), str(runs)],
+                    cwd=state,
+                    env=os.environ | {"PYTHONPATH": str(state)},
+                    capture_output=True,
+                    check=True,
+                    text=True,
+                )
+                times.append(float(done.stdout.split()[-1]))
+        now, earlier = (min(times) for times in found.values())
+        rows.append([name, f"{earlier:.2f}", f"{now:.2f}", f"{earlier / now:.2f}"])
+    head = [f"{runs} runs", "before, ms", "now, ms", "ratio"]
+    return [
+        f"CPU time of a run, the least of {_ROUNDS} rounds in turn, each state with its default "
+        "tolerance:",
+        "",
+        table(head, rows),
+    ]
+
+
 if __name__ == "__main__":
     write_parts(
         "sweep_checked",
         __doc__,
-        {"speed": speed, "trust": trust},
-        untimed=("trust",),
+        {"speed": speed, "trust": trust, "verdicts": verdicts, "before": before},
+        untimed=("trust", "verdicts"),
+        before=(None, "work tree of an earlier state"),
         runs=(10_000, "of each sweep"),
     )

@@ -14,7 +14,7 @@ import dataclasses
 import difflib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -203,6 +203,11 @@ def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
 Overrides = Iterable[str] | Mapping[str, Any]
 
 
+def has_overrides(overrides: Overrides) -> bool:
+    """Return True unless there is none; also of a row of a pandas table, which has no truth."""
+    return not isinstance(overrides, Sized) or len(overrides) > 0
+
+
 def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, Any], list[str]]:
     """Return a scene's data with values changed, and the changes as ``name=value``.
 
@@ -210,7 +215,9 @@ def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, An
     """
     if isinstance(overrides, str):
         overrides = [overrides]
-    items = overrides.items() if isinstance(overrides, Mapping) else map(_split_override, overrides)
+    # a row of a pandas table has items(), but is no Mapping
+    named = getattr(overrides, "items", None)
+    items = map(_split_override, overrides) if named is None else named()
     changes = []
     for name, value in items:
         nested = value
@@ -258,8 +265,7 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
     for name, spec in fields.items():
         if name not in data:
             if spec.required:
-                unit = f" (in {spec.unit})" if spec.unit else ""
-                mistakes.append(f"{prefix}{name}: missing{unit}")
+                mistakes.append(f"{prefix}{name}: missing{_missing_hint(name, spec)}")
         elif dataclasses.is_dataclass(spec.kind) and not (data[name] is None and spec.optional):
             values[name] = _build(data[name], spec.kind, prefix + name, mistakes)
         else:
@@ -268,6 +274,14 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
             except SceneError as error:
                 mistakes.append(str(error))
     return part(**values) if len(mistakes) == n_mistakes else None
+
+
+def _missing_hint(name: str, spec: Declared) -> str:
+    """Return the unit of a missing number, or how to get a part with all its default values."""
+    is_part = dataclasses.is_dataclass(spec.kind)
+    if is_part and not any(field.required for field in declared(spec.kind).values()):
+        return f"; {name}: {{}} has all default values"
+    return f" (in {spec.unit})" if spec.unit else ""
 
 
 def _unknown_field(key: object, fields: Mapping[str, Declared], prefix: str) -> str:

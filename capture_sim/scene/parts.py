@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -357,8 +357,12 @@ class Initial(Checked):
     target: PlanarState
 
 
+#: Smallest tolerance above round-off, and shortest fixed step, s.
+MIN_RTOL, MIN_STEP = 1e-13, 1e-9
+
+
 @dataclass(frozen=True)
-class Run(Checked):
+class RunSettings(Checked):
     """Duration, sample rates and integration of a run."""
 
     t_end: float = quantity("s", POSITIVE, doc="longest duration of the run, from the release")
@@ -376,7 +380,7 @@ class Run(Checked):
     )
     rtol: float = quantity(
         "1",
-        Range(1e-13, 1e-2),
+        Range(MIN_RTOL, 1e-2),
         default=1e-8,
         doc="relative error tolerance of a step, of the scene's own scales",
     )
@@ -387,7 +391,7 @@ class Run(Checked):
     )
     step: float = quantity(
         "s",
-        Range(1e-9, 1e-2),
+        Range(MIN_STEP, 1e-2),
         default=2e-5,
         doc="length of the fixed steps of rk4; unused by the other methods",
     )
@@ -397,6 +401,17 @@ class Run(Checked):
         default=5_000_000,
         doc="maximum number of steps, including rejected ones; the run stops there with an error",
     )
+
+    def refined(self, rtol_divisor: float, step_divisor: float) -> RunSettings:
+        """Return settings whose errors are others: a smaller tolerance, or shorter fixed steps.
+
+        Where neither may be half as large, with another integrator.
+        """
+        if self.method == "rk4" and self.step >= 2.0 * MIN_STEP:
+            return replace(self, step=max(self.step / step_divisor, MIN_STEP))
+        if self.method != "rk4" and self.rtol >= 2.0 * MIN_RTOL:
+            return replace(self, rtol=max(self.rtol / rtol_divisor, MIN_RTOL))
+        return replace(self, method="dopri5" if self.method == "dop853" else "dop853")
 
 
 @dataclass(frozen=True)
@@ -498,7 +513,7 @@ class Scene(Checked):
     contact: Contact
     friction: Friction
     initial: Initial
-    run: Run
+    run: RunSettings
     detector: Detector
     supports: Supports | None = None
     rail: Rail | None = None

@@ -9,7 +9,7 @@ from typing import Any
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import ANY, declared
+from capture_sim.scene.quantities import ANY, declared, replaced
 
 #: Short names of parameters and their paths in a scene.
 ALIASES: Mapping[str, tuple[str, ...]] = {
@@ -111,7 +111,7 @@ def with_values(part: Any, values: Mapping[str, Any]) -> Any:
             fields[name] = value
     for name, inner_values in part_values.items():
         fields[name] = with_values(getattr(part, name), inner_values)
-    return dataclasses.replace(part, **fields)
+    return replaced(part, fields)
 
 
 def range_of(scene: Scene, path: str) -> tuple[float, float]:

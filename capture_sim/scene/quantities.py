@@ -11,7 +11,7 @@ import math
 import numbers
 import reprlib
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field
 from typing import Any, NamedTuple
 
@@ -40,6 +40,10 @@ class Range:
         high = f"{'<' if self.high_open else '<='} {self.high:g}" if self.high < math.inf else ""
         return " and ".join(filter(None, [low, high])) or "any finite number"
 
+
+#: Sizes of numbers other than 0 that the model computes with: neither products of several of them
+#: nor quotients overflow or vanish.
+SMALLEST, LARGEST = 1e-30, 1e30
 
 ANY = Range()
 POSITIVE = Range(low=0.0, low_open=True)
@@ -156,6 +160,9 @@ def _number(value: Any, spec: Declared, where: str) -> float | int:
         in_degrees = is_plain and spec.unit == "rad" and math.radians(number) in spec.allowed
         hint = f"; did you mean {number:g} deg?" if in_degrees else ""
         raise refuse(where, value, spec.unit, f"{spec.allowed}{hint}")
+    if spec.kind is float and number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
+        allowed = "" if spec.allowed in (None, ANY) else f"{spec.allowed}, "
+        raise refuse(where, value, spec.unit, f"{allowed}between {SMALLEST:g} and {LARGEST:g}")
     return number
 
 
@@ -173,8 +180,8 @@ def _three_points(value: Any, spec: Declared, where: str) -> tuple[tuple[float, 
         points = tuple((_coordinate(x, spec), _coordinate(y, spec)) for x, y in value)
     except (TypeError, ValueError, OverflowError):
         points = ()
-    if len(points) != 3 or not all(math.isfinite(c) for point in points for c in point):
-        raise refuse(where, value, spec.unit, "three points [x, y] of finite numbers")
+    if len(points) != 3 or not all(abs(c) <= LARGEST for point in points for c in point):
+        raise refuse(where, value, spec.unit, f"three points [x, y] up to {LARGEST:g}")
     return points
 
 
@@ -201,6 +208,27 @@ class Checked:
             value = accept(values[name], spec, f"{part}.{name}")
             if value is not values[name]:
                 object.__setattr__(self, name, value)
+
+
+def replaced(part: Any, fields: Mapping[str, Any]) -> Any:
+    """Return a part with other values in some fields; only these are checked.
+
+    ``dataclasses.replace`` checks all fields again, which takes ten times as long.
+    """
+    kind = type(part)
+    declarations = declared(kind)
+    has_own_check = kind.__post_init__ is not Checked.__post_init__
+    if has_own_check and not all(isinstance(value, Checked) for value in fields.values()):
+        return dataclasses.replace(part, **fields)
+    copy = object.__new__(kind)
+    values = copy.__dict__
+    # without what was computed from the fields and is cached
+    values.update((name, part.__dict__[name]) for name in declarations)
+    for name, value in fields.items():
+        if name not in declarations:
+            return dataclasses.replace(part, **fields)  # raises
+        values[name] = accept(value, declarations[name], f"{kind.__name__}.{name}")
+    return copy
 
 
 def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:

@@ -11,36 +11,15 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import SceneError
+from capture_sim.launch.approach import APPROACH, Approach
 from capture_sim.scene import paths
 from capture_sim.scene.files import parse
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import Checked, Declared, Range, accept, declared, quantity, shown
+from capture_sim.scene.quantities import Checked, Declared, accept, declared, shown
 from capture_sim.scene.units import comma_hint, in_si, split
 
 #: Most values of one axis.
 MAX_VALUES = 1_000_000
-
-
-@dataclass(frozen=True)
-class Approach(Checked):
-    """How the chaser comes to the cone: free, without rail and string, just before the touch."""
-
-    angle: float = quantity(
-        "rad", Range(-math.pi / 2, math.pi / 2), default=0.0, doc="target's heading less chaser's"
-    )
-    offset: float = quantity(
-        "m",
-        Range(-10.0, 10.0),
-        default=0.0,
-        doc="chaser's path to the left of the target's centre of mass",
-    )
-    speed: float = quantity(
-        "m/s", Range(1e-4, 10.0), default=0.1, doc="speed of the chaser at the first touch"
-    )
-
-
-#: Names of the axes that place the chaser just before its first touch, in the order of Approach.
-APPROACH = tuple(f"approach.{name}" for name in declared(Approach))
 
 
 @dataclass(frozen=True)

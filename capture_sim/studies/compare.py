@@ -1,13 +1,230 @@
-"""Two runs compared in time, aligned at their first contacts."""
+"""Two runs compared: which of their series, in numbers, and in time after their first contacts.
+
+Of each quantity the finest series that both runs have is compared.  A simulated run has all
+quantities at the rate of ``bench/state``, a bench's bag only at that of its sensors: peaks found at
+1 kHz and at 100 Hz would differ by the sampling alone.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.studies.measurements import PARTS, Measurements, Part, Series
-from capture_sim.studies.touches import TICK
+from capture_sim.errors import RecordingError
+from capture_sim.results import LOADS, first_cluster
+from capture_sim.run import EVENTS, Run
+from capture_sim.series import PARTS, Part, Series
+from capture_sim.touches import TICK, Touches
+
+#: Name of the tip's distance to BE.
+DISTANCE = "distance"
+#: Quantities that are compared.
+COMPARED = (*PARTS, "force", DISTANCE)
+#: Name of the largest force of a sampled series; a touch between two samples may exceed it.
+SAMPLED_FORCE = "largest sampled force, N"
+
+
+class Figure(NamedTuple):
+    """One number of a run, and its topic and rate."""
+
+    value: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of two compared runs, and what it is compared by."""
+
+    run: Run
+    contact: float  # first contact, s since the release
+    contact_source: str  # topic that shows it
+    series: Mapping[str, Series]  # by quantity, of COMPARED
+    sources: Mapping[str, str]  # topic and rate of each
+    touches: Touches | None  # one by one; None if there are none
+    touch_source: str  # topic and rate, or why there are none
+    # of the integration if both runs have it, else empty
+    loads: Mapping[str, float | None] = field(default_factory=dict)
+
+    @property
+    def contact_may_be_late(self) -> bool:
+        """True if an earlier touch may lie between the samples of the force that shows it."""
+        return self.touches is None and self.contact_source.endswith("wrench")
+
+    @property
+    def measured(self) -> dict[str, Series]:
+        """The series of poses, stroke and torsion."""
+        return {name: self.series[name] for name in PARTS if name in self.series}
+
+
+def sides(a: Run, b: Run) -> tuple[Side, Side]:
+    """Choose the series that two runs are compared by.
+
+    Of each quantity those are chosen, one of each run, whose slower one is fastest; of equal ones
+    those of one topic, then motion capture before odometry.  RecordingError if a run contains no
+    contact to align it by.
+    """
+    sources_a, sources_b = _sources(a), _sources(b)
+    chosen_a: dict[str, str] = {}
+    chosen_b: dict[str, str] = {}
+    for name in dict.fromkeys([*sources_a, *sources_b]):
+        if name in sources_a and name in sources_b:
+            chosen_a[name], chosen_b[name] = _finest(name, sources_a[name], sources_b[name])
+        elif name in sources_a:
+            chosen_a[name] = next(iter(sources_a[name]))
+        else:
+            chosen_b[name] = next(iter(sources_b[name]))
+    side_a, side_b = _side(a, sources_a, chosen_a), _side(b, sources_b, chosen_b)
+    if a.located_extremes is not None and b.located_extremes is not None:
+        side_a, side_b = replace(side_a, loads=a.loads), replace(side_b, loads=b.loads)
+    return _without_unresolved_touches(side_a, side_b), _without_unresolved_touches(side_b, side_a)
+
+
+def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
+    """Return the run in a few numbers, by name with the unit; what was not measured is absent.
+
+    Forces and times are those of the touches located between samples, if they are recorded.
+    ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
+    """
+    figures = {"first contact, s": Figure(side.contact, side.contact_source)}
+    touches = side.run.located_touches
+    if touches.size:
+        first = first_cluster(touches)
+        for name, value in (
+            ("first contact lasts, ms", (first["end"].max() - first["start"].min()) * 1e3),
+            ("peak force of first contact, N", first["peak_force"].max()),
+            ("peak normal force, N", touches["peak_force"].max()),
+            ("touches", touches.size),
+            ("normal impulse, N s", touches["impulse"].sum()),
+        ):
+            figures[name] = Figure(float(value), EVENTS)
+    else:
+        for source, peak_force in side.run.series.get("peak_force", {}).items():
+            figures["peak normal force, N"] = Figure(float(peak_force.values.max()), source)
+    if sampled and "force" in side.series:
+        largest = float(side.series["force"].values.max())
+        figures[SAMPLED_FORCE] = Figure(largest, side.sources["force"])
+    measured = {
+        "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
+        "max_axial_stroke_out": ("stroke", lambda x: x.max()),
+        "max_torsion": ("torsion", lambda x: np.abs(x).max()),
+        "nearest_distance": (DISTANCE, lambda x: x.min()),
+    }
+    for load in LOADS:
+        quantity, value_in = measured.get(load.key, ("", None))
+        name = f"{load.meaning}, {load.shown_in}"
+        for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
+            if value := side.loads.get(key):
+                figures[name + when] = Figure(value * load.factor, "integration")
+        if not side.loads and value_in is not None and quantity in side.series:
+            value = float(value_in(side.series[quantity].values))
+            figures[name] = Figure(value * load.factor, side.sources[quantity])
+    return figures
+
+
+def _sources(run: Run) -> dict[str, dict[str, Series]]:
+    """Return every series of each quantity by its topic; what was not measured is absent."""
+    sources = {
+        name: {source: series for source, series in by_source.items() if series.t.size}
+        for name, by_source in run.series.items()
+        if name in COMPARED
+    }
+    return {name: by_source for name, by_source in sources.items() if by_source}
+
+
+def _finest(
+    name: str, series_a: Mapping[str, Series], series_b: Mapping[str, Series]
+) -> tuple[str, str]:
+    """Return the topics that a quantity is compared by, of its series by topic."""
+
+    def rank(pair: tuple[str, str]) -> tuple[float, bool, int]:
+        a, b = pair
+        slower = min(series_a[a].rate, series_b[b].rate)
+        places = list(series_a).index(a) + list(series_b).index(b)
+        # two topics do not mean quite the same there: filtered, or estimated
+        rate = float(f"{slower:.2g}") if name not in ("force", DISTANCE) else 0.0
+        return rate, a == b, -places
+
+    return max(((a, b) for a in series_a for b in series_b), key=rank)
+
+
+def _side(run: Run, sources: Mapping[str, Mapping[str, Series]], chosen: Mapping[str, str]) -> Side:
+    if run.first_contact is None:
+        raise RecordingError(f"{run.origin.path or run.name}: contains no contact to align it by")
+    series = {name: sources[name][source] for name, source in chosen.items()}
+    touches, source = run.resolved_touches
+    contact = run.first_contact.t
+    return Side(
+        run=run,
+        # a message counts what was since the one before
+        contact=contact if touches is None else min(contact, float(touches.start[0])),
+        contact_source=run.first_contact.source,
+        series=series,
+        sources={name: f"{chosen[name]}, {series[name].rate:.4g} Hz" for name in series},
+        touches=touches,
+        touch_source=source,
+    )
+
+
+def _without_unresolved_touches(side: Side, other: Side) -> Side:
+    """Return a run without its touches if the force they are from misses such as the other has."""
+    if side.touches is None or other.touches is None:
+        return side
+    shortest = float(np.nanmin(other.touches.lasted, initial=np.inf))
+    if not side.touches.may_miss(shortest):
+        return side
+    source = side.touch_source.partition(", which")[0]
+    reason = f"{source}: too slow for touches of {shortest * 1e3:.3g} ms as the other has"
+    return replace(side, touches=None, touch_source=reason)
+
+
+#: Touches of two runs are a pair if their times after the first contact differ by less than this
+#: time, s, and this share of the time.
+PAIR_TIME, PAIR_SHARE = 0.005, 0.1
+
+
+def pair_touches(a: Touches, b: Touches) -> list[tuple[int | None, int | None]]:
+    """Return the touches of two runs that correspond, by index; None for one without a partner.
+
+    Touches of a pair are at the same wall, and near each other in time.  Pairs keep their order;
+    of all such pairings that with the least total of time differences is chosen, in which a touch
+    without a partner counts half of the largest difference of a pair.  Times must count from the
+    first contacts; an unknown wall is every wall.
+    """
+    count_a, count_b = a.start.size, b.start.size
+    limits = [PAIR_TIME + PAIR_SHARE * abs(t) for t in (*a.start.tolist(), *b.start.tolist())]
+    alone_a, alone_b = 0.5 * np.array(limits[:count_a]), 0.5 * np.array(limits[count_a:])
+    cost = np.zeros((count_a + 1, count_b + 1))  # of the touches after i and k
+    cost[:count_a, -1] = np.cumsum(alone_a[::-1])[::-1]
+    cost[-1, :count_b] = np.cumsum(alone_b[::-1])[::-1]
+    for i in reversed(range(count_a)):
+        for k in reversed(range(count_b)):
+            cost[i, k] = min(alone_a[i] + cost[i + 1, k], alone_b[k] + cost[i, k + 1])
+            if _may_pair(a, b, i, k):
+                cost[i, k] = min(cost[i, k], abs(a.start[i] - b.start[k]) + cost[i + 1, k + 1])
+    pairs: list[tuple[int | None, int | None]] = []
+    i = k = 0
+    while i < count_a or k < count_b:
+        if i < count_a and (k == count_b or cost[i, k] == alone_a[i] + cost[i + 1, k]):
+            pairs.append((i, None))
+            i += 1
+        elif i == count_a or cost[i, k] == alone_b[k] + cost[i, k + 1]:
+            pairs.append((None, k))
+            k += 1
+        else:
+            pairs.append((i, k))
+            i, k = i + 1, k + 1
+    return pairs
+
+
+def _may_pair(a: Touches, b: Touches, i: int, k: int) -> bool:
+    walls = {int(a.wall[i]), int(b.wall[k])} - {0}
+    t_a, t_b = float(a.start[i]), float(b.start[k])
+    limit = PAIR_TIME + PAIR_SHARE * max(abs(t_a), abs(t_b))
+    return len(walls) < 2 and abs(t_a - t_b) < limit
+
 
 #: Samples that two series must have in common to be compared.
 LEAST = 4
@@ -16,7 +233,7 @@ LEAST = 4
 class Gap(NamedTuple):
     """By how much a measured number of two runs differs, second run less first."""
 
-    series: str  # a field of Measurements
+    series: str  # its quantity
     part: Part  # of it
     rms: float  # SI units
     largest: float  # SI units
@@ -42,7 +259,11 @@ def overlap(
 
 
 def gaps(
-    a: Measurements, b: Measurements, contact_a: float, contact_b: float, window: float
+    a: Mapping[str, Series],
+    b: Mapping[str, Series],
+    contact_a: float,
+    contact_b: float,
+    window: float,
 ) -> list[Gap]:
     """Return by how much two runs differ after their first contacts, ``b`` less ``a``.
 
@@ -52,9 +273,9 @@ def gaps(
     """
     found = []
     for name, parts in PARTS.items():
-        one, two = getattr(a, name), getattr(b, name)
-        if not one.t.size or not two.t.size:
+        if name not in a or name not in b:
             continue
+        one, two = a[name], b[name]
         t, _ = overlap(one, two, contact_a, contact_b, window)
         if t.size < LEAST:
             continue
@@ -62,8 +283,6 @@ def gaps(
             difference, offset = np.zeros(t.size), 0.0
             for sign, series, contact in ((-1.0, one, contact_a), (1.0, two, contact_b)):
                 values = series.values if len(parts) == 1 else series.values[:, k]
-                if part.label == "theta":  # a quaternion does not count whole turns
-                    values = np.unwrap(values)
                 difference += sign * np.interp(t, series.t - contact, values)
                 offset += sign * float(np.interp(0.0, series.t - contact, values))
             if len(parts) > 1:

@@ -1,147 +1,170 @@
-"""Design of a buffer: strokes in, springs and damper out, or the reason why there are none.
+"""Design of a buffer: limits in, the buffer with the least peak force out.
 
-Limits and targets hold for the scene that is designed: over its whole run, with the damper in it
-and the latch, if it has one.  With ``first_contact`` the flow is the paper's (its section 4):
-springs for the strokes of the first contact without a damper (steps 1 to 5), the damper by the
-energy it absorbs (6) and the verdict (7).
+Some values of a scene are free.  Differential evolution (:mod:`scipy.optimize`) searches them in
+two passes, over their whole ranges and then around the best buffer; it evaluates each population
+through the executor of the sweeps.  A buffer is feasible if its run ends in a capture and keeps all
+limits.  Every feasible buffer is better than every infeasible one; feasible ones are compared by
+their peak force, others by how far they are from feasible.
 
-The unknowns are the springs' logarithms, what is to vanish is the logarithm of each stroke's ratio
-to its target: in these a spring's energy balance (stroke ~ k^-1/2 along the probe, ~ k^-1 across
-it) is a straight line.  The strokes have corners, though, where a touch more or less counts, and
-dampers that capture need not lie in one interval: both searches go over a grid where the direct way
-does not lead there.
-
-Beyond the paper: the contact force may be limited, and among the dampers that capture the one is
-taken that keeps furthest from losing the capture under a spread of speed, offset and angle.
+Under dispersions, a candidate is run with the same draws as all others.  Its loads are then
+quantiles: what the required number of draws does not exceed.  As the best candidate is the one that
+suits these draws best, the search requires one standard deviation more of them than the share
+asked for.  The result is checked with draws that the search has not seen.
 """
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy import ndimage
-from scipy.optimize import minimize, root
+from scipy.optimize import differential_evolution
 
-from capture_sim.bench import Bench
-from capture_sim.samples import EventKind
+from capture_sim.errors import SceneError
+from capture_sim.launch.approach import APPROACH, approach_of
+from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import changed
-from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
-from capture_sim.studies.approach import Spread, approach_of, margin_of
-from capture_sim.studies.outcome import (
-    FirstContact,
-    Outcome,
-    run_first_contact,
-    run_to_end,
-    run_to_verdict,
-)
+from capture_sim.scene.quantities import accept
+from capture_sim.scene.units import in_si
+from capture_sim.studies.axes import declaration_of
+from capture_sim.studies.dispersion import Probability, probability
+from capture_sim.studies.executors import InProcess, answers
+from capture_sim.studies.limits import Limit
+from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
+from capture_sim.studies.sampling import Correlations
+from capture_sim.studies.sweep import FAILED, Recipe, result_columns, run_rows, samples_of
 
-#: Relative error of a stroke at which the search for springs ends, and up to which it is met.
-CLOSE, ACCEPTED = 2e-5, 0.01
-#: In a whole run a stroke may jump past its target as touches come and go.  One below it is within
-#: the limit: it counts as so much less of an error, and is met down to 10 % below.
-_WEIGHT_BELOW = 0.1
-#: Dampers that are tried first: none, and these shares of the critical damping of both
-#: vehicles on the axial spring.
-SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
+#: Values that are searched unless others are named.
+FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
+#: The load whose peak is to be small.
+OBJECTIVE = "max_normal_force"
+#: Draws of each candidate, and new draws of the check at the end.
+DRAWS, CHECK_DRAWS = 60, 400
 
-#: Springs that are tried, N/m and N m/rad: the whole range, and a coarse grid.
-_RANGE = ((1.0, 1e6), (0.1, 1e6))
-_GRID = (np.geomspace(20.0, 2e4, 7), np.geomspace(5.0, 2e4, 7))
-_RESTARTS = 4  # from the best of the grid
-_MOST_HYBRID, _MOST_SIMPLEX = 25, 120  # runs
-_FIRST_STEP = 0.2  # of the springs' logarithms, see MINPACK's `factor`
-_BOUND_TOLERANCE = 0.01  # relative, of the interval of dampers that capture
-_PROMISING, _PARTS = 6, 12  # where no damper is good: those to search next to, parts between
-_COARSER = 3  # of the dampers tried first, where each takes springs of its own
-_SIDE = 3  # dampers on each side of the middle whose margin is computed
+#: Candidates of a population for each free value, and populations of the two passes.
+_POPULATION = 12
+_GENERATIONS, _LOCAL_GENERATIONS = 40, 25
+#: The second pass searches this share of each range, around the best buffer of the first.
+_LOCAL_WIDTH = 0.12
+#: Under dispersions: populations of a round, and rounds, each with twice the draws.
+_ROBUST_GENERATIONS, _ROUNDS = 10, 3
+#: Share of the draws after which a candidate is given up that can no longer be feasible.
+_FIRST_DRAWS = 0.25
+#: Standard deviation of the forces of a population at which its search ends, N.
+_FORCE_TOLERANCE = 1e-3
+#: A feasible buffer has its force as merit, an infeasible one this and more, N.
+_INFEASIBLE = 1e9
+#: A limit is violated by the share by which it is exceeded, up to the first of these.  Every run
+#: without a capture is worse, by its distance from BE, and a run that stopped is worst.
+_MAX_EXCESS, _NO_CAPTURE, _STOPPED = 100.0, 1e4, 1e6
+#: Runs with draws are made only of candidates whose own run violates by less.
+_WORTH_DRAWS = 0.5
+#: Strokes where no limit is given, m and rad, as measures of the ranges only.
+_USUAL_STROKE, _USUAL_TORSION = 0.02, 0.01
+#: Most runs that a worker does in one go, and the chunks that a population is divided into, if it
+#: is smaller.
+_RUNS_OF_CHUNK, _CHUNKS = 20, 8
 
 
 @dataclass(frozen=True)
-class DesignTarget(Checked):
-    """What the buffer is to do.
+class Variable:
+    """A free value and the range that is searched; on a logarithmic scale if both ends are > 0."""
+
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+
+    def value(self, share: float) -> float:
+        """Return the value at a share of the range, 0 to 1."""
+        if self.low > 0.0:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + (self.high - self.low) * share**3)
+
+    def share(self, value: float) -> float:
+        """Return the share of the range at a value."""
+        inside = min(max(value, self.low), self.high)
+        if self.low > 0.0:
+            return math.log(inside / self.low) / math.log(self.high / self.low)
+        return float(((inside - self.low) / (self.high - self.low)) ** (1.0 / 3.0))
+
+
+@dataclass(frozen=True)
+class Dispersions:
+    """Distributions by name, as for :func:`capture_sim.sweep`, and their correlations."""
+
+    vary: Mapping[str, Any]
+    correlations: Correlations = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a buffer must keep.
 
     Attributes
     ----------
-    axial_stroke, torsion : float
-        Strokes, inwards or outwards, and torsion that the buffer is to use, m and rad.
-    first_contact : bool
-        Whether these are the strokes of the first contact without the damper, as in the paper,
-        and not those of the whole run of the design.
-    peak_force : float or None
-        Limit of the normal force of every touch, N.
-    spread : Spread or None
-        Of the approach, for the margin; None takes the middle of the dampers that capture.
+    limits : tuple of Limit
+        Upper limits of loads.
+    under : Dispersions or None
+        Dispersions under which the limits must hold; None for the scene alone.
+    confidence : float
+        Share of the draws that must be captured with all limits kept.
+    draws : int
+        Number of draws of each candidate.
     """
 
-    axial_stroke: float = quantity("m", Range(1e-6, 1.0))
-    torsion: float = quantity("rad", Range(1e-6, 1.0))
-    first_contact: bool = False
-    peak_force: float | None = quantity("N", POSITIVE, default=None)
-    spread: Spread | None = None
-
-
-@dataclass(frozen=True)
-class Response:
-    """What a buffer does in what its target is for: the first contact, or the whole run.
-
-    Largest magnitudes, SI units; ``outcome`` is that of the whole run.
-    """
-
-    axial_stroke: float
-    torsion: float
-    peak_force: float
-    touches: int
-    failure: str
-    outcome: Outcome | None = None
+    limits: tuple[Limit, ...]
+    under: Dispersions | None = None
+    confidence: float = 0.95
+    draws: int = DRAWS
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One run of the search: the buffer tried, and its result; SI units.
+    """A buffer that was tried.
 
-    A search for springs has no verdict where the target is that of the first contact.
+    Under dispersions the loads are quantiles at the required share of the draws.
     """
 
-    k_A: float
-    k_T: float
-    c_A: float
-    axial_stroke: float
-    torsion: float
-    peak_force: float
-    nearest: float = math.nan
-    verdict: str | None = None
-    reason: str = ""
+    values: Mapping[str, float]  # by name, SI
+    loads: Mapping[str, float]  # the limited ones and the peak force, SI
+    verdict: str  # of the scene's own run
+    violation: float  # 0: feasible
+    share: float | None = None  # of the draws that are captured within the limits; None without
 
+    @property
+    def feasible(self) -> bool:
+        """Whether the buffer meets the requirements."""
+        return self.violation <= 0.0
 
-@dataclass(frozen=True)
-class Energy:
-    """Energies of a run, J."""
+    @property
+    def peak_force(self) -> float:
+        """Peak normal force, N."""
+        return self.loads[OBJECTIVE]
 
-    approach: float  # kinetic, of the reduced mass in the relative motion at the first touch
-    damper: float  # absorbed from the launch on: the area of load over stroke
-    contact: float  # lost in the touches: the area of normal force over penetration
+    @property
+    def merit(self) -> float:
+        """What the search minimises: the force of a feasible buffer."""
+        return self.peak_force if self.feasible else _INFEASIBLE * (1.0 + self.violation)
 
 
 @dataclass(frozen=True)
 class Design:
     """The result of a design."""
 
-    target: DesignTarget
-    refusal: str  # why no buffer meets the target; empty if one does
-    scene: Scene | None = None  # with the buffer, or with the nearest to the target that was found
-    undamped: FirstContact | None = None  # with these springs, without the damper
-    damped: FirstContact | None = None
-    outcome: Outcome | None = None  # of the scene's whole run
-    capturing: tuple[float, float] | None = None  # dampers that capture in the limits, N s/m
-    margin: float | None = None  # times the spread up to which captures are kept
-    energy: Energy | None = None  # until the verdict
-    history: tuple[Candidate, ...] = field(default=(), repr=False)  # every run, in order
+    requirements: Requirements
+    variables: tuple[Variable, ...]
+    best: Candidate  # the buffer, or the one nearest to the requirements
+    scene: Scene  # with this buffer
+    outcome: Outcome  # of the scene's whole run
+    refusal: str  # why no buffer of those tried meets the requirements; empty if one does
+    check: Probability | None = None  # of success with new draws
+    history: tuple[Candidate, ...] = field(default=(), repr=False)  # in order
 
     @property
     def met(self) -> bool:
@@ -149,500 +172,421 @@ class Design:
         return not self.refusal
 
 
-def limits_of(target: DesignTarget) -> dict[str, float]:
-    """Return what a target asks of the loads of a run, by their names, SI units."""
-    limits = {
-        "max_axial_stroke_in": target.axial_stroke,
-        "max_axial_stroke_out": target.axial_stroke,
-        "max_torsion": target.torsion,
-    }
-    if target.peak_force is not None:
-        limits["max_normal_force"] = target.peak_force
-    return limits
-
-
-def exceeded(design: Design) -> dict[str, float]:
-    """Return the limits that the whole run of the design exceeds, by the names of the loads.
-
-    Only a target for the first contact leaves room for that.
-    """
-    loads = {} if design.outcome is None else design.outcome.loads
-    return {
-        name: limit
-        for name, limit in limits_of(design.target).items()
-        if loads and loads[name] > limit * (1.0 + ACCEPTED)
-    }
-
-
-@dataclass(frozen=True)
-class Springs:
-    """The best springs found: N/m, N m/rad, what they do, and the larger relative error."""
-
-    k_A: float
-    k_T: float
-    response: Response
-    error: float
-
-    @property
-    def met(self) -> bool:
-        """Whether both strokes are as required."""
-        return self.error <= ACCEPTED
-
-    def in_scene(self, scene: Scene, c_A: float) -> Scene:
-        """Return a scene with these springs and a damper (N s/m)."""
-        return with_buffer(scene, self.k_A, self.k_T, c_A)
-
-
-@dataclass(frozen=True)
-class _Damper:
-    """A damper tried, with the springs that go with it."""
-
-    c_A: float
-    springs: Springs
-    outcome: Outcome
-
-    @property
-    def captures(self) -> bool:
-        """Whether the run came to its end, with a capture."""
-        return self.outcome.captured and not self.outcome.failure
-
-    @property
-    def nearest(self) -> float:
-        """Closest approach of the tip to BE, m; infinite for a run that had to stop."""
-        return math.inf if self.outcome.failure else float(self.outcome.loads["nearest_distance"])
-
-    @property
-    def peak_force(self) -> float:
-        """Largest normal force of a touch, N."""
-        return float(self.outcome.loads["max_normal_force"])
-
-
-class _CloseError(Exception):
-    """A search has come close enough."""
-
-
-def with_buffer(scene: Scene, k_A: float, k_T: float, c_A: float) -> Scene:
-    """Return a scene with another buffer."""
-    return replace(scene, buffer=replace(scene.buffer, k_A=k_A, k_T=k_T, c_A=c_A))
-
-
-def energy_of(scene: Scene, t_end: float) -> Energy:
-    """Return the energies of a run from its launch to ``t_end`` (s), as integrated with the motion.
-
-    Raises
-    ------
-    SimulationError
-        The integration had to stop.
-    """
-    scene = changed(scene, "run.t_end", max(t_end, 1e-6))
-    bench = Bench(scene)
-    start, end = bench.advance(np.array([0.0, scene.run.t_end]))
-    touch = next((event for event in bench.events if event.kind is EventKind.TOUCH), None)
-    v = start["v"] if touch is None else touch.v
-    relative = v[:2] - v[5:7]
-    return Energy(
-        approach=0.5 * _reduced_mass(scene) * float(relative @ relative),
-        damper=float(end["dissipated_axial"]),
-        contact=float(end["dissipated_contact"]),
-    )
-
-
-def _reduced_mass(scene: Scene) -> float:
-    chaser, target = scene.chaser_total_mass, scene.target.mass
-    return chaser * target / (chaser + target)
-
-
-def _critical_damping(scene: Scene, k_A: float) -> float:
-    """Return the damper that just stops both vehicles swinging on the axial spring, N s/m."""
-    return 2.0 * math.sqrt(k_A * _reduced_mass(scene))
-
-
-def first_guess(scene: Scene, target: DesignTarget) -> tuple[float, float]:
-    """Return springs (N/m, N m/rad) that would absorb the approach's energy at the target strokes.
-
-    The reduced mass of both vehicles, brought to rest along the axis by the axial spring; the
-    torsional spring bears, at the tip, the lateral part of that force on a wall at the cone's
-    angle with its friction.
-    """
-    speed = approach_of(scene)[2]
-    k_A = _reduced_mass(scene) * (speed / target.axial_stroke) ** 2
-    mu = scene.friction.mu if scene.friction.law != "none" else 0.0
-    tangent = math.tan(scene.cone.half_angle)
-    lateral = max(1.0 - mu * tangent, 0.1) / (tangent + mu)
-    return k_A, k_A * target.axial_stroke * lateral * scene.rest_length / target.torsion
-
-
-def respond(scene: Scene, target: DesignTarget) -> Response:
-    """Run a scene, and return its strokes and force in what a target is for."""
-    if target.first_contact:
-        contact = run_first_contact(scene)
-        strokes = contact.axial_stroke, contact.torsion
-        return Response(*strokes, contact.peak_force, contact.touches, contact.failure)
-    outcome = run_to_end(scene)
-    loads = outcome.loads
-    return Response(
-        max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"]),
-        loads["max_torsion"],
-        loads["max_normal_force"],
-        loads["touches"],
-        outcome.failure,
-        outcome,
-    )
-
-
-def find_springs(
-    scene: Scene,
-    target: DesignTarget,
-    c_A: float,
-    start: tuple[float, float],
-    *,
-    thorough: bool = True,
-    report: Callable[[Candidate], None] | None = None,
-) -> Springs:
-    """Find the springs with which a scene has the target strokes.
-
-    Parameters
-    ----------
-    scene
-        Its own springs do not matter.
-    target
-        The strokes.
-    c_A
-        Axial damping, N s/m; the paper's flow has none in this step.
-    start
-        k_A and k_T to start from.
-    thorough
-        Search on where Powell's hybrid method from there does not converge.
-    report
-        Called with every run.
-
-    Returns
-    -------
-    Springs
-        The best found; see ``met``.
-    """
-    # in these variables the slope of the residual is about minus one
-    unit = np.array([2.0, 1.0])
-    low, high = np.log(_RANGE).T
-    tried: list[Springs] = []
-
-    @cache
-    def residual_of(k_A: float, k_T: float) -> np.ndarray:
-        response = respond(with_buffer(scene, k_A, k_T, c_A), target)
-        if report is not None:
-            report(_candidate(k_A, k_T, c_A, response))
-        strokes = response.axial_stroke, response.torsion
-        # without a stroke the error is that of the range of springs
-        r = np.log(np.maximum(strokes, 1e-12) / [target.axial_stroke, target.torsion])
-        if response.failure:
-            r[0] = max(r[0], 1.0)  # the probe went in up to its tip: far too soft
-        tried.append(Springs(k_A, k_T, response, _error(np.expm1(r), target)))
-        if tried[-1].error <= CLOSE:
-            raise _CloseError
-        return r
-
-    def residual(z: np.ndarray) -> np.ndarray:
-        return residual_of(*np.exp(np.clip(unit * z, low, high)).tolist()).copy()
-
-    def converge(z: np.ndarray) -> None:
-        options = {"maxfev": _MOST_HYBRID, "factor": _FIRST_STEP, "xtol": 1e-6}
-        root(residual, z, jac=lambda z: -np.eye(2), method="hybr", options=options)
-
-    def variables(springs: Springs) -> np.ndarray:
-        return np.log([springs.k_A, springs.k_T]) / unit
-
-    def error(springs: Springs) -> float:
-        return springs.error
-
-    try:
-        converge(np.log(start) / unit)
-        if thorough:
-            count = len(tried)
-            for pair in itertools.product(*_GRID):
-                residual(np.log(pair) / unit)
-            for springs in sorted(tried[count:], key=error)[:_RESTARTS]:
-                converge(variables(springs))
-            best = min(tried, key=error)
-            if best.error < 0.5:
-                corners = variables(best) + max(2.0 * best.error, 0.02) / unit * np.eye(3, 2, -1)
-                minimize(
-                    lambda z: float(np.sum(residual(z) ** 2)),
-                    variables(best),
-                    method="Nelder-Mead",
-                    options={"initial_simplex": corners, "maxfev": _MOST_SIMPLEX},
-                )
-    except _CloseError:
-        pass
-    return min(tried, key=error)
-
-
-def _error(relative: np.ndarray, target: DesignTarget) -> float:
-    """Return the larger of two relative errors of strokes, as far as they count."""
-    below = 1.0 if target.first_contact else _WEIGHT_BELOW
-    return float(np.where(relative > 0.0, relative, -below * relative).max())
-
-
-def _candidate(k_A: float, k_T: float, c_A: float, response: Response) -> Candidate:
-    values = response.axial_stroke, response.torsion, response.peak_force
-    outcome = response.outcome
-    if outcome is None:
-        return Candidate(k_A, k_T, c_A, *values, reason=response.failure)
-    result = float(outcome.loads["nearest_distance"]), outcome.verdict, outcome.reason
-    return Candidate(k_A, k_T, c_A, *values, *result)
-
-
-class _Flow:
-    """One pass through the flow, and its history."""
-
-    def __init__(
-        self, scene: Scene, target: DesignTarget, report: Callable[[Candidate], None] | None
-    ) -> None:
-        self.scene, self.target, self._report = scene, target, report
-        self.history: list[Candidate] = []
-        self._last: tuple[float, float] | None = None
-
-    def _add(self, candidate: Candidate) -> None:
-        self.history.append(candidate)
-        if self._report is not None:
-            self._report(candidate)
-
-    def springs_of_first_contact(self) -> Springs:
-        """Return the springs of the paper's flow, where a search over whole runs starts as well."""
-        target = replace(self.target, first_contact=True)
-        start = first_guess(self.scene, target)
-        springs = find_springs(self.scene, target, 0.0, start, report=self._add)
-        self._last = springs.k_A, springs.k_T
-        return springs
-
-    def damper(self, c_A: float, springs: Springs) -> _Damper | None:
-        """Try a damper with the springs, or for a whole run with its own; None without any."""
-        if not self.target.first_contact:
-            start = self._last or (springs.k_A, springs.k_T)
-            springs = find_springs(
-                self.scene, self.target, c_A, start, thorough=False, report=self._add
-            )
-            if not springs.met or springs.response.outcome is None:
-                return None
-            self._last = springs.k_A, springs.k_T
-            return _Damper(c_A, springs, springs.response.outcome)
-        outcome = run_to_verdict(springs.in_scene(self.scene, c_A))
-        loads = outcome.loads
-        stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
-        values = stroke, loads["max_torsion"], loads["max_normal_force"]
-        response = Response(*values, loads["touches"], outcome.failure, outcome)
-        self._add(_candidate(springs.k_A, springs.k_T, c_A, response))
-        return _Damper(c_A, springs, outcome)
-
-    def good(self, damper: _Damper | None) -> bool:
-        """Return True if a damper captures within the limit of force."""
-        if damper is None or not damper.captures:
-            return False
-        limit = self.target.peak_force
-        return limit is None or damper.peak_force <= limit
-
-    def widest(self, tried: Sequence[_Damper | None]) -> slice | None:
-        """Return where the longest run of good dampers is."""
-        labels, _ = ndimage.label([self.good(damper) for damper in tried])
-        runs = [run for (run,) in ndimage.find_objects(labels)]
-        return max(runs, key=lambda run: run.stop - run.start, default=None)
-
-    def refined_grid(self, grid: Sequence[float], tried: Sequence[_Damper | None]) -> list[float]:
-        """Return dampers between those tried, next to the promising ones.
-
-        Promising are all captures, as the force jumps from one touch sequence to the next;
-        without any, the dampers that bring the tip nearest.
-        """
-        nearest = [math.inf if damper is None else damper.nearest for damper in tried]
-        promising = [
-            n for n, damper in enumerate(tried) if damper is not None and damper.outcome.captured
-        ]
-        promising = promising or np.argsort(nearest, kind="stable")[:_PROMISING].tolist()
-        between: list[float] = []
-        for n in promising:
-            for low, high in itertools.pairwise(grid[max(n - 1, 0) : n + 2]):
-                between += np.linspace(low, high, _PARTS + 1)[1:-1].tolist()
-        return between
-
-    def edge(self, inside: _Damper, outside: float) -> _Damper:
-        """Bisect to the last good damper between a good one and a bad one (N s/m)."""
-        while abs(outside - inside.c_A) > _BOUND_TOLERANCE * max(inside.c_A, outside):
-            middle = 0.5 * (inside.c_A + outside)
-            tried = self.damper(middle, inside.springs)
-            if tried is not None and self.good(tried):
-                inside = tried
-            else:
-                outside = middle
-        return inside
-
-
 def design_buffer(
-    scene: Scene, target: DesignTarget, report: Callable[[Candidate], None] | None = None
+    scene: Scene,
+    requirements: Requirements,
+    free: Sequence[str] = FREE,
+    *,
+    seed: int = 1,
+    executor: Executor | None = None,
+    report: Callable[[Candidate], None] | None = None,
 ) -> Design:
-    """Find springs and damper for a target.
+    """Find the buffer that captures within limits with the least peak force.
 
     Parameters
     ----------
     scene
-        Vehicles, cone, contact and approach; its k_A, k_T and c_A do not matter.
-    target
-        Strokes, and what else the buffer has to keep.
+        Vehicles, cone, contact and approach; its own free values do not matter.
+    requirements
+        Limits, and the dispersions under which they must hold.
+    free
+        Names of the values to search, e.g. ``"buffer.preload"``; with a range as
+        ``"buffer.k_A=100:2000"``.  ``buffer.c_A_rebound`` keeps its ratio to ``buffer.c_A`` unless
+        it is free.
+    seed
+        Seed of the search and of the draws; the same seed gives the same buffer.
+    executor
+        Executor as in ``concurrent.futures``; None for this process.
     report
-        Called with every run as it is done.
+        Function called with every candidate.
 
     Returns
     -------
     Design
-        With a buffer, or with the reason why there is none.
+        With a buffer, or with the reason why there is none among those tried.
 
     Raises
     ------
     SceneError
-        A value is out of its range, or the chaser never meets the cone.
+        A name or a value is invalid, or the chaser never meets the cone.
     """
-    flow = _Flow(scene, target, report)
-    springs = flow.springs_of_first_contact()
-    if target.first_contact and not springs.met:
-        return _refused(flow, _no_springs(target, springs), springs, None)
-    # a whole run has springs of its own for each damper, in some ten runs
-    shares = SHARES if target.first_contact else SHARES[::_COARSER]
-    grid = [share * _critical_damping(scene, springs.k_A) for share in shares]
-    tried = [flow.damper(c_A, springs) for c_A in grid]
-    interval = flow.widest(tried)
-    if interval is None:
-        # good ones may lie between those tried: look closer where they come nearest
-        known = {damper.c_A: damper for damper in tried if damper is not None}
-        grid = sorted({*grid, *flow.refined_grid(grid, tried)})
-        tried = [known.get(c_A) or flow.damper(c_A, springs) for c_A in grid]
-        interval = flow.widest(tried)
-    complete = [damper for damper in tried if damper is not None]
-    if interval is None:
-        nearest = min(complete, key=lambda damper: damper.nearest, default=None)
-        return _refused(flow, _no_damper(flow, complete, springs), springs, nearest)
-    good = [damper for damper in tried[interval] if damper is not None]
-    low, high = good[0], good[-1]
-    if interval.start > 0:
-        low = flow.edge(low, grid[interval.start - 1])
-    if interval.stop < len(grid):
-        high = flow.edge(high, grid[interval.stop])
-    chosen, margin = _choose(flow, low, high, good)
-    final = chosen.springs.in_scene(scene, chosen.c_A)
+    variables = make_variables(scene, requirements.limits, free)
+    search = _Search(scene, requirements, variables, seed, executor or InProcess(), report)
+    best = search.nominal()
+    check = None
+    if requirements.under is not None and best.feasible:
+        best, check = search.robust()
+    final = search.scene_of(best)
     return Design(
-        target,
-        "",
+        requirements,
+        variables,
+        best,
         final,
-        undamped=run_first_contact(chosen.springs.in_scene(scene, 0.0)),
-        damped=run_first_contact(final),
-        outcome=run_to_end(final),
-        capturing=(low.c_A, high.c_A),
-        margin=margin,
-        energy=energy_of(final, chosen.outcome.t),
-        history=tuple(flow.history),
+        run_to_end(final),
+        search.refusal(best, check),
+        check,
+        tuple(search.history),
     )
 
 
-def _choose(
-    flow: _Flow, low: _Damper, high: _Damper, between: Sequence[_Damper]
-) -> tuple[_Damper, float | None]:
-    """Return the damper to take, and its margin if a spread is given.
+def make_variables(
+    scene: Scene, limits: Sequence[Limit], free: Sequence[str]
+) -> tuple[Variable, ...]:
+    """Return the values to search with their ranges.
 
-    Without a spread, the good one next to the middle of the interval; with one, that of the
-    largest margin, the middle's neighbours first where several have the same.
+    Ranges that are not given are those around a buffer that absorbs the energy of the approach
+    within the limits of its strokes.  SceneError if a name or a range is invalid.
     """
-    spread = flow.target.spread
-    # a real damper deviates by a part of itself: the middle of the logarithms.  Stiffer than
-    # critical it hardly lets the probe move, and is taken only where nothing softer captures
-    critical = _critical_damping(flow.scene, low.springs.k_A)
-    top = min(high.c_A, critical) if low.c_A < critical else high.c_A
-    middle = math.sqrt(max(low.c_A, SHARES[1] * critical) * top)
-    if spread is None:
-        candidates = [flow.damper(middle, low.springs), low, high, *between]
-        captures = [damper for damper in candidates if damper is not None and flow.good(damper)]
-        return min(captures, key=lambda damper: abs(damper.c_A - middle)), None
-    shares = np.linspace(0.0, 1.0, _SIDE + 1)
-    around = [*middle * (high.c_A / middle) ** shares, *low.c_A + shares * (middle - low.c_A)]
-    nearest_first = sorted(map(float, around), key=lambda c_A: abs(c_A - middle))
-    tried = [flow.damper(c_A, low.springs) for c_A in dict.fromkeys(nearest_first)]
-    good = [damper for damper in tried if damper is not None and flow.good(damper)] or [low]
-    margins = [
-        margin_of(damper.springs.in_scene(flow.scene, damper.c_A), spread) for damper in good
-    ]
-    best = int(np.argmax(margins))
-    return good[best], margins[best]
+    usual = _usual_ranges(scene, limits)
+    variables: list[Variable] = []
+    for text in free:
+        name, _, given = (part.strip() for part in text.partition("="))
+        what = declaration_of(scene, name)
+        if name in APPROACH or what.kind is not float:
+            raise SceneError(f"free {name}: must be a number of the scene")
+        if given:
+            low, colon, high = given.partition(":")
+            try:
+                if not colon:
+                    raise ValueError(given)
+                ends = in_si(low, what.unit), in_si(high, what.unit)
+            except ValueError:
+                raise SceneError(
+                    f"free {name} = {given}: must be LOW:HIGH in {what.unit or '1'}"
+                ) from None
+        elif name in usual:
+            ends = usual[name]
+        else:
+            raise SceneError(f"free {name}: must have a range, {name}=LOW:HIGH")
+        for end in ends:
+            accept(end, what, f"free {name}")
+        if not ends[0] < ends[1]:
+            raise SceneError(f"free {name} = {given}: must be LOW < HIGH")
+        if name in (variable.name for variable in variables):
+            raise SceneError(f"free {name}: must be given once")
+        variables.append(Variable(name, *ends, what.unit))
+    if not variables:
+        raise SceneError("free: must have one value or more")
+    return tuple(variables)
 
 
-def _refused(flow: _Flow, why: str, springs: Springs, nearest: _Damper | None) -> Design:
-    history = tuple(flow.history)
-    if nearest is None:
-        found = springs.response.touches > 0
-        scene = springs.in_scene(flow.scene, 0.0) if found else None
-        return Design(flow.target, why, scene, history=history)
-    scene = nearest.springs.in_scene(flow.scene, nearest.c_A)
-    return Design(flow.target, why, scene, outcome=nearest.outcome, history=history)
+def reduced_mass(scene: Scene) -> float:
+    """Return the reduced mass of both vehicles, kg."""
+    chaser, target = scene.chaser_total_mass, scene.target.mass
+    return chaser * target / (chaser + target)
 
 
-def _no_springs(target: DesignTarget, springs: Springs) -> str:
-    found = springs.response
-    return (
-        f"no springs give, within {ACCEPTED:.0%}, strokes of {target.axial_stroke * 1e3:.4g} mm "
-        f"and {target.torsion * 1e3:.4g} mrad: the nearest, k_A = {springs.k_A:.4g} N/m and "
-        f"k_T = {springs.k_T:.4g} N m/rad, give {found.axial_stroke * 1e3:.4g} mm and "
-        f"{found.torsion * 1e3:.4g} mrad" + (f" ({found.failure})" if found.failure else "")
-    )
+def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[float, float]]:
+    """Return ranges around a buffer that absorbs the approach's energy within its strokes."""
+    given = {limit.key.removesuffix("_before_latch"): limit.value for limit in limits}
+    stroke = given.get("max_axial_stroke_in", _USUAL_STROKE)
+    torsion = given.get("max_torsion", _USUAL_TORSION)
+    speed = approach_of(scene).speed
+    k_A = reduced_mass(scene) * (speed / stroke) ** 2
+    c_A = 2.0 * reduced_mass(scene) * speed / stroke  # critical on that spring
+    k_T = k_A * stroke * scene.rest_length / torsion
+    c_T = k_T * torsion * scene.rest_length / speed
+    turning = speed / scene.rest_length
+    return {
+        "buffer.k_A": (k_A / 50.0, k_A * 20.0),
+        "buffer.k_T": (k_T / 100.0, k_T * 100.0),
+        "buffer.c_A": (c_A / 300.0, c_A * 10.0),
+        "buffer.c_A_rebound": (c_A / 300.0, c_A * 10.0),
+        "buffer.preload": (0.0, k_A * stroke),
+        "buffer.k_A3": (0.0, 100.0 * k_A / stroke**2),
+        "buffer.c_A2": (0.0, 10.0 * c_A / speed),
+        "buffer.c_T": (0.0, 10.0 * c_T),
+        "buffer.k_T3": (0.0, 100.0 * k_T / torsion**2),
+        "buffer.c_T2": (0.0, 10.0 * c_T / turning),
+    }
 
 
-def _no_whole_run(flow: _Flow) -> str:
-    """Return why no springs keep the target strokes over a whole run."""
-    target = flow.target
-    whole = [candidate for candidate in flow.history if candidate.verdict is not None]
-    targets = np.array([target.axial_stroke, target.torsion])
-
-    def error(candidate: Candidate) -> float:
-        return _error(np.array([candidate.axial_stroke, candidate.torsion]) / targets - 1.0, target)
-
-    best = min(whole, key=error)
-    return (
-        f"no buffer keeps {target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad "
-        f"over its whole run: the nearest, k_A = {best.k_A:.4g} N/m, k_T = {best.k_T:.4g} N m/rad "
-        f"and c_A = {best.c_A:.4g} N s/m, has {best.axial_stroke * 1e3:.4g} mm and "
-        f"{best.torsion * 1e3:.4g} mrad"
-    )
+def with_values(scene: Scene, values: Mapping[str, float]) -> Scene:
+    """Return a scene with other values; a rebound damper keeps its ratio to the damper."""
+    changed: Scene = paths.with_values(scene, {**values, **_rebound(scene, values)})
+    return changed
 
 
-def _no_damper(flow: _Flow, tried: Sequence[_Damper], springs: Springs) -> str:
-    """Return why no damper will do: the force, too much energy left, or too little."""
-    target = flow.target
-    if not tried:
-        return _no_whole_run(flow)
-    top = max(damper.c_A for damper in tried)
-    captures = [damper for damper in tried if damper.captures]
-    if captures:
-        least = min(captures, key=lambda damper: damper.peak_force)
-        return (
-            f"every damper up to {top:.4g} N s/m that captures pushes too hard: at least "
-            f"{least.peak_force:.4g} N (c_A = {least.c_A:.4g} N s/m), the limit is "
-            f"{target.peak_force:.4g} N"
+def _rebound(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the rebound damper that belongs to a damper, by its name; empty if there is none."""
+    own = scene.buffer
+    name = "buffer.c_A_rebound"
+    if own.c_A_rebound is None or own.c_A == 0.0 or name in values or "buffer.c_A" not in values:
+        return {}
+    return {name: own.c_A_rebound / own.c_A * values["buffer.c_A"]}
+
+
+class _Search:
+    """The search for one design, and its history."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        requirements: Requirements,
+        variables: tuple[Variable, ...],
+        seed: int,
+        executor: Executor,
+        report: Callable[[Candidate], None] | None,
+    ) -> None:
+        self._scene, self._requirements, self._variables = scene, requirements, variables
+        self._seed, self._executor, self._report = seed, executor, report
+        self.history: list[Candidate] = []
+        self.n_runs = 0
+        #: The loads that are limited, and the force that is to be small.
+        self._keys = tuple(dict.fromkeys([OBJECTIVE, *(x.key for x in requirements.limits)]))
+        self._columns = result_columns(check=False, limited=False)
+
+    def scene_of(self, candidate: Candidate) -> Scene:
+        """Return the scene with a candidate's buffer."""
+        return with_values(self._scene, candidate.values)
+
+    def nominal(self) -> Candidate:
+        """Return the best buffer of the scene without dispersions."""
+        whole = [(0.0, 1.0)] * len(self._variables)
+        best = self._minimise(self._run_alone, whole, _GENERATIONS, None)
+        return self._minimise(self._run_alone, self._around(best), _LOCAL_GENERATIONS, best)
+
+    def robust(self) -> tuple[Candidate, Probability]:
+        """Return the best buffer under dispersions, and its share of success in new draws."""
+        population = self._promising()
+        for number in range(_ROUNDS):
+            draws = self._draws(self._requirements.draws * 2**number, 2 * number)
+            n_before = len(self.history)
+            evaluate = partial(self._run_with_draws, draws)
+            bounds = [(0.0, 1.0)] * len(self._variables)
+            best = self._minimise(evaluate, bounds, _ROBUST_GENERATIONS, population)
+            check = self._check(best, 2 * number + 1)
+            if best.feasible and check.estimate >= self._requirements.confidence:
+                break
+            # the draws were too kind, or too few: more of them, beginning with the best
+            population = sorted(self.history[n_before:], key=lambda each: each.merit)
+            population = population[: _POPULATION * len(self._variables)]
+        return best, check
+
+    def _minimise(
+        self,
+        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        bounds: list[tuple[float, float]],
+        generations: int,
+        start: Candidate | Sequence[Candidate] | None,
+    ) -> Candidate:
+        """Return the best candidate of a differential evolution within shares of the ranges."""
+        n_before, size = len(self.history), _POPULATION * len(self._variables)
+
+        def merits(shares: np.ndarray) -> np.ndarray:
+            columns = np.atleast_2d(shares.T)
+            candidates = evaluate([self._values(row) for row in columns.tolist()])
+            self.history += candidates
+            return np.array([candidate.merit for candidate in candidates])
+
+        options: dict[str, Any] = {"init": "latinhypercube"}
+        if isinstance(start, Candidate):
+            options["x0"] = np.clip(self._shares(start), *np.array(bounds).T)
+        elif start is not None:
+            options["init"] = np.array([self._shares(each) for each in start])
+        differential_evolution(
+            merits,
+            bounds,
+            popsize=max(size // len(bounds), 5),
+            maxiter=generations,
+            # of the forces; a share of the mean would stop a population without any capture
+            tol=0.0,
+            atol=_FORCE_TOLERANCE,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+            seed=self._seed,
+            **options,
         )
-    best = min(tried, key=lambda damper: damper.nearest)
-    if best.nearest > flow.scene.cone.L_c:
-        return (
-            "no damper captures: the tip is turned away at the cone's outer lip, and comes no "
-            f"nearer than {best.nearest * 1e3:.3g} mm ({_verdicts(tried)})"
+        found = self.history[n_before:]
+        return min(found, key=lambda candidate: candidate.merit)
+
+    def _values(self, shares: Sequence[float]) -> dict[str, float]:
+        pairs = zip(self._variables, shares, strict=True)
+        return {variable.name: variable.value(share) for variable, share in pairs}
+
+    def _shares(self, candidate: Candidate) -> list[float]:
+        return [variable.share(candidate.values[variable.name]) for variable in self._variables]
+
+    def _around(self, best: Candidate) -> list[tuple[float, float]]:
+        half = 0.5 * _LOCAL_WIDTH
+        return [(max(x - half, 0.0), min(x + half, 1.0)) for x in self._shares(best)]
+
+    def _promising(self) -> list[Candidate]:
+        """Return a population of feasible buffers: half by their force, half by their margin."""
+        size = _POPULATION * len(self._variables)
+        feasible = [candidate for candidate in self.history if candidate.feasible]
+        by_margin = sorted(feasible, key=self._largest_use)[:size]
+        by_force = sorted(feasible, key=lambda candidate: candidate.merit)[:size]
+        both = [each for pair in zip(by_margin, by_force, strict=True) for each in pair]
+        found = list({id(candidate): candidate for candidate in both}.values())[:size]
+        # a population has five or more
+        return (found * 5)[: max(len(found), 5)]
+
+    def _largest_use(self, candidate: Candidate) -> float:
+        limits = self._requirements.limits
+        return max((limit.use(candidate.loads[limit.key]) for limit in limits), default=0.0)
+
+    def _run(
+        self, names: Sequence[str], rows: Sequence[tuple[float, ...]]
+    ) -> tuple[list[str], np.ndarray, np.ndarray]:
+        """Return verdicts, loads (n, keys) and violations (n,) of some runs."""
+        size = max(min(_RUNS_OF_CHUNK, len(rows) // _CHUNKS), 1)
+        chunks = [rows[k : k + size] for k in range(0, len(rows), size)]
+        work = partial(run_rows, Recipe(self._scene, tuple(names)), False, ())
+        done = [row for results in answers(self._executor, work, chunks) for row in results]
+        self.n_runs += len(done)
+        by_name = dict(zip(self._columns, zip(*done, strict=True), strict=True))
+        loads = np.array([by_name[key] for key in self._keys], dtype=float).T
+        return list(by_name["verdict"]), loads, self._violations(by_name, loads)
+
+    def _violations(self, by_name: Mapping[str, Sequence[Any]], loads: np.ndarray) -> np.ndarray:
+        violations = np.zeros(len(loads))
+        for limit in self._requirements.limits:
+            use = np.nan_to_num(loads[:, self._keys.index(limit.key)]) / limit.value
+            violations += np.clip(use - 1.0, 0.0, _MAX_EXCESS)
+        verdicts = np.array(by_name["verdict"])
+        distance = np.nan_to_num(np.array(by_name["nearest_distance"], dtype=float), nan=1.0)
+        closeness = np.minimum(distance / self._scene.cone.L_c, 5.0)
+        violations += np.where(verdicts == CAPTURED, 0.0, _NO_CAPTURE + closeness)
+        violations[verdicts == FAILED] = _STOPPED
+        return violations
+
+    def _run_alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
+        """Return candidates by the scene's own run."""
+        buffers = [{**each, **_rebound(self._scene, each)} for each in values]
+        rows = [tuple(buffer.values()) for buffer in buffers]
+        verdicts, loads, violations = self._run(tuple(buffers[0]), rows)
+        found = [
+            self._candidate(*each)
+            for each in zip(values, loads, verdicts, violations.tolist(), strict=True)
+        ]
+        for candidate in found:
+            if self._report is not None:
+                self._report(candidate)
+        return found
+
+    def _candidate(
+        self,
+        values: Mapping[str, float],
+        loads: np.ndarray,
+        verdict: str,
+        violation: float,
+        share: float | None = None,
+    ) -> Candidate:
+        by_key = dict(zip(self._keys, loads.tolist(), strict=True))
+        return Candidate(values, by_key, verdict, violation, share)
+
+    def _draws(self, count: int, stream: int) -> list[dict[str, float]]:
+        """Return draws of the dispersions by name; each stream has others."""
+        under = self._requirements.under
+        assert under is not None
+        seed = self._seed + 1_000_003 * (stream + 1)
+        samples = samples_of(
+            self._scene, under.vary, count, seed=seed, correlations=under.correlations
         )
-    why = (
-        f"no damper captures up to {top:.4g} N s/m: the tip comes nearest, "
-        f"{best.nearest * 1e3:.3g} mm, with c_A = {best.c_A:.4g} N s/m "
-        f"({best.outcome.verdict}: {best.outcome.reason})"
-    )
-    if below := [damper for damper in tried if damper.c_A < best.c_A]:
-        stuck = sum(damper.outcome.verdict == "stuck" for damper in below)
-        energy = "too little energy" if 2 * stuck > len(below) else "too much energy"
-        why += f"; with less, {energy} is left ({_verdicts(below)})"
-    if above := [damper for damper in tried if damper.c_A > best.c_A]:
-        why += f"; with more, too little is left to reach BE ({_verdicts(above)})"
-    return why
+        for axis in samples.axes:
+            if axis.distribution is None:
+                raise SceneError(f"{axis.name} = {axis.text}: must be a distribution")
+        names = [axis.name for axis in samples.axes]
+        return [dict(zip(names, row, strict=True)) for row in samples.rows]
 
+    def _dispersed(
+        self, values: Mapping[str, float], draw: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return a candidate's values with a draw; that of a free value is one of its ratio."""
+        buffer = {**values, **_rebound(self._scene, values)}
+        found = {**buffer, **draw}
+        for name in set(buffer) & set(draw):
+            own = paths.get(self._scene, name)
+            if not own:
+                raise SceneError(f"{name}: must not be 0 in the scene to be dispersed and free")
+            found[name] = buffer[name] * draw[name] / own
+        return found
 
-def _verdicts(dampers: Sequence[_Damper]) -> str:
-    """Return how often each verdict was given."""
-    labels = [damper.outcome.verdict for damper in dampers]
-    return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))
+    def _run_draws(
+        self, values: Sequence[Mapping[str, float]], draws: Sequence[Mapping[str, float]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return loads (n, draws, keys) and violations (n, draws) of candidates."""
+        rows = [self._dispersed(each, draw) for each in values for draw in draws]
+        _, loads, violations = self._run(tuple(rows[0]), [tuple(row.values()) for row in rows])
+        shape = len(values), len(draws)
+        return loads.reshape(*shape, -1), violations.reshape(shape)
+
+    def _run_with_draws(
+        self, draws: Sequence[Mapping[str, float]], values: Sequence[Mapping[str, float]]
+    ) -> list[Candidate]:
+        """Return candidates by all draws; those far from feasible by their own run alone."""
+        found = self._run_alone(values)
+        worth = [n for n, each in enumerate(found) if each.violation < _WORTH_DRAWS]
+        for n, candidate in enumerate(found):
+            if n not in worth:  # worse than any with draws
+                violation = candidate.violation + 2.0 * _STOPPED
+                found[n] = dataclasses.replace(candidate, violation=violation)
+        if not worth:
+            return found
+        n_first = math.ceil(_FIRST_DRAWS * len(draws))
+        loads, violations = self._run_draws([values[n] for n in worth], draws[:n_first])
+        n_failed = np.count_nonzero(violations > 0.0, axis=1)
+        may_succeed = n_failed <= len(draws) - self._required(len(draws))
+        for k, n in enumerate(worth):
+            if not may_succeed[k]:
+                found[n] = self._summarised(found[n], loads[k], violations[k])
+        others = [(k, n) for k, n in enumerate(worth) if may_succeed[k]]
+        if others and n_first < len(draws):
+            rest = self._run_draws([values[n] for _, n in others], draws[n_first:])
+            for (k, n), more_loads, more in zip(others, *rest, strict=True):
+                of_draws = np.concatenate([loads[k], more_loads])
+                found[n] = self._summarised(found[n], of_draws, np.append(violations[k], more))
+        return found
+
+    def _required(self, count: int) -> int:
+        """Return how many of some draws the search requires to succeed."""
+        share = self._requirements.confidence
+        return min(math.ceil(share * count + math.sqrt(share * (1.0 - share) * count)), count)
+
+    def _summarised(
+        self, candidate: Candidate, loads: np.ndarray, violations: np.ndarray
+    ) -> Candidate:
+        """Return a candidate with its quantiles over draws: what the required share keeps."""
+        rank = self._required(len(violations)) - 1
+        quantiles = np.sort(np.nan_to_num(loads), axis=0)[rank]
+        violation = float(np.sort(violations)[rank])
+        share = float(np.mean(violations <= 0.0))
+        return self._candidate(candidate.values, quantiles, candidate.verdict, violation, share)
+
+    def _check(self, candidate: Candidate, stream: int) -> Probability:
+        """Return the share of new draws in which a candidate is captured within the limits."""
+        draws = self._draws(CHECK_DRAWS, stream)
+        _, violations = self._run_draws([candidate.values], draws)
+        return probability(violations[0] <= 0.0)
+
+    def refusal(self, best: Candidate, check: Probability | None) -> str:
+        """Return why the best buffer does not meet the requirements; empty if it does."""
+        required = self._requirements.confidence
+        searched = ", ".join(
+            f"{each.name} {each.low:.4g} to {each.high:.4g}" for each in self._variables
+        )
+        among = f"among {len(self.history)} buffers tried ({searched})"
+        values = ", ".join(f"{name} = {value:.5g}" for name, value in best.values.items())
+        if best.feasible and check is not None and check.estimate < required:
+            return (
+                f"the best {among}, {values}, is captured within the limits in {check.met} of "
+                f"{check.computed} new draws; {required:.0%} are required"
+            )
+        if best.feasible:
+            return ""
+        if best.share is not None:
+            return (
+                f"{among}, none is captured within the limits in {required:.0%} of the draws; the "
+                f"nearest, {values}, is in {best.share:.1%}"
+            )
+        if best.verdict != CAPTURED:
+            return f"{among}, none captures; the nearest, {values}, ends {best.verdict}"
+        excess = ", ".join(
+            f"{limit.meaning} {limit.shown(best.loads[limit.key])} {limit.load.shown_in} (limit "
+            f"{limit.shown(limit.value)})"
+            for limit in self._requirements.limits
+            if limit.use(best.loads[limit.key]) > 1.0
+        )
+        return f"{among}, none captures within the limits; the nearest, {values}, has {excess}"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import EDGES, problem_of
 from capture_sim.studies.sweep import FAILED
@@ -17,14 +18,16 @@ if TYPE_CHECKING:
 
 #: Loads that are shown first, in pictures and printed tables.
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
+#: A capture whose tip is outside the capture zone again.
+CAPTURED_LEFT = f"{CAPTURED}, left again"
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 _CONFIDENCE = 0.95
 
 
 class Probability(NamedTuple):
-    """Share of captures among the runs that were computed, with its exact 95 % interval."""
+    """Share of the computed runs that meet a condition, with its exact 95 % interval."""
 
-    captured: int
+    met: int
     computed: int
     failed: int  # could not be computed, in none of the other numbers
     estimate: float
@@ -32,19 +35,73 @@ class Probability(NamedTuple):
     high: float
 
 
-def capture_probability(table: pandas.DataFrame) -> Probability:
-    """Return the probability of capture with its Clopper-Pearson interval; NaN without runs."""
+def probability(is_met: np.ndarray, failed: int = 0) -> Probability:
+    """Return the share of runs that meet a condition, with its Clopper-Pearson interval.
+
+    ``is_met`` (n,) are the runs that were computed, ``failed`` those that could not be; NaN without
+    runs.
+    """
     from scipy.stats import binomtest
 
-    plain = plain_rows(table)
-    failed = int((plain["verdict"] == FAILED).sum())
-    captured, computed = int((plain["verdict"] == CAPTURED).sum()), len(plain) - failed
+    met, computed = int(np.count_nonzero(is_met)), int(np.size(is_met))
     if computed == 0:
         return Probability(0, 0, failed, math.nan, math.nan, math.nan)
-    interval = binomtest(captured, computed).proportion_ci(_CONFIDENCE, method="exact")
+    interval = binomtest(met, computed).proportion_ci(_CONFIDENCE, method="exact")
     return Probability(
-        captured, computed, failed, captured / computed, float(interval.low), float(interval.high)
+        met, computed, failed, met / computed, float(interval.low), float(interval.high)
     )
+
+
+def capture_probability(table: pandas.DataFrame) -> Probability:
+    """Return the probability of capture of independent draws."""
+    return _probability(table, lambda rows: rows["verdict"] == CAPTURED)
+
+
+def hold_probability(table: pandas.DataFrame) -> Probability:
+    """Return the probability that the tip is captured and does not leave the zone again."""
+    return _probability(
+        table, lambda rows: (rows["verdict"] == CAPTURED) & ~rows["left_again"].astype(bool)
+    )
+
+
+def limit_probability(table: pandas.DataFrame, limits: Sequence[Limit]) -> Probability:
+    """Return the probability that all of some limits are met."""
+    return _probability(table, lambda rows: ~_exceeds(rows, limits))
+
+
+def success_probability(table: pandas.DataFrame, limits: Sequence[Limit]) -> Probability:
+    """Return the probability of a capture with all of some limits met."""
+    return _probability(table, lambda rows: (rows["verdict"] == CAPTURED) & ~_exceeds(rows, limits))
+
+
+def _probability(
+    table: pandas.DataFrame, condition: Callable[[pandas.DataFrame], Any]
+) -> Probability:
+    plain = plain_rows(table)
+    computed = computed_rows(plain)
+    return probability(condition(computed).to_numpy(bool), len(plain) - len(computed))
+
+
+def _exceeds(rows: pandas.DataFrame, limits: Sequence[Limit]) -> pandas.Series:
+    """Return the runs that exceed a limit; a load that was not measured exceeds none."""
+    exceeding = rows["verdict"] != rows["verdict"]
+    for limit in limits:
+        exceeding |= rows[limit.key] > limit.value
+    return exceeding
+
+
+def margin_at(table: pandas.DataFrame, limit: Limit, share: float) -> float:
+    """Return the share of a limit that is left in all but a share of the runs; NaN without runs.
+
+    Negative where more than this share of the runs exceed the limit.
+    """
+    values = computed_rows(plain_rows(table))[limit.key].dropna().to_numpy(float)
+    return 1.0 - float(np.quantile(values, 1.0 - share)) / limit.value if values.size else math.nan
+
+
+def outcome_labels(table: pandas.DataFrame) -> pandas.Series:
+    """Return the verdicts of a table; of captures also that the tip left the zone again."""
+    return table["verdict"].where(~table["left_again"].astype(bool), CAPTURED_LEFT)
 
 
 def plain_rows(table: pandas.DataFrame) -> pandas.DataFrame:
@@ -91,11 +148,6 @@ def quantiles(values: np.ndarray, shares: Sequence[float] = QUANTILES) -> list[Q
     return found
 
 
-def worst_runs(table: pandas.DataFrame, load: str, count: int = 10) -> pandas.DataFrame:
-    """Return the runs with the largest values of a load, the largest first."""
-    return computed_rows(table).nlargest(count, load)
-
-
 def rank_correlations(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
     """Return Spearman's rank correlation of each input that varies with each main load.
 
@@ -121,7 +173,10 @@ class Indices(NamedTuple):
 def sobol_indices(
     table: pandas.DataFrame, inputs: Sequence[str], load: str, seed: int = 1
 ) -> Indices | None:
-    """Return the indices of a load from runs of Saltelli's design; None where it does not vary."""
+    """Return the indices of a load from runs of Saltelli's design; None where it does not vary.
+
+    ``inputs`` are in the order of the design, which is that of their names.
+    """
     from SALib.analyze import sobol
 
     values = table[load].to_numpy(float)
@@ -136,6 +191,20 @@ def sobol_indices(
         np.asarray(found[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")
     )
     return Indices(load, first, first_interval, total, total_interval, len(whole))
+
+
+def main_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
+    """Return by how much each main load changes over the values of each input of a grid.
+
+    The effect of an input is the range of the load's mean at each of its values; the column
+    ``captured`` has that of the share of captures.  NaN where no run has the load.
+    """
+    import pandas
+
+    rows = computed_rows(plain_rows(table))
+    results = rows[[*MAIN_LOADS]].assign(captured=(rows["verdict"] == CAPTURED).astype(float))
+    means = {name: results.groupby(rows[name]).mean() for name in inputs}
+    return pandas.DataFrame({name: of.max() - of.min() for name, of in means.items()}).T
 
 
 def wilks_runs(share: float, confidence: float = _CONFIDENCE, failures: int = 0) -> int:

@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from capture_sim.bench import compile_kernels
-from capture_sim.errors import CaptureSimError
+from capture_sim.errors import CaptureSimError, install_hint
 
 
 class ExecutorError(CaptureSimError):
@@ -61,27 +61,35 @@ class _Processes(ProcessPoolExecutor):
         self.shutdown(cancel_futures=True)
 
 
+#: Signals that end a study: Ctrl-C, and what batch queues send.
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Handle a Ctrl-C at the end only; a process that is started inside is spared it.
+    """Handle a Ctrl-C or SIGTERM at the end only; a process that is started inside is spared it.
 
     A process that is half started prints a traceback of its own, or stays behind.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a process inherits it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # a process inherits it
     held: list[int] = []
-    handler = signal.getsignal(signal.SIGINT)
     # the mask is this thread's: another one may take the signal, for Python's handler here
-    is_held = threading.current_thread() is threading.main_thread() and callable(handler)
-    if is_held:
-        signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: signal.getsignal(number) for number in _ENDING}
+        handlers = {number: found for number, found in handlers.items() if callable(found)}
+    for number in handlers:
+        signal.signal(number, lambda number, _: held.append(number))
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if is_held:
-            signal.signal(signal.SIGINT, handler)
-    if held and callable(handler):
-        handler(signal.SIGINT, None)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if held:
+        handler = handlers[signal.Signals(held[0])]
+        assert callable(handler)
+        handler(held[0], None)
 
 
 def _begin_worker() -> None:
@@ -125,7 +133,7 @@ def _dask_client(address: str) -> Any:
         from distributed import Client
     except ImportError:
         raise ExecutorError(
-            "--scheduler: Dask is not installed; pip install 'capture_sim[cluster]'"
+            f"--scheduler: Dask is not installed; {install_hint('cluster')}"
         ) from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)

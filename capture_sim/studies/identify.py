@@ -28,11 +28,11 @@ from scipy.optimize import least_squares
 
 from capture_sim.bench import Bench, compile_kernels
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.launch.plan import LaunchPlan
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
-from capture_sim.studies.measurements import PARTS, Measurements, Series, measured_in
-from capture_sim.studies.touches import Touches
+from capture_sim.series import PARTS, Series, series_in
+from capture_sim.touches import Touches
 
 #: Name of a parameter that stands in no scene: when the chaser was really released, s after the
 #: time that is taken for it.
@@ -45,7 +45,7 @@ _NEARBY = 4
 _STEP = 3e-3
 #: Longest step that the errors are taken over.
 _LONGEST_STEP = 0.3
-#: Residual, in units of noise, that stands for a simulation that failed or a touch that is not.
+#: Residual, in units of noise, that stands for a simulation that failed or a missing touch.
 _FAILED = 1e3
 
 
@@ -74,10 +74,9 @@ class Fit:
 
 def identify(
     scene: Scene,
-    measured: Measurements,
+    run: Run,
     names: Sequence[str],
     *,
-    plan: LaunchPlan | None = None,
     touches: Touches | None = None,
     noise: Mapping[str, Sequence[float]] | None = None,
     until: float = math.inf,
@@ -90,14 +89,12 @@ def identify(
     ----------
     scene
         With the values where the search begins.
-    measured
-        Times in s since the release.  The force is not used, see above.
+    run
+        The measured run.  Its sampled force is not used, see above.  Its launch is that which was
+        commanded, whatever the parameters; without a command that of the scene.
     names
         ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, or fields as ``buffer.k_A``; and
         :data:`RELEASE`, where that is not known exactly.
-    plan
-        The launch as it was done; None lets the scene's be planned.  It stays as it is
-        whatever the parameters.
     touches
         The first touches; None does without.  Those found in a force that is sampled too
         slowly for touches as the scene has them are not used.
@@ -128,7 +125,7 @@ def identify(
                 "must be > 0"
             )
         touches = touches.of(touches.start <= until)
-    problem = _Problem(scene, measured, names, plan, noise or {}, until)
+    problem = _Problem(scene, run, names, noise or {}, until)
     _, expected = problem.simulate(problem.begin)  # raises what is wrong with the scene
     if touches is not None:
         first = expected[np.argsort(expected["start"], kind="stable")][: touches.start.size]
@@ -167,9 +164,8 @@ class _Problem:
     def __init__(
         self,
         scene: Scene,
-        measured: Measurements,
+        run: Run,
         names: Sequence[str],
-        plan: LaunchPlan | None,
         noise: Mapping[str, Sequence[float]],
         until: float,
     ) -> None:
@@ -179,12 +175,13 @@ class _Problem:
         if not names or len(set(names)) != len(names):
             raise SceneError(f"parameters {', '.join(names)!r}: must be names, each once")
         self._scene = scene
-        self._plan = Bench(scene).plan if plan is None else plan
+        self._plan = run.plan or Bench(scene).plan
         self.evaluations = 0
         self._series: list[tuple[str, Series, np.ndarray]] = []
-        for name, series in measured.items():
+        for name in PARTS:
+            series = run.measured(name)
             kept = (series.t <= min(until, scene.run.t_end)) & (series.t >= 0.0)
-            if name in PARTS and kept.any():
+            if kept.any():
                 cut = Series(series.t[kept], series.values[kept])
                 sigma = np.asarray(noise.get(name) or scatter(cut), dtype=float)
                 self._series.append(
@@ -224,7 +221,7 @@ class _Problem:
             scene = dataclasses.replace(scene, string=string)
         return scene
 
-    def simulate(self, x: np.ndarray) -> tuple[Measurements, np.ndarray]:
+    def simulate(self, x: np.ndarray) -> tuple[dict[str, Series], np.ndarray]:
         """Return what would be measured, and the touches; times are s since the release at x."""
         self.evaluations += 1
         scene = self.scene_at(x)
@@ -235,7 +232,7 @@ class _Problem:
             scene = changed(scene, "run.t_end", float(times[-1]))
         bench = Bench(scene)
         samples = bench.advance(times)
-        return measured_in(samples), bench.touches
+        return series_in(samples), bench.touches
 
     def _released(self, x: np.ndarray) -> float:
         """Return when the release was, s after the time that was taken for it."""
@@ -254,7 +251,7 @@ class _Problem:
             return np.full(size + (0 if touches is None else 2 * touches.start.size), _FAILED)
         parts = []
         for name, series, sigma in self._series:
-            own: Series = getattr(simulated, name)
+            own = simulated[name]
             # where the run ended before, it stays where it is
             last = np.searchsorted(own.t, self._since_release(series.t, x), side="right") - 1
             values = own.values[np.maximum(last, 0)]

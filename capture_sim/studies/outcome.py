@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from capture_sim.bench import Bench, drive
-from capture_sim.detection.exact import CaptureState, ExactDetector
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.detection.exact import ExactDetector
 from capture_sim.errors import SimulationError
 from capture_sim.results import first_cluster, first_contact_end, loads_of
 from capture_sim.samples import EventKind

@@ -1,10 +1,16 @@
-"""Which runs a sweep makes: a full grid of values, and draws from distributions at each point."""
+"""Which runs a sweep makes: a full grid of values, and draws from distributions at each point.
+
+The draws of a distribution depend on its name and the seed.  With random and latin they do not
+depend on the other distributions, so that studies share them; those of Sobol's sequence are
+assigned in the order of the names.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,10 +35,20 @@ class Samples:
     axes: tuple[Axis, ...]
     rows: list[tuple[Any, ...]]  # values of each run, in the order of the axes, SI units
     designs: list[str]  # of each run: plain, or edges for a draw that favours the edges
+    ignored: tuple[str, ...] = ()  # columns of the user's table that are no fields
+
+
+#: Correlations of pairs of distributions, by their names.
+Correlations = Mapping[tuple[str, str], float]
 
 
 def make_samples(
-    axes: Sequence[Axis], runs: int = 0, sample: str = "random", seed: int = 1, edges: int = 0
+    axes: Sequence[Axis],
+    runs: int = 0,
+    sample: str = "random",
+    seed: int = 1,
+    edges: int = 0,
+    correlations: Correlations | None = None,
 ) -> Samples:
     """Return the runs over some axes: all combinations of values, the same draws at each of them.
 
@@ -40,7 +56,10 @@ def make_samples(
     (distributions + 2) draws.  Raises SceneError for a number that is out of its range.
     """
     grid, drawn = ([a for a in axes if not a.distribution], [a for a in axes if a.distribution])
+    drawn.sort(key=lambda axis: axis.name)
     _check(grid, drawn, runs, sample, edges)
+    names = [axis.name for axis in drawn]
+    copula = _Copula.of(names, correlations or {}, sample)
     draws_of_base = len(drawn) + 2 if sample == "saltelli" else 1
     draws_of_point = max(runs * draws_of_base + edges, 1)
     count = math.prod(len(axis.values) for axis in grid) * draws_of_point
@@ -50,8 +69,8 @@ def make_samples(
     draws: list[tuple[float, ...]] = [()]
     designs = [PLAIN]
     if drawn:
-        plain, edge = _draw(len(drawn), runs, sample, seed), _draw_edges(len(drawn), edges, seed)
-        shares = np.concatenate([plain, edge])
+        plain, edge = _draw(names, runs, sample, seed), _draw_edges(names, edges, seed)
+        shares = copula.correlated(np.concatenate([plain, edge]))
         columns = [axis.quantile(u).tolist() for axis, u in zip(drawn, shares.T, strict=True)]
         draws = list(zip(*columns, strict=True))
         designs = [PLAIN] * len(plain) + [EDGES] * len(edge)
@@ -62,6 +81,53 @@ def make_samples(
     return Samples(
         tuple(axes), [tuple(row[k] for k in pick) for row in rows], designs * len(points)
     )
+
+
+@dataclass(frozen=True)
+class _Copula:
+    """A Gaussian copula: correlations of the normal scores of some distributions."""
+
+    columns: list[int]  # of the correlated distributions
+    factor: np.ndarray  # lower triangular, Cholesky's
+
+    @classmethod
+    def of(cls, names: Sequence[str], correlations: Correlations, sample: str) -> _Copula:
+        """Return the copula of distributions; SceneError if no distribution has it."""
+        if correlations and sample == "saltelli":
+            raise SceneError("correlate: must be omitted with saltelli, whose inputs are apart")
+        for pair, value in correlations.items():
+            where = f"correlate {','.join(pair)}"
+            for name in pair:
+                if name not in names:
+                    available = ", ".join(names) or "none"
+                    raise SceneError(f"{where}: {name} is no distribution; available: {available}")
+            if pair[0] == pair[1]:
+                raise SceneError(f"{where}: must be two distributions")
+            if value not in (allowed := Range(-1.0, 1.0, low_open=True, high_open=True)):
+                raise refuse(where, value, "", allowed)
+        columns = sorted({names.index(name) for pair in correlations for name in pair})
+        matrix = np.eye(len(columns))
+        for pair, value in correlations.items():
+            first, second = (columns.index(names.index(name)) for name in pair)
+            matrix[first, second] = matrix[second, first] = value
+        try:
+            return cls(columns, np.linalg.cholesky(matrix))
+        except np.linalg.LinAlgError:
+            raise SceneError(
+                "correlate: must be possible together: these correlations contradict each other"
+            ) from None
+
+    def correlated(self, shares: np.ndarray) -> np.ndarray:
+        """Return shares (n, axes) of the distributions with their correlations."""
+        if not self.columns:
+            return shares
+        from scipy.special import ndtr, ndtri
+
+        tiny = np.finfo(float).eps / 2.0  # 0 and 1 are infinitely far away
+        scores = ndtri(np.clip(shares[:, self.columns], tiny, 1.0 - tiny))
+        correlated = shares.copy()
+        correlated[:, self.columns] = ndtr(scores @ self.factor.T)
+        return correlated
 
 
 def _check(grid: list[Axis], drawn: list[Axis], runs: int, sample: str, edges: int) -> None:
@@ -81,22 +147,29 @@ def _check(grid: list[Axis], drawn: list[Axis], runs: int, sample: str, edges: i
         raise SceneError("saltelli: must have two distributions or more, no values and no edges")
 
 
-def _draw(axes: int, runs: int, sample: str, seed: int) -> np.ndarray:
+def _generator(seed: int, name: str, *stream: int) -> np.random.Generator:
+    """Return the generator of the draws of one distribution."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode()), *stream])
+
+
+def _draw(names: Sequence[str], runs: int, sample: str, seed: int) -> np.ndarray:
     """Return shares (n, axes) of the distributions, from 0 to 1."""
-    if sample == "random":
-        return np.random.default_rng(seed).random((runs, axes))
     if sample == "saltelli":
         from SALib.sample import sobol
 
         shares: np.ndarray = sobol.sample(
-            problem_of(axes), runs, calc_second_order=False, seed=seed
+            problem_of(len(names)), runs, calc_second_order=False, seed=seed
         )
         return shares
+    if sample == "random":
+        return np.stack([_generator(seed, name).random(runs) for name in names], axis=1)
     from scipy.stats import qmc
 
-    generator = np.random.default_rng(seed)
-    engine = qmc.LatinHypercube if sample == "latin" else qmc.Sobol
-    return np.asarray(engine(axes, seed=generator).random(runs))
+    if sample == "sobol":
+        generator = np.random.default_rng(seed)
+        return np.asarray(qmc.Sobol(len(names), seed=generator).random(runs))
+    columns = [qmc.LatinHypercube(1, seed=_generator(seed, name)).random(runs) for name in names]
+    return np.concatenate(columns, axis=1)
 
 
 def problem_of(axes: int) -> dict[str, Any]:
@@ -108,8 +181,7 @@ def problem_of(axes: int) -> dict[str, Any]:
     }
 
 
-def _draw_edges(axes: int, count: int, seed: int) -> np.ndarray:
+def _draw_edges(names: Sequence[str], count: int, seed: int) -> np.ndarray:
     # another stream than that of the plain draws
-    generator = np.random.default_rng([seed, 1])
-    shares = generator.beta(_EDGE_SHAPE, _EDGE_SHAPE, (count, axes))
-    return np.clip(shares, _EDGE_CUT, 1.0 - _EDGE_CUT)
+    columns = [_generator(seed, name, 1).beta(_EDGE_SHAPE, _EDGE_SHAPE, count) for name in names]
+    return np.clip(np.stack(columns, axis=1), _EDGE_CUT, 1.0 - _EDGE_CUT)

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import math
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from pathlib import Path
@@ -18,18 +18,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture_sim.errors import MissingPackageError, SceneError
+from capture_sim.errors import MissingPackageError, SceneError, install_hint
+from capture_sim.launch.approach import APPROACH, Approach, approach_of, placed, with_approach
 from capture_sim.launch.scenes import change_scene, load_scene
 from capture_sim.results import LOADS, loads_of
 from capture_sim.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.scene import paths
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.approach import approach_of, placed
-from capture_sim.studies.axes import APPROACH, Approach, make_axis
+from capture_sim.studies.axes import make_axis
 from capture_sim.studies.executors import answers, open_executor
+from capture_sim.studies.limits import Limit, exceeded, make_limits
 from capture_sim.studies.outcome import Outcome, StudyRun
-from capture_sim.studies.sampling import PLAIN, Samples, make_samples
+from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samples
 
 if TYPE_CHECKING:
     import pandas
@@ -38,7 +39,8 @@ if TYPE_CHECKING:
 FAILED = "failed"
 #: Runs that a worker does in one go.
 _CHUNK = 20
-_RUN_UP = 2e-3  # m, from the start to the first touch where the approach is varied
+#: Relative tolerance of the runs of a sweep; see docs/sweep_checked.md.
+RTOL = 1e-6
 
 #: Results of a run that are no loads, and their units.
 _OUTCOME = {
@@ -49,7 +51,13 @@ _OUTCOME = {
     "energy_residual": "J",
 }
 #: What else a table may have beside inputs, outcome and loads.
-_NOTES = {"design": "", "verdict_at_half_tolerance": "", "failure": ""}
+_NOTES = {
+    "design": "",
+    "verdict_at_half_tolerance": "",
+    "exceeded": "",  # names of the loads that exceed their limits, separated by blanks
+    "failure": "",
+    "command": "",  # repeats the run; only in files
+}
 
 
 @functools.cache
@@ -65,9 +73,11 @@ def result_units() -> dict[str, str]:
 
 
 @functools.cache
-def _result_columns(*, check: bool) -> tuple[str, ...]:
+def result_columns(*, check: bool, limited: bool) -> tuple[str, ...]:
     """Return the names of the results of a run."""
-    left_out = ("design",) if check else ("design", "verdict_at_half_tolerance")
+    left_out = {"design", "command"}
+    left_out |= set() if check else {"verdict_at_half_tolerance"}
+    left_out |= set() if limited else {"exceeded"}
     return tuple(name for name in result_units() if name not in left_out)
 
 
@@ -80,6 +90,9 @@ def sweep(
     sample: str = "random",
     seed: int = 1,
     edges: int = 0,
+    correlations: Correlations | None = None,
+    limits: Mapping[str, Any] | None = None,
+    rtol: float = RTOL,
     check: bool = False,
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
@@ -95,9 +108,11 @@ def sweep(
         Scene, or the name or path of a scene for :func:`capture_sim.load_scene`.
     vary
         Varied inputs by name: a field (``"buffer.c_A"``) or the approach (``"approach.angle"``,
-        ``.offset``, ``.speed``: free flight just before the first touch).  An input is given by
+        ``.offset`` or ``.mouth_offset``, ``.speed``: free flight just before the first touch).  An
+        input is given by
         values, a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
-        distribution of scipy.stats.  Instead, a table with one run a row and one field a column.
+        distribution of scipy.stats.  Instead, a table with one run a row and one field a column;
+        other columns are ignored, with a warning.
     overrides
         Changed values as for :func:`capture_sim.load_scene`.
     runs
@@ -106,10 +121,18 @@ def sweep(
         Method of the draws: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
         indices (``runs`` is then the number of base samples).
     seed
-        Seed of the draws.
+        Seed of the draws.  The draws of a distribution do not depend on the order of the others.
     edges
         Number of further draws near the edges of the distributions; their column ``design`` is
         ``"edges"``.
+    correlations
+        Correlations of pairs of distributions by their names, of a Gaussian copula, e.g.
+        ``{("approach.speed", "approach.angle"): 0.6}``.
+    limits
+        Upper limits of loads, SI or a text with a unit, e.g. ``{"max_normal_force": 500}``; the
+        column ``exceeded`` has the names of the loads that exceed theirs.
+    rtol
+        Relative tolerance of the runs, unless ``overrides`` or ``vary`` have ``run.rtol``.
     check
         True to repeat every run at half the tolerance; column ``verdict_at_half_tolerance``.
     executor
@@ -141,13 +164,37 @@ def sweep(
         scene = load_scene(scene, overrides)
     elif overrides:
         scene = change_scene(scene, overrides)
-    samples = samples_of(scene, vary, runs, sample, seed, edges)
-    table = run_samples(scene, samples, check=check, executor=executor, report=report)
+    scene = at_tolerance(scene, overrides, rtol)
+    samples = samples_of(scene, vary, runs, sample, seed, edges, correlations)
+    if samples.ignored:
+        warnings.warn(ignored_text(scene, samples.ignored), stacklevel=2)
+    table = run_samples(
+        scene,
+        samples,
+        limits=make_limits(limits or {}),
+        check=check,
+        executor=executor,
+        report=report,
+    )
     if len(table) < len(samples.rows):
         warnings.warn(
             f"interrupted: {len(table)} of {len(samples.rows)} runs are done", stacklevel=2
         )
     return table
+
+
+def at_tolerance(scene: Scene, overrides: Overrides, rtol: float = RTOL) -> Scene:
+    """Return a scene with the tolerance of a sweep, unless ``overrides`` set another."""
+    items = [overrides] if isinstance(overrides, str) else overrides
+    if any(item.partition("=")[0].strip() == "run.rtol" for item in items):
+        return scene
+    changed: Scene = paths.changed(scene, "run.rtol", rtol)
+    return changed
+
+
+def ignored_text(scene: Scene, names: Sequence[str]) -> str:
+    """Return the warning on columns of a table that are no fields of a scene."""
+    return f"ignored columns: {', '.join(names)}: no fields of {scene.name}"
 
 
 def samples_of(
@@ -157,6 +204,7 @@ def samples_of(
     sample: str = "random",
     seed: int = 1,
     edges: int = 0,
+    correlations: Correlations | None = None,
 ) -> Samples:
     """Return the runs of a sweep, checked; see :func:`sweep`."""
     if not isinstance(vary, Mapping):
@@ -165,13 +213,15 @@ def samples_of(
         axes = [make_axis(scene, name, given) for name, given in vary.items()]
         if not axes:
             raise SceneError("vary: must have one axis or more")
-        samples = make_samples(axes, runs, sample, seed, edges)
+        samples = make_samples(axes, runs, sample, seed, edges, correlations)
     names = [axis.name for axis in samples.axes]
     if sensors := [name for name in names if name.startswith("sensors.")]:
         raise SceneError(f"{sensors[0]}: must not vary: verdicts are of the exact motion")
     clash = [name for name in names if name.startswith(("initial.", "rail.", "string."))]
     if clash and set(names) & set(APPROACH):
         raise SceneError(f"{clash[0]}: must not vary with approach.*, which replaces it")
+    if {"approach.offset", "approach.mouth_offset"} <= set(names):
+        raise SceneError("approach.mouth_offset: must not vary with approach.offset")
     if set(names) & set(APPROACH):
         approach_of(scene)
     return samples
@@ -179,11 +229,13 @@ def samples_of(
 
 def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
     inputs = {*paths.field_names(scene), *APPROACH}
-    columns = [str(name) for name in table.columns if str(name) not in result_units()]
-    for name in columns:
-        if name not in inputs:
-            hint = paths.did_you_mean(paths.alike(sorted(inputs), name))
-            raise SceneError(f"column {name}: no field of {scene.name}; {hint}")
+    columns, ignored = [], []
+    for name in map(str, table.columns):
+        if name in inputs:
+            columns.append(name)
+        elif name not in result_units():
+            _refuse_misspelt(scene, name, inputs)
+            ignored.append(name)
     if not columns or table.empty:
         raise SceneError("table: must have one row and one column of a field or more")
     for name in columns:
@@ -192,13 +244,23 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
             raise SceneError(f"column {name}: run {int(blank.argmax())} has no value")
     axes = tuple(make_axis(scene, name, table[name].tolist()) for name in columns)
     rows = list(zip(*(axis.values for axis in axes), strict=True))
-    return Samples(axes, rows, [PLAIN] * len(rows))
+    return Samples(axes, rows, [PLAIN] * len(rows), tuple(ignored))
+
+
+def _refuse_misspelt(scene: Scene, name: str, inputs: Collection[str]) -> None:
+    """Raise SceneError for a column that names a part of a scene, or a field without its part."""
+    part = name.partition(".")[0]
+    is_in_part = "." in name and any(field.startswith(f"{part}.") for field in inputs)
+    if is_in_part or any(field.endswith(f".{name}") for field in inputs):
+        hint = paths.did_you_mean(paths.alike(sorted(inputs), name))
+        raise SceneError(f"column {name}: no field of {scene.name}; {hint}")
 
 
 def run_samples(
     scene: Scene,
     samples: Samples,
     *,
+    limits: Sequence[Limit] = (),
     check: bool = False,
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
@@ -207,13 +269,11 @@ def run_samples(
     try:
         import pandas
     except ImportError:
-        raise MissingPackageError(
-            "sweep() needs pandas: pip install 'capture_sim[study]'"
-        ) from None
+        raise MissingPackageError(f"sweep() needs pandas: {install_hint('study')}") from None
     names = tuple(axis.name for axis in samples.axes)
     rows, count = samples.rows, len(samples.rows)
     chunks = [rows[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
-    work = functools.partial(_run_rows, Recipe(scene, names), check)
+    work = functools.partial(run_rows, Recipe(scene, names), check, tuple(limits))
     done: list[tuple[Any, ...]] = []
     try:
         with (
@@ -230,7 +290,9 @@ def run_samples(
     table = pandas.DataFrame(inputs)
     if len(set(samples.designs)) > 1:
         table["design"] = samples.designs[:finished]
-    results = pandas.DataFrame(done, columns=list(_result_columns(check=check)))
+    results = pandas.DataFrame(
+        done, columns=list(result_columns(check=check, limited=bool(limits)))
+    )
     table = pandas.concat([table, results], axis=1)
     table.index.name = "run"
     units = {**{axis.name: axis.unit for axis in samples.axes}, **result_units()}
@@ -250,7 +312,7 @@ class Recipe:
         """The approach in the scene itself; None where no axis is one of the approach."""
         if not set(self.names) & set(APPROACH):
             return None
-        return Approach(*approach_of(self.scene))
+        return approach_of(self.scene)
 
     def scene_of(self, values: Iterable[Any]) -> Scene:
         """Return the scene of a run.
@@ -265,40 +327,37 @@ class Recipe:
         scene: Scene = paths.with_values(self.scene, fields)
         if self._approach is None:
             return scene
-        approach: Approach = paths.with_values(
-            self._approach,
-            {n.removeprefix("approach."): x for n, x in given.items() if n in APPROACH},
-        )
-        return placed(scene, approach.angle, approach.offset, approach.speed, _RUN_UP)
+        return placed(scene, self._approach_of(given))
+
+    def _approach_of(self, given: Mapping[str, Any]) -> Approach:
+        """Return the approach of a run, of its values by name."""
+        assert self._approach is not None
+        values = {n.removeprefix("approach."): x for n, x in given.items() if n in APPROACH}
+        return with_approach(self._approach, values)
 
     def overrides_of(self, values: Sequence[Any]) -> list[str]:
         """Return the changes (``name=value``) that make a run's scene, exactly."""
-        pairs = zip(self.names, values, strict=True)
-        changes = [f"{name}={value}" for name, value in pairs if name not in APPROACH]
-        if self._approach is None:
-            return changes
-        start = self.scene_of(values)
-        changes += ["rail=null", "string=null"]
-        for vehicle in ("chaser", "target"):
-            state, before = (getattr(each.initial, vehicle) for each in (start, self.scene))
-            for field in dataclasses.fields(state):
-                value = getattr(state, field.name)
-                if value != getattr(before, field.name):
-                    changes.append(f"initial.{vehicle}.{field.name}={value!r}")
+        given = dict(zip(self.names, values, strict=True))
+        changes = [f"{name}={value}" for name, value in given.items() if name not in APPROACH]
+        if self._approach is not None:
+            approach = dataclasses.asdict(self._approach_of(given))
+            # one of the two offsets; all others, as the scene's own are of the scene unchanged
+            del approach["offset" if approach["mouth_offset"] is not None else "mouth_offset"]
+            changes += [f"approach.{name}={value}" for name, value in approach.items()]
         return changes
 
 
-def _run_rows(
-    recipe: Recipe, check: bool, rows: Sequence[tuple[Any, ...]]
+def run_rows(
+    recipe: Recipe, check: bool, limits: Sequence[Limit], rows: Sequence[tuple[Any, ...]]
 ) -> list[tuple[Any, ...]]:
-    """Return the results of some runs, each in the order of :func:`_result_columns`."""
+    """Return the results of some runs, each in the order of :func:`result_columns`."""
+    columns = result_columns(check=check, limited=bool(limits))
     prepared = [_prepared(recipe, row, check=check) for row in rows]
     for runs in prepared:
         if not isinstance(runs, SceneError):
             for run in runs:
                 run.integrate()
-    columns = _result_columns(check=check)
-    results = map(_results, prepared)
+    results = [_results(runs, limits) for runs in prepared]
     return [tuple([of_row.get(name, math.nan) for name in columns]) for of_row in results]
 
 
@@ -314,11 +373,11 @@ def _prepared(
         return error
 
 
-def _results(runs: tuple[StudyRun, ...] | SceneError) -> dict[str, Any]:
+def _results(runs: tuple[StudyRun, ...] | SceneError, limits: Sequence[Limit]) -> dict[str, Any]:
     """Return the results of a row by the names of their columns."""
     if isinstance(runs, SceneError):
         results: dict[str, Any] = dict.fromkeys(("verdict", "verdict_at_half_tolerance"), FAILED)
-        return {**results, "left_again": False, "touches": 0, "failure": str(runs)}
+        return {**results, "left_again": False, "touches": 0, "exceeded": "", "failure": str(runs)}
     outcome, *finer = (run.outcome() for run in runs)
     loads = {name: math.nan if x is None else x for name, x in outcome.loads.items()}
     return {
@@ -329,6 +388,7 @@ def _results(runs: tuple[StudyRun, ...] | SceneError) -> dict[str, Any]:
         "energy_residual": outcome.energy_residual,
         **loads,
         "verdict_at_half_tolerance": _verdict(finer[0]) if finer else None,
+        "exceeded": " ".join(exceeded(limits, outcome.loads)),
         "failure": outcome.failure,
     }
 
@@ -338,6 +398,4 @@ def _verdict(outcome: Outcome) -> str:
 
 
 def _at_half_tolerance(scene: Scene) -> Scene:
-    run = scene.run
-    run = dataclasses.replace(run, rtol=max(run.rtol / 2.0, 1e-13), step=max(run.step / 2.0, 1e-9))
-    return dataclasses.replace(scene, run=run)
+    return dataclasses.replace(scene, run=scene.run.refined(2.0, 2.0))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import Phase, example, given, seed, settings
 from hypothesis import strategies as st
 
-from capture_sim import Bench, Scene, SceneError, load_scene, scene_names
+from capture_sim import Bench, Scene, SceneError, SimulationError, load_scene, scene_names
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.files import MAX_TEXT, parse
 
@@ -229,3 +229,34 @@ def test_a_long_value_is_not_shown_whole():
         with pytest.raises(SceneError) as caught:
             load_scene("tilt_0", {name: value})
         assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        *(("probe.length", 1e300), ("cylinder.length", 1e200), ("cone.L_T", 1e300)),
+        *(("probe.tip_radius", 5e-324), ("initial.chaser.vx", 1e300), ("buffer.k_A", 1e308)),
+        *(("initial.chaser.x", 1e300), ("initial.target.y", -1e300), ("gravity", 1e-200)),
+    ],
+)
+def test_sizes_that_overflow_or_vanish_are_refused_by_field(name, value):
+    """They raised OverflowError, warned, or ran to a verdict with a penetration of infinity."""
+    with pytest.raises(
+        SceneError, match=rf"{name.rpartition('.')[2]} = .*must be.*1e-30 and 1e\+30"
+    ):
+        load_scene("paper_designed", {name: value})
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e-30, 1e30])
+@pytest.mark.parametrize(
+    "name", ["probe.length", "cylinder.length", "cone.L_T", "initial.chaser.vx", "initial.chaser.x"]
+)
+def test_extreme_sizes_run_to_finite_numbers_or_are_an_error(name, size):
+    """Without a warning of NumPy, which is an error here."""
+    try:
+        bench = Bench(load_scene("paper_designed", {name: size, "run.max_steps": 1000}))
+        samples = bench.advance(np.array([0.0, 1e-3]))
+    except (SceneError, SimulationError):
+        return
+    assert np.isfinite(samples["penetration"]).all()

@@ -1,12 +1,17 @@
 """Scenes: reading, extending, overriding, and what is refused."""
 
 import dataclasses
+import re
+from dataclasses import replace
 
 import pytest
+import yaml
 
 from capture_sim import Bench, SceneError, load_scene, scene_names
+from capture_sim.cli import main
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
+from capture_sim.scene.paths import field_names
 
 # what is wrong, and what the one line must say: field, value, unit, range
 BAD = [
@@ -186,3 +191,29 @@ def test_an_unknown_field_is_rejected_with_the_nearest_name(name, nearest):
     assert message.startswith(f"{name}: unknown field")
     assert ("did you mean" in message) == (nearest is not None)
     assert nearest is None or f"did you mean {nearest}?" in message
+
+
+def test_the_template_has_every_field_and_loads(tmp_path, capsys):
+    """Absent parts too: as comments, which load once they are values."""
+    assert main(["scenes", "--template"]) == 0
+    text = capsys.readouterr().out
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    scene, original = load_scene(path), load_scene("tilt_0")
+    assert scene == replace(original, name="mine", title="Made from tilt_0")
+    for name in field_names(scene):
+        assert re.search(rf"^ *{name.rpartition('.')[2]}: .+ # .+", text, re.MULTILINE), name
+    stops = re.search(r"^stops: null .*\n((?:#   .*\n)+)", text, re.MULTILINE)
+    given = yaml.safe_load("".join(line[2:] for line in stops[1].splitlines(keepends=True)))
+    assert set(given) == {"compression", "extension", "stiffness", "damping"}
+
+
+def test_a_missing_detector_is_offered_with_its_defaults(tmp_path):
+    data = yaml.safe_load(load_scene("tilt_0").to_yaml())
+    del data["detector"]
+    path = tmp_path / "a.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(SceneError, match=r"missing; detector: \{\} has all default values"):
+        load_scene(path)
+    path.write_text(yaml.safe_dump({**data, "detector": {}}))
+    assert load_scene(path).detector.min_dwell == 0.2

@@ -3,7 +3,7 @@
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from capture_sim.messages.definitions import typestore
-from capture_sim.recording.read import read_run
+from capture_sim.recording.bag import read_bag
 
 #: What a real bench records at least.
 BENCH_TOPICS = (
@@ -20,7 +20,7 @@ def as_it_is(time, message):
 
 def rewritten(path, folder, change=as_it_is, topics=BENCH_TOPICS):
     """A bag of some topics of a run, each message changed: times and message, or left out."""
-    run, store = read_run(path), typestore()
+    run, store = read_bag(path), typestore()
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for name, type_name in topics:
             connection = writer.add_connection(name, type_name, typestore=store)

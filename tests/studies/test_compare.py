@@ -12,19 +12,24 @@ from recorded_bags import BENCH_TOPICS, rewritten
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.commands import compare
-from capture_sim.recording.comparing import SAMPLED_FORCE, characteristics, comparable
-from capture_sim.recording.measured import first_contact
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.studies.compare import gaps
-from capture_sim.studies.measurements import Measurements, Series
+from capture_sim.series import Series
+from capture_sim.studies.compare import (
+    SAMPLED_FORCE,
+    characteristics,
+    gaps,
+    pair_touches,
+    sides,
+)
+from capture_sim.touches import Touches
 from capture_sim.viewing.studies import draw_touches, impulse_so_far
 
 
 def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):
     """By its loads, as both have them; of samples at 100 Hz the torsion comes out 0.5 % lower."""
-    sides = comparable(read_run(path), read_run(other))
-    found = characteristics(sides[0])
+    compared = sides(read_run(path), read_run(other))
+    found = characteristics(compared[0])
     loads, touches = result.loads, result.touches
     for name, expected in (
         ("torsion, mrad", loads["max_torsion"] * 1e3),
@@ -37,14 +42,14 @@ def test_runs_are_compared_by_what_the_run_itself_was(result, path, other):
         assert found[name].value == expected, name
     assert found["torsion, mrad"].source == "integration"
     assert found["touches"].source == "bench/event"
-    assert characteristics(sides[1])["stroke inwards, mm"].value > (
+    assert characteristics(compared[1])["stroke inwards, mm"].value > (
         found["stroke inwards, mm"].value
     )
-    assert sides[0].touches.peak.tolist() == result.touches["peak_force"].tolist()
+    assert compared[0].touches.peak.tolist() == result.touches["peak_force"].tolist()
 
 
 def test_both_runs_are_compared_by_a_series_that_both_hold(bench_bag, path):
-    bench, run = comparable(read_run(bench_bag), read_run(path))
+    bench, run = sides(read_run(bench_bag), read_run(path))
     assert bench.sources == {
         "chaser": "chaser/odom, 100 Hz",
         "target": "target/odom, 100 Hz",
@@ -64,7 +69,7 @@ def test_peaks_between_messages_come_before_samples(path, tmp_path):
     """bench/contact tells the first touch's peak at 100 Hz too; contact/wrench shows none."""
     topics = [*BENCH_TOPICS, ("/bench/contact", "capture_sim/msg/ContactState")]
     bag = read_run(rewritten(path, tmp_path / "bag", topics=topics))
-    side, _ = comparable(bag, read_run(path))
+    side, _ = sides(bag, read_run(path))
     assert side.touch_source == "bench/contact, 100 Hz, as long as each message counts one"
     assert side.touches.within(side.contact, 1.0).start[0] == 0.0
     located = read_run(path).touches
@@ -78,13 +83,16 @@ def test_a_fast_bench_is_compared_by_the_fast_series_of_the_run(result, path, tm
     fast = capture_sim.load_scene("tilt_0", ["run.rate=500"])
     recorded = write_run(capture_sim.simulate(fast), tmp_path / "fast.mcap")
 
-    sides = comparable(read_run(rewritten(recorded, tmp_path / "bag")), read_run(path))
-    assert [of.sources["stroke"] for of in sides] == [
+    compared = sides(read_run(rewritten(recorded, tmp_path / "bag")), read_run(path))
+    assert [of.sources["stroke"] for of in compared] == [
         "bench/buffer, 500 Hz",
         "bench/state, 1000 Hz",
     ]
-    assert [of.sources["chaser"] for of in sides] == ["chaser/odom, 500 Hz", "bench/state, 1000 Hz"]
-    mine, theirs = (characteristics(of)["torsion, mrad"].value for of in sides)
+    assert [of.sources["chaser"] for of in compared] == [
+        "chaser/odom, 500 Hz",
+        "bench/state, 1000 Hz",
+    ]
+    mine, theirs = (characteristics(of)["torsion, mrad"].value for of in compared)
     assert mine == pytest.approx(theirs, rel=1e-3)
     assert theirs == np.abs(result.samples["torsion"]).max() * 1e3
 
@@ -93,16 +101,14 @@ def test_with_motion_capture_the_true_path_is_taken_where_both_hold_it(path, tmp
     scene = capture_sim.load_scene("tilt_0", ["sensors.motion_capture.rate=100"])
     seen = capture_sim.simulate(scene)
     noisy = write_run(seen, tmp_path / "noisy.mcap")
-    found = characteristics(comparable(read_run(noisy), read_run(path))[0])[
-        "closest approach to BE, mm"
-    ]
+    found = characteristics(sides(read_run(noisy), read_run(path))[0])["closest approach to BE, mm"]
     assert found == (seen.loads["nearest_distance"] * 1e3, "integration")
     # a bench knows it by its detector alone, and so it is taken of both
     topics = [*BENCH_TOPICS, ("/capture/status", "capture_sim/msg/CaptureStatus")]
 
     bag = rewritten(path, tmp_path / "bag", topics=topics)
-    sides = comparable(read_run(noisy), read_run(bag))
-    assert [of.sources["distance"] for of in sides] == ["capture/status, 100 Hz"] * 2
+    compared = sides(read_run(noisy), read_run(bag))
+    assert [of.sources["distance"] for of in compared] == ["capture/status, 100 Hz"] * 2
 
 
 def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
@@ -118,9 +124,7 @@ def test_load_cell_alone_shows_when_the_contact_was(path, tmp_path, capsys):
     ]
 
     bag = rewritten(recorded, tmp_path / "bag", topics=topics)
-    assert first_contact(read_run(bag))[0] == pytest.approx(
-        first_contact(read_run(path))[0], abs=0.01
-    )
+    assert read_run(bag).first_contact.t == pytest.approx(read_run(path).first_contact.t, abs=0.01)
     assert main(["compare", str(bag), str(path), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "load_cell/wrench, 1000 Hz" in said
@@ -145,13 +149,41 @@ def test_percentages_are_written_where_they_say_something(a, b, said):
 def test_gaps_of_known_series():
     """Each run counts from its own contact, and what both hold is compared, by the coarser one."""
     t, coarse = np.linspace(0.0, 3.0, 301), np.linspace(0.5, 1.98, 75)
-    a = Measurements(stroke=Series(t, np.sin(t)))
-    b = Measurements(stroke=Series(coarse + 0.25, np.sin(coarse) + 0.1))  # later, and 0.1 larger
+    a = {"stroke": Series(t, np.sin(t))}
+    b = {"stroke": Series(coarse + 0.25, np.sin(coarse) + 0.1)}  # later, and 0.1 larger
     for one, other, sign in ((a, b, 1.0), (b, a, -1.0)):
         (gap,) = gaps(one, other, *((1.0, 1.25) if sign > 0.0 else (1.25, 1.0)), 1.5)
         assert gap.rms == pytest.approx(0.1)
         assert gap.largest == pytest.approx(sign * 0.1)  # second less first, as in the table
         assert (gap.begin, gap.end) == pytest.approx((0.0, 0.98))
+
+
+def located_at(*touches):
+    """Touches of (start in ms, wall)."""
+    start, wall = np.array(touches, dtype=float).reshape(-1, 2).T
+    n = len(start)
+    return Touches(start * 1e-3, np.ones(n), np.ones(n), start * 1e-3, np.ones(n), wall)
+
+
+@pytest.mark.parametrize(
+    "a, b, pairs",
+    [
+        (
+            # a chatter of one touch more, and a second contact: no later row is one off
+            [(0, 1), (2, 1), (5, 1), (411, -1), (415, -1)],
+            [(0, 1), (2.1, 1), (5.3, 1), (8, 1), (430, -1), (434, -1)],
+            [(0, 0), (1, 1), (2, 2), (None, 3), (3, 4), (4, 5)],
+        ),
+        ([(0, 1)], [(0, -1)], [(0, None), (None, 0)]),
+        ([(0, 1), (100, 1)], [(0, 0), (130, 1)], [(0, 0), (1, None), (None, 1)]),
+        ([], [(0, 1)], [(None, 0)]),
+    ],
+    ids=["one more", "other wall", "too far", "none"],
+)
+def test_touches_are_paired_by_wall_and_time(a, b, pairs):
+    assert pair_touches(located_at(*a), located_at(*b)) == pairs
+    swapped = pair_touches(located_at(*b), located_at(*a))
+    assert sorted(map(str, swapped)) == sorted(str((k, i)) for i, k in pairs)
 
 
 def test_compare_command(path, other, bench_bag, tmp_path, capsys):
@@ -199,7 +231,7 @@ def test_window_without_samples_is_refused(window, path, other, bench_bag, tmp_p
 
 
 def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
-    end = first_contact(read_run(path))[0] + 0.05
+    end = read_run(path).first_contact.t + 0.05
     short = capture_sim.simulate(capture_sim.load_scene("tilt_0", [f"run.t_end={end:.3f}"]))
     file = write_run(short, tmp_path / "short.mcap")
     assert main(["compare", str(path), str(file), "--out", str(tmp_path)]) == 0
@@ -214,8 +246,8 @@ def test_what_two_runs_really_share_is_said(result, path, tmp_path, capsys):
 
 def test_diagram_shows_the_peak_of_every_touch(result, path, tmp_path):
     """Read off the figure's own markers."""
-    sides = comparable(read_run(path), read_run(path))
-    told = sides[0].touches.within(sides[0].contact, 1.0)
+    compared = sides(read_run(path), read_run(path))
+    told = compared[0].touches.within(compared[0].contact, 1.0)
     assert told.peak.max() == result.touches["peak_force"].max()
     axes = Figure().subplots()
     draw_touches(axes, told, "A", "blue", "o")

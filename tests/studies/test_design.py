@@ -1,279 +1,186 @@
-"""The design flow: the paper's springs come back, refusals are true, energies add up."""
+"""Design within limits: what is found keeps them, is not beaten nearby, and holds for new draws."""
 
+import itertools
 import json
-import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import trapezoid
 
-from capture_sim import load_scene, simulate
+from capture_sim import SceneError, load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.results import first_cluster
-from capture_sim.studies.approach import Spread, captures, corners, margin_of, placed
+from capture_sim.launch.scenes import change_scene
+from capture_sim.scene import paths
 from capture_sim.studies.design import (
-    DesignTarget,
+    FREE,
+    Dispersions,
+    Requirements,
     design_buffer,
-    energy_of,
-    exceeded,
-    find_springs,
-    first_guess,
-    with_buffer,
+    make_variables,
+    with_values,
 )
-from capture_sim.studies.outcome import run_first_contact, run_to_verdict
+from capture_sim.studies.executors import open_executor
+from capture_sim.studies.limits import make_limits
+from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.paper_flow import with_buffer
+
+SERVICER = Path(__file__).parents[2] / "examples" / "servicer.yaml"
+LIMITS = make_limits(
+    {"max_axial_stroke_in": 0.015, "max_axial_stroke_out": 0.015, "max_torsion": 0.015}
+)
 
 
 @pytest.fixture(scope="module")
-def paper():
-    return load_scene("paper_undamped")
+def servicer():
+    return load_scene(SERVICER, ["run.rtol=1e-6", "run.t_end=3"])
 
 
 @pytest.fixture(scope="module")
-def design(paper):
-    own = run_first_contact(paper)
-    return design_buffer(paper, DesignTarget(own.axial_stroke, own.torsion, first_contact=True))
+def design(servicer):
+    with open_executor(2) as executor:
+        return design_buffer(servicer, Requirements(LIMITS), executor=executor)
 
 
-@pytest.mark.parametrize(
-    "name", ["paper_clamped", "paper_undamped", "paper_designed", "paper_case_1", "tilt_p10"]
-)
-def test_first_contact_is_that_of_the_whole_run(name):
-    scene = load_scene(name)
-    contact, whole = run_first_contact(scene), simulate(scene)
-    touches = first_cluster(whole.touches)
-    assert contact.touches == touches.size
-    assert contact.duration == pytest.approx(whole.summary["first_contact_duration"], rel=1e-9)
-    assert contact.peak_force == whole.summary["first_contact_peak_force"]
-    start, end = touches["start"].min(), touches["end"].max()
-    fine = simulate(scene, t_end=end, t_eval=np.linspace(start, end, 20_001)).samples
-    assert contact.axial_stroke == pytest.approx(np.abs(fine["axial_stroke"]).max(), rel=1e-4)
-    assert contact.torsion == pytest.approx(np.abs(fine["torsion"]).max(), rel=1e-4)
+def within(scene, limits):
+    """Return the peak force of a run that captures within limits; infinite for another."""
+    outcome = run_to_end(scene)
+    kept = all(outcome.loads[limit.key] <= limit.value for limit in limits)
+    return outcome.loads["max_normal_force"] if outcome.captured and kept else np.inf
 
 
-def test_a_run_without_contact_has_no_strokes():
-    scene = load_scene("paper_designed", ["initial.target.y=0.5", "run.t_end=0.3"])
-    contact = run_first_contact(scene)
-    assert (contact.touches, contact.axial_stroke, contact.peak_force) == (0, 0.0, 0.0)
-    assert math.isnan(contact.duration)
-
-
-def test_the_papers_springs_come_back(design):
-    b = design.scene.buffer
-    assert b.k_A == pytest.approx(500.0, rel=0.01)
-    assert b.k_T == pytest.approx(200.0, rel=0.01)
-    assert sum(candidate.verdict is None for candidate in design.history) <= 10
-
-
-@pytest.mark.parametrize("name", ["paper_case_1", "paper_case_2", "paper_case_3", "tilt_0"])
-def test_springs_come_back_from_the_strokes_that_they_give(name):
-    """The buffers of the paper's Figures 13 and 15, within 0.1 %."""
-    scene = load_scene(name)
-    b = scene.buffer
-    own = run_first_contact(with_buffer(scene, b.k_A, b.k_T, 0.0))
-    target = DesignTarget(own.axial_stroke, own.torsion, first_contact=True)
-    found = find_springs(scene, target, 0.0, first_guess(scene, target))
-    assert found.k_A == pytest.approx(b.k_A, rel=1e-3)
-    assert found.k_T == pytest.approx(b.k_T, rel=1e-3)
-
-
-def test_the_damper_captures_and_the_papers_is_among_those_that_do(design):
-    assert simulate(design.scene).verdict == "captured"
-    low, high = design.capturing
-    assert low < 13.0 < high
-    assert low <= design.scene.buffer.c_A <= high
-    b = design.scene.buffer
-    for c_A in (0.97 * low, 1.04 * high):
-        outside = with_buffer(design.scene, b.k_A, b.k_T, c_A)
-        assert simulate(outside).verdict != "captured"
-
-
-def test_the_paper_has_both_ways_to_fail(design):
-    """Too little damping and too much: either way the tip stays away from BE."""
-    tried = sorted((t for t in design.history if t.verdict is not None), key=lambda t: t.c_A)
-    assert tried[0].verdict == tried[-1].verdict == "rebound"
-    assert min(t.nearest for t in tried) < 0.5 * min(tried[0].nearest, tried[-1].nearest)
-
-
-def test_energy_is_what_the_curves_of_force_enclose(design):
-    """Step 6 of the paper's flow, by trapezoids over samples dense in every touch."""
-    end, energy = run_to_verdict(design.scene).t, design.energy
-    touches = simulate(design.scene, t_end=end).touches
-    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 60))
-    dense = touches["start"][:, None] + share * (touches["end"] - touches["start"])[:, None]
-    t = np.unique(np.concatenate([np.arange(0.0, end, 5e-4), dense.ravel(), [end]]))
-    s = simulate(design.scene, t_end=end, t_eval=t[t <= end]).samples
-    damper = -trapezoid(s["axial_force"], s["axial_stroke"]) - np.ptp(s["elastic_axial"][[0, -1]])
-    contact = sum(
-        trapezoid(s["normal_force"][:, wall], s["penetration"][:, wall]) for wall in (0, 1)
+def test_strokes_are_upper_limits_and_the_force_is_least(servicer, design):
+    """A buffer that uses both strokes in full pushes with 372 N."""
+    full = with_buffer(servicer, 1067.9, 843.14, 23.8)
+    loads = run_to_end(full).loads
+    assert (loads["max_axial_stroke_in"], loads["max_torsion"]) == pytest.approx(
+        (0.015, 0.015), rel=0.01
     )
-    assert energy.damper == pytest.approx(damper, rel=2e-3)
-    assert energy.contact == pytest.approx(contact, rel=1e-2)
-    chaser, target = 21.9706 + 1.0 + 0.178185, 23.5731
-    m = chaser * target / (chaser + target)
-    assert energy.approach == pytest.approx(0.5 * m * 0.1**2, rel=1e-4)
-    assert energy.damper + energy.contact < energy.approach
-    assert energy_of(with_buffer(design.scene, 500.0, 200.0, 0.0), 0.25).damper == 0.0
+    assert loads["max_normal_force"] > 345.0
+    assert design.met
+    run = simulate(design.scene)
+    assert run.verdict == "captured"
+    assert all(run.loads[limit.key] <= limit.value for limit in LIMITS)
+    assert run.loads["max_normal_force"] == design.best.peak_force < 200.0
+    finer = simulate(design.scene, rtol=1e-2 * servicer.run.rtol)
+    assert finer.loads["max_normal_force"] == pytest.approx(design.best.peak_force, rel=1e-4)
 
 
-def test_target_strokes_of_the_first_contact_are_met(paper):
-    found = design_buffer(paper, DesignTarget(5e-3, 3e-3, first_contact=True))
-    assert found.met
+def test_no_buffer_of_a_grid_around_the_design_is_better(servicer, design):
+    """A grid of 5^3 within 20 %; benchmarks/design.py has one of 20^3."""
+    best = design.best
+    factors = np.linspace(0.8, 1.2, 5)
+    forces = [
+        within(with_values(servicer, dict(zip(FREE, values, strict=True))), LIMITS)
+        for values in itertools.product(*(best.values[name] * factors for name in FREE))
+    ]
+    assert best.peak_force <= min(forces) * (1.0 + 1e-6)
+
+
+def test_a_seed_gives_one_design_wherever_it_is_computed(servicer):
+    limits = make_limits({"max_axial_stroke_in": 0.015})
+    free = ["buffer.c_A=100:2000"]
+    here = design_buffer(servicer, Requirements(limits), free)
+    with open_executor(2) as executor:
+        there = design_buffer(servicer, Requirements(limits), free, executor=executor)
+    assert [x.values for x in here.history] == [x.values for x in there.history]
+    assert here.scene == there.scene
+
+
+def test_what_is_free_is_searched_and_a_rebound_damper_keeps_its_ratio(servicer):
+    scene = paths.with_values(servicer, {"buffer.c_A": 10.0, "buffer.c_A_rebound": 30.0})
+    free = ["buffer.c_A", "buffer.preload=0:5", "buffer.k_A3=0 N/m^3:1e5 N/m^3"]
+    limits = make_limits({"max_axial_stroke_in": "20 mm"})
+    with open_executor(2) as executor:
+        found = design_buffer(scene, Requirements(limits), free, executor=executor)
     b = found.scene.buffer
-    scene = with_buffer(found.scene, b.k_A, b.k_T, 0.0)
-    contact = run_first_contact(replace(scene, run=replace(scene.run, rtol=1e-10)))
-    assert contact.axial_stroke == pytest.approx(5e-3, rel=0.02)
-    assert contact.torsion == pytest.approx(3e-3, rel=0.02)
-    assert simulate(found.scene).verdict == "captured"
+    assert b.c_A_rebound == pytest.approx(3.0 * b.c_A)
+    assert (b.k_A, b.k_T) == (scene.buffer.k_A, scene.buffer.k_T)
+    for name, high in (("buffer.preload", 5.0), ("buffer.k_A3", 1e5)):
+        tried = [candidate.values[name] for candidate in found.history]
+        assert min(tried) < 0.01 * high < 0.9 * high < max(tried) <= high
+    freed = make_variables(scene, limits, ["buffer.c_A", "buffer.c_A_rebound"])
+    values = {variable.name: variable.low for variable in freed}
+    assert with_values(scene, values).buffer.c_A_rebound == freed[1].low
+
+
+def test_a_refusal_names_what_was_searched_and_the_nearest(servicer):
+    limits = make_limits({"max_axial_stroke_in": 0.015, "max_normal_force": 20.0})
+    found = design_buffer(servicer, Requirements(limits), ["buffer.c_A=100:1000"])
+    assert not found.met
+    assert "buffers tried (buffer.c_A 100 to 1000)" in found.refusal
+    assert "none captures within the limits; the nearest, buffer.c_A = " in found.refusal
+    assert "has peak normal force" in found.refusal
+    assert len(found.history) > 100  # a population without a buffer does not end the search
+    nothing = design_buffer(
+        replace(servicer, run=replace(servicer.run, t_end=0.2)), Requirements(LIMITS), FREE[2:]
+    )
+    assert "none captures; the nearest" in nothing.refusal
 
 
 @pytest.mark.parametrize(
-    "name, axial_stroke, torsion, peak_force",
+    "free, message",
     [
-        ("paper_designed", 7.5e-3, 2e-3, None),
-        ("paper_designed", 6e-3, 5e-3, 260.0),
-        ("tilt_p10", 8e-3, 6e-3, None),
+        (["buffer.k_B"], "buffer.k_B: no number of servicer; did you mean buffer"),
+        (["buffer.k_A=5"], "must be LOW:HIGH in N/m"),
+        (["buffer.k_A=5:-1"], "free buffer.k_A = -1.0 N/m: must be >= 0"),
+        (["buffer.k_A=5:1"], "must be LOW < HIGH"),
+        (["probe.length"], "free probe.length: must have a range, probe.length=LOW:HIGH"),
+        (["contact.law"], "must be a number of the scene"),
+        (["buffer.k_A", "buffer.k_A=1:2"], "must be given once"),
     ],
 )
-def test_targets_hold_over_the_whole_run_of_the_design(name, axial_stroke, torsion, peak_force):
-    """Latch included, in a run of its own at a hundredth of the tolerance."""
-    target = DesignTarget(axial_stroke, torsion, peak_force=peak_force)
-    found = design_buffer(load_scene(name), target)
+def test_what_cannot_be_free_is_rejected_in_a_line(servicer, free, message):
+    with pytest.raises(SceneError, match=message):
+        make_variables(servicer, LIMITS, free)
+
+
+def test_a_robust_design_holds_for_draws_that_the_search_never_saw(servicer):
+    """Drawn here with other seeds, by hand; the design for the nominal case does not hold."""
+    vary = {"approach.speed": "normal(0.1, 5%)", "approach.offset": "normal(-20 mm, 2 mm)"}
+    limits = make_limits({"max_axial_stroke_in": 0.010, "max_normal_force": 260.0})
+    free = ["buffer.c_A=100:2000"]
+    requirements = Requirements(limits, Dispersions(vary), confidence=0.9, draws=20)
+    with open_executor(2) as executor:
+        found = design_buffer(servicer, requirements, free, executor=executor)
+    without_draws = (each for each in found.history if each.share is None)
+    nominal = with_values(servicer, min(without_draws, key=lambda each: each.merit).values)
     assert found.met
-    run = simulate(found.scene, rtol=0.01 * found.scene.run.rtol)
-    assert run.verdict == "captured"
-    loads = run.loads
-    stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
-    assert 0.9 * axial_stroke <= stroke <= 1.01 * axial_stroke
-    assert 0.9 * torsion <= loads["max_torsion"] <= 1.01 * torsion
-    assert peak_force is None or loads["max_normal_force"] <= peak_force
-    assert found.outcome.loads == simulate(found.scene).loads
-    assert exceeded(found) == {}
+    assert found.check.estimate >= 0.9
+
+    def share(scene):
+        generator, n_met = np.random.default_rng(99), 0
+        for _ in range(100):
+            speed, offset = generator.normal(0.1, 0.005), generator.normal(-0.02, 0.002)
+            changes = {"approach.speed": speed, "approach.offset": offset}
+            n_met += within(change_scene(scene, changes), limits) < np.inf
+        return n_met / 100
+
+    assert share(found.scene) >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / 100)
+    assert share(nominal) < share(found.scene)
 
 
-def test_what_later_contacts_exceed_is_reported(paper):
-    target = DesignTarget(7.5e-3, 2e-3, first_contact=True)
-    found = design_buffer(load_scene("paper_designed"), target)
-    assert found.met
-    assert exceeded(found) == {"max_torsion": 2e-3}
-    assert found.outcome.loads["max_torsion"] == pytest.approx(9.17e-3, rel=1e-3)
-
-
-def test_energy_is_counted_from_the_launch():
-    """The vehicles are held at t = 0: the string brings in what the buffer absorbs."""
-    scene = load_scene("tilt_p10")
-    energy = energy_of(scene, 5.0)
-    speed = simulate(scene, t_end=5.0).summary["impact_speed"]
-    chaser, target = scene.chaser_total_mass, scene.target.mass
-    assert energy.approach == pytest.approx(
-        0.5 * chaser * target / (chaser + target) * speed**2, rel=1e-3
-    )
-    assert 0.0 < energy.damper + energy.contact < energy.approach
-
-
-def test_a_stroke_longer_than_the_approach_has_energy_for_is_refused(paper):
-    found = design_buffer(paper, DesignTarget(0.2, 2e-3, first_contact=True))
-    assert not found.met
-    assert found.refusal.startswith("no springs give")
-    strokes = [
-        run_first_contact(with_buffer(paper, k_A, k_T, 0.0)).axial_stroke
-        for k_A in (20.0, 300.0, 5000.0)
-        for k_T in (5.0, 300.0, 2e4)
-    ]
-    assert max(strokes) < 0.2
-
-
-def test_too_short_a_stroke_is_refused_as_no_damper_captures(paper):
-    found = design_buffer(paper, DesignTarget(2.3e-3, 2e-3, first_contact=True))
-    assert "no damper captures" in found.refusal
-    assert "too much energy is left" in found.refusal
-    assert "too little is left" in found.refusal
-    b = found.scene.buffer
-    for c_A in [0.0, *np.geomspace(0.3, 1500.0, 12)]:
-        scene = with_buffer(paper, b.k_A, b.k_T, c_A)
-        assert simulate(scene).verdict != "captured"
-
-
-def test_a_limit_of_force_is_kept_or_refused(paper, design):
-    own = run_first_contact(paper)
-    strokes = own.axial_stroke, own.torsion
-    kept = design_buffer(paper, DesignTarget(*strokes, first_contact=True, peak_force=250.0))
-    assert kept.met
-    force = run_to_verdict(kept.scene).loads["max_normal_force"]
-    assert force <= 250.0 < design.history[-1].peak_force + 100.0
-    refused = design_buffer(paper, DesignTarget(*strokes, first_contact=True, peak_force=100.0))
-    assert "pushes too hard" in refused.refusal
-    # the first touch alone is harder than that, whatever the buffer
-    assert own.peak_force > 100.0
-
-
-def test_corners_of_a_spread():
-    assert len(corners(Spread(0.1, 1e-3, 0.02))) == 26
-    assert corners(Spread(0.1, 0.0, 0.0)) == [(0.0, 0.0, -0.1), (0.0, 0.0, 0.1)]
-
-
-def test_margin_is_where_the_first_capture_is_lost(design):
-    spread = Spread(speed=0.2, offset=0.0, angle=0.0)
-    margin = margin_of(design.scene, spread)
-    assert margin > 0.0
-    assert all(captures(design.scene, spread, s) for s in (0.25, margin))
-    weak = replace(design.scene, buffer=replace(design.scene.buffer, c_A=design.capturing[0]))
-    assert margin_of(weak, spread) < margin
-
-
-def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
-    tried = []
-    target = DesignTarget(0.2, 2e-3, first_contact=True)
-    found = find_springs(paper, target, 0.0, (500.0, 200.0), thorough=False, report=tried.append)
-    assert not found.met
-    assert len(tried) <= 26
-
-
-def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
-    how = ["design", "--first-contact", "--out", str(tmp_path)]
-    assert main([*how, "--trade-off=0.5:1:2"]) == 0
+def test_the_command_leaves_a_scene_within_its_limits(tmp_path, capsys):
+    limits = ["--stroke-limit=15", "--limit=max_torsion=30 mrad", "--peak-force=345"]
+    free = ["--free=buffer.c_A=100:1000", "--set=run.rtol=1e-6", "--workers=2", f"--out={tmp_path}"]
+    assert main(["design", str(SERVICER), *limits, *free]) == 0
     printed = capsys.readouterr().out
-    assert "k_A = 499.99 N/m" in printed or "k_A = 500" in printed
-    assert len(printed.splitlines()) < 40
-    # what is printed last are the loads of the design itself
-    loads = simulate(load_scene(tmp_path / "design.yaml")).loads
-    torsion = next(
-        line.split() for line in printed.splitlines() if line.startswith("torsion, mrad")
-    )
-    assert float(torsion[2]) == pytest.approx(loads["max_torsion"] * 1e3, rel=1e-3)
-    assert f"torsion {loads['max_torsion'] * 1e3:.4g} mrad, must be at most" in printed
-    scene = load_scene(tmp_path / "design.yaml")
-    assert scene.name == "paper_designed_design"
-    assert simulate(scene).verdict == "captured"
-    kept = json.loads((tmp_path / "design.json").read_text())
-    assert kept["refusal"] == ""
-    assert len(kept["history"]) > 30
-    for name in ("design.png", "trade_off.png"):
-        assert (tmp_path / name).stat().st_size > 10_000
-    assert main([*how, "-v", "--peak-force=50"]) == 1
-    printed = capsys.readouterr().out
-    assert "pushes too hard" in printed
-    assert len(printed.splitlines()) > 50
-
-
-@pytest.mark.parametrize("stroke, torsion, leaves", [(5, 3, True), (10, 2, False)])
-def test_a_winner_whose_tip_leaves_again_says_so(stroke, torsion, leaves, tmp_path, capsys):
-    target = [f"--stroke={stroke}", f"--torsion={torsion}", "--first-contact"]
-    assert main(["design", *target, f"--out={tmp_path}"]) == 0
-    printed = capsys.readouterr().out
+    assert "limits: stroke inwards <= 15 mm" in printed
     run = simulate(load_scene(tmp_path / "design.yaml"))
+    assert run.scene.name == "servicer_design"
+    assert run.verdict == "captured"
+    force = run.loads["max_normal_force"]
+    row = next(line for line in printed.splitlines() if line.startswith("peak normal force, N"))
+    assert float(row.split()[4]) == pytest.approx(force, rel=1e-3)
+    assert f"{1.0 - force / 345.0:+.1%}" in row
     kept = json.loads((tmp_path / "design.json").read_text())
-    assert run.verdict == kept["verdict"] == "captured"
-    assert run.summary["left_again"] == kept["left_again"] == leaves
-    assert ("the tip leaves the capture zone again" in printed) == leaves
-    closing = next(line for line in printed.splitlines() if line.startswith("verdict "))
-    assert ("captured, left" in closing) == leaves
+    assert kept["limits"]["max_normal_force"] == 345.0
+    assert len(kept["history"]) > 30
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+    assert main(["design", str(SERVICER), "--peak-force=20", *free]) == 1
+    assert "no buffer found: among" in capsys.readouterr().out
 
 
-def test_a_tip_that_meets_the_outer_lip_is_said_to(paper):
-    lip = placed(paper, 0.0, 0.07, 0.1)
-    own = run_first_contact(lip)
-    found = design_buffer(lip, DesignTarget(own.axial_stroke, own.torsion, first_contact=True))
-    assert "outer lip" in found.refusal
-    # the lip lies further from BE than the generatrix is long
-    assert simulate(lip).samples["tip_distance"].min() > lip.cone.L_c
+def test_the_scene_of_the_examples_is_that_of_the_page():
+    page = (SERVICER.parents[1] / "docs" / "design.md").read_text()
+    assert f'```yaml title="servicer.yaml"\n{SERVICER.read_text()}```' in page

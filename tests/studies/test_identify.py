@@ -11,10 +11,11 @@ from noisy_bench import NAMES, POSE_NOISE, noisy_run
 import capture_sim
 from capture_sim.bench import Bench
 from capture_sim.errors import SceneError
+from capture_sim.run import Run, state_series
 from capture_sim.samples import TOUCH
+from capture_sim.series import Series
 from capture_sim.studies.identify import identify, is_explained, scatter
-from capture_sim.studies.measurements import Measurements, Series, measured_in
-from capture_sim.studies.touches import located
+from capture_sim.touches import located
 
 HERE = "tilt_0"
 
@@ -22,7 +23,7 @@ HERE = "tilt_0"
 def test_a_noisy_run_gives_its_parameters_back():
     """Of the other experiments it is the whole command, see test_identify_bag.py."""
     run = noisy_run("tilt_m10", 2)
-    fit = identify(run.scene, run.measured, NAMES, plan=run.plan, touches=run.touches)
+    fit = identify(run.scene, run.run, NAMES, touches=run.touches)
     assert is_explained(fit)
     # four errors of one run beyond 3.5 sigma happen once in 500
     assert np.abs((fit.values - run.true) / fit.errors).max() < 3.5
@@ -36,7 +37,7 @@ def test_standard_errors_are_those_of_many_noises():
     fits = []
     for seed in range(12):
         run = noisy_run(HERE, seed, true=(0.001, 0.5, 0.33, 13.0))
-        fits.append(identify(run.scene, run.measured, ("mu", "c_A"), plan=run.plan, starts=1))
+        fits.append(identify(run.scene, run.run, ("mu", "c_A"), starts=1))
     spread = np.std([fit.values for fit in fits], axis=0, ddof=1)
     told = np.mean([fit.errors for fit in fits], axis=0)
     assert np.mean([fit.chi2 for fit in fits]) == pytest.approx(1.0, abs=0.1)
@@ -47,7 +48,7 @@ def test_standard_errors_are_those_of_many_noises():
 def test_model_that_is_wrong_is_not_believed():
     run = noisy_run(HERE, 4)
     scene = dataclasses.replace(run.scene, buffer=dataclasses.replace(run.scene.buffer, k_A=350.0))
-    fit = identify(scene, run.measured, ("mu",), plan=run.plan, starts=1)
+    fit = identify(scene, run.run, ("mu",), starts=1)
     assert not is_explained(fit)
     assert fit.chi2 > 10.0
 
@@ -55,7 +56,7 @@ def test_model_that_is_wrong_is_not_believed():
 def test_parameter_that_the_data_do_not_tell_has_an_error_without_bound():
     # nothing has touched yet: friction of the tip cannot be known, rolling resistance can
     run = noisy_run(HERE, 5)
-    fit = identify(run.scene, run.measured, ("c_rr", "mu"), plan=run.plan, until=2.5)
+    fit = identify(run.scene, run.run, ("c_rr", "mu"), until=2.5)
     assert np.isinf(fit.errors[1])
     assert abs(fit.values[0] - run.true[0]) < 4.0 * fit.errors[0]
 
@@ -66,8 +67,8 @@ def test_any_number_of_the_scene():
     true = dataclasses.replace(
         scene, buffer=dataclasses.replace(scene.buffer, k_A=530.0, k_T=190.0)
     )
-    measured = measured_in(Bench(true).advance(t))
-    fit = identify(scene, measured, ("buffer.k_A", "buffer.k_T"))
+    run = Run(HERE, series=state_series(Bench(true).advance(t)))
+    fit = identify(scene, run, ("buffer.k_A", "buffer.k_T"))
     assert fit.values == pytest.approx([530.0, 190.0], rel=1e-4)
     assert fit.scene.buffer.k_A == fit.values[0]
 
@@ -104,7 +105,7 @@ def test_noise_is_found_in_the_series():
 def test_what_cannot_be_fitted_is_refused_in_one_line(names, said):
     run = noisy_run(HERE, 7)
     with pytest.raises(SceneError, match=said) as caught:
-        identify(run.scene, run.measured, names)
+        identify(run.scene, run.run, names)
     assert "\n" not in str(caught.value)
 
 
@@ -112,9 +113,7 @@ def test_touches_behind_the_end_do_not_count():
     scene = capture_sim.load_scene("tilt_0")
     result = capture_sim.simulate(scene)
     touches = located(result.touches[:4]).with_noise(2e-4, 2.0)
-    fit = identify(
-        scene, measured_in(result.samples), ["buffer.k_A"], touches=touches, until=0.1, starts=1
-    )
+    fit = identify(scene, result, ["buffer.k_A"], touches=touches, until=0.1, starts=1)
     assert fit.touches == 0
     assert fit.chi2 < 1.0
     assert fit.undetermined == ("buffer.k_A",)  # nothing touches so early
@@ -130,4 +129,4 @@ def test_touches_behind_the_end_do_not_count():
 def test_what_cannot_be_fitted_to_is_refused(touches, said):
     found = None if touches is None else located(touches).with_noise(0.0, 2.0)
     with pytest.raises(SceneError, match=said):
-        identify(capture_sim.load_scene(HERE), Measurements(), ["mu"], touches=found)
+        identify(capture_sim.load_scene(HERE), Run(HERE), ["mu"], touches=found)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from noisy_bench import NAMES, noisy_run, with_parameters
+from noisy_bench import NAMES, later, noisy_run, with_parameters
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
@@ -14,7 +14,6 @@ from capture_sim.bench import Bench
 from capture_sim.cli import main
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import typestore
-from capture_sim.recording.measured import first_contact, touches_of
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.studies.identify import RELEASE, identify, is_explained
@@ -27,7 +26,7 @@ BIAS, CELL_NOISE = (1.5, -0.8), 0.5  # N
 
 def measured_force(run, rng):
     """Times and force on the tip in its own frame, with bias and noise, round the first touches."""
-    scene = with_parameters(run.scene, run.plan, *run.true.tolist())
+    scene = with_parameters(run.scene, run.run.plan, *run.true.tolist())
     met = float(run.touches.start[0])
     t = np.arange(met - 0.3, met + 0.3, 1.0 / CELL)
     samples = Bench(scene).advance(t)
@@ -64,12 +63,16 @@ def bench_bag(run, folder, force):
             return {"pose": Pose(position=Point(x=x, y=y, z=0.0), orientation=turned)}
 
         def with_hold(series):
-            return [*((t, series.values[0]) for t in held), *zip(*series, strict=True)]
+            measured = zip(series.t, series.values, strict=True)
+            return [*((t, series.values[0]) for t in held), *measured]
 
         for body in ("chaser", "target"):
-            rows = [(t, pose(row)) for t, row in with_hold(getattr(run.measured, body))]
+            rows = [(t, pose(row)) for t, row in with_hold(run.run.measured(body))]
             write(f"/motion_capture/{body}", "geometry_msgs/msg/PoseStamped", rows)
-        stroke, torsion = with_hold(run.measured.stroke), with_hold(run.measured.torsion)
+        stroke, torsion = (
+            with_hold(run.run.measured("stroke")),
+            with_hold(run.run.measured("torsion")),
+        )
         joints = []
         for (t, along), (_, turned) in zip(stroke, torsion, strict=True):
             content = {"name": [SLIDE_JOINT, HINGE_JOINT], "position": np.array([along, turned])}
@@ -123,8 +126,8 @@ def test_release_is_fitted_with_the_rest():
     run = noisy_run("tilt_0", 23)
     touches = dataclasses.replace(run.touches, start=run.touches.start + late)
     names = [RELEASE, "mu"]
-    scene = with_parameters(run.scene, run.plan, *run.true)
-    fit = identify(scene, run.measured.shifted(late), names, plan=run.plan, touches=touches)
+    scene = with_parameters(run.scene, run.run.plan, *run.true)
+    fit = identify(scene, later(run.run, late), names, touches=touches)
     assert is_explained(fit)
     assert np.all(np.abs(fit.values - [late, run.true[2]]) < 3.0 * fit.errors)
     assert fit.errors[0] < 2e-4
@@ -148,18 +151,18 @@ def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
 def test_touches_in_the_force_are_those_that_were(tmp_path):
     run = noisy_run("tilt_p10", 23)
     bag = bench_bag(run, tmp_path / "bag", measured_force(run, np.random.default_rng(23)))
-    scene = with_parameters(run.scene, run.plan, *run.true.tolist())
+    scene = with_parameters(run.scene, run.run.plan, *run.true.tolist())
     bench = Bench(scene)
     bench.advance(np.array([4.0]))
     true = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:4]
-    found, source = touches_of(read_run(bag, release=STOOD), run.scene)
+    found, source = read_run(bag, release=STOOD, scene=run.scene).resolved_touches
     found = found.of(slice(4))
     assert source.startswith("contact/wrench, 2e+04 Hz")
     assert found.start == pytest.approx(true["start"], abs=1.0 / CELL)
     # noise of the cell, and 1 % of shape
     assert found.peak == pytest.approx(true["peak_force"], rel=0.01, abs=4.0 * CELL_NOISE)
     # the release is 0.35 s after the first pose, from which the bag's own time counts
-    met = first_contact(read_run(bag))[0]
+    met = read_run(bag).first_contact.t
     assert met == pytest.approx(true["start"][0] + STOOD, abs=1.0 / CELL)
 
 

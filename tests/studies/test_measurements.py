@@ -7,9 +7,8 @@ import pytest
 from recorded_bags import BENCH_TOPICS, rewritten
 
 from capture_sim.cli import main
-from capture_sim.recording.measured import measurements
 from capture_sim.recording.read import read_run
-from capture_sim.studies.measurements import measured_in
+from capture_sim.series import PARTS, series_in
 
 
 def test_bench_whose_clock_is_the_walls_measures_the_same(path, tmp_path):
@@ -20,10 +19,9 @@ def test_bench_whose_clock_is_the_walls_measures_the_same(path, tmp_path):
         yield time + epoch * 1_000_000_000, message
 
     bag = rewritten(path, tmp_path / "bag", later)
-    seen = measurements(read_run(bag))
-    for (_, mine), (_, theirs) in zip(
-        seen.items(), measurements(read_run(path)).items(), strict=True
-    ):
+    bench, simulated = read_run(bag), read_run(path)
+    for quantity in (*PARTS, "force"):
+        mine, theirs = bench.measured(quantity), simulated.measured(quantity)
         np.testing.assert_allclose(mine.t, theirs.t, rtol=0, atol=1e-9)
         np.testing.assert_array_equal(mine.values, theirs.values)
 
@@ -43,7 +41,8 @@ def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
         yield time, message
 
     bag = rewritten(path, tmp_path / "bag", spoilt)
-    for _, series in measurements(read_run(bag)).items():
+    for series in map(read_run(bag).measured, (*PARTS, "force")):
+        assert series.t.size
         assert np.isfinite(series.values).all()
         assert (np.diff(series.t) > 0.0).all()
     # its force is too slow to show every touch, so that none is fitted
@@ -61,18 +60,19 @@ def test_joints_are_known_by_their_names(path, tmp_path):
         yield time, message
 
     topics = [*BENCH_TOPICS[:2], ("/joint_states", "sensor_msgs/msg/JointState")]
-    seen = measurements(read_run(rewritten(path, tmp_path / "bag", swapped, topics)))
-    told = measurements(read_run(path))
-    np.testing.assert_array_equal(seen.stroke.values, told.stroke.values)
-    np.testing.assert_array_equal(seen.torsion.values, told.torsion.values)
+    joints, simulated = read_run(rewritten(path, tmp_path / "bag", swapped, topics)), read_run(path)
+    for name in ("stroke", "torsion"):
+        found = joints.measured(name).values
+        np.testing.assert_array_equal(found, simulated.measured(name).values)
 
 
 def test_measurements_of_a_bag_are_those_of_the_samples(result, path):
     every = round(result.scene.run.state_rate / result.scene.run.rate)
-    exact = measured_in(result.samples[::every])
-    for name, series in measurements(read_run(path)).items():
-        assert series.t == pytest.approx(getattr(exact, name).t, abs=1e-9)
-        assert series.values == pytest.approx(getattr(exact, name).values, abs=1e-12)
+    exact, run = series_in(result.samples[::every]), read_run(path)
+    for name in (*PARTS, "force"):
+        series = run.measured(name)
+        assert series.t == pytest.approx(exact[name].t, abs=1e-9)
+        assert series.values == pytest.approx(exact[name].values, abs=1e-12)
 
 
 def test_identify_command_finds_what_the_run_was_made_with(path, capsys):

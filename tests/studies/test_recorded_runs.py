@@ -16,10 +16,10 @@ from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
-from capture_sim.recording.detect import detect_again
-from capture_sim.recording.export import save_tables, table
-from capture_sim.recording.measured import first_contact
+from capture_sim.recording.bag import read_bag
+from capture_sim.recording.export import save_tables, tables_of
 from capture_sim.recording.read import read_run
+from capture_sim.run import detect
 from capture_sim.samples import columns_of
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -34,11 +34,11 @@ def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_pat
     def as_it_is(time, message):
         yield time + 1_700_000_000_000_000_000, message
 
-    ours, theirs = read_run(path), read_run(rewritten(path, tmp_path / "bag", topics=topics))
+    ours, theirs = read_bag(path), read_bag(rewritten(path, tmp_path / "bag", topics=topics))
     assert theirs.scene == ours.scene
     assert (theirs.run_id, theirs.name) == (ours.run_id, ours.name)
     assert set(ours.metadata) - set(theirs.metadata) <= {"part", "origin"}
-    assert main(["resimulate", str(tmp_path / "bag")]) == 0
+    assert main(["compare", str(tmp_path / "bag"), "--simulated", "--out", str(tmp_path)]) == 0
     assert "bit-identical" in capsys.readouterr().out
     assert main(["detect", str(tmp_path / "bag")]) == 0
 
@@ -46,7 +46,7 @@ def test_bag_by_another_recorder_has_the_scene_of_its_announcement(path, tmp_pat
         if getattr(message, "seq", None) != 5:
             yield time, message
 
-    lossy = read_run(rewritten(path, tmp_path / "lossy", lost, topics))
+    lossy = read_bag(rewritten(path, tmp_path / "lossy", lost, topics))
     assert any("bench/state: 1 messages missing" in problem for problem in lossy.problems), (
         lossy.problems
     )
@@ -61,9 +61,11 @@ def test_times_of_a_table_count_from_the_release(path, tmp_path):
             yield time + 1_700_000_000_000_000_000, message
 
     topics = (BENCH_TOPICS[0], ("/bench/run_info", "capture_sim/msg/RunInfo"))
-    theirs = read_run(rewritten(path, tmp_path / "bag", from_2_s, topics))
-    times = table(read_run(path), "/chaser/odom")["t"]
-    assert table(theirs, "/chaser/odom")["t"] == pytest.approx(times[times > 1.995], abs=1e-9)
+    theirs = read_bag(rewritten(path, tmp_path / "bag", from_2_s, topics))
+    times = tables_of(read_bag(path))["/chaser/odom"].fields["t"]
+    assert tables_of(theirs)["/chaser/odom"].fields["t"] == pytest.approx(
+        times[times > 1.995], abs=1e-9
+    )
 
 
 def test_simulated_bag_that_begins_late_counts_from_its_release(path, tmp_path):
@@ -74,8 +76,8 @@ def test_simulated_bag_that_begins_late_counts_from_its_release(path, tmp_path):
             yield time + 1_700_000_000_000_000_000, message
 
     topics = (BENCH_TOPICS[0], ("/bench/state", "capture_sim/msg/BenchState"))
-    bag = read_run(rewritten(path, tmp_path / "bag", from_2_s, topics))
-    assert table(bag, "/chaser/odom")["t"][0] == pytest.approx(2.0, abs=0.01)
+    bag = read_bag(rewritten(path, tmp_path / "bag", from_2_s, topics))
+    assert tables_of(bag)["/chaser/odom"].fields["t"][0] == pytest.approx(2.0, abs=0.01)
     assert bag.samples["t"][0] == pytest.approx(2.0, abs=0.01)
 
 
@@ -91,14 +93,14 @@ def test_poses_before_the_release_count_by_the_clock_of_the_bench(path, tmp_path
             yield time, message
 
     topics = (*BENCH_TOPICS[:2], ("/launcher/command", "capture_sim/msg/LaunchCommand"))
-    bag = read_run(rewritten(path, tmp_path / "bag", change, topics))
-    shifted = table(read_run(path), "/chaser/odom")["t"] - 5.0
-    assert table(bag, "/chaser/odom")["t"] == pytest.approx(shifted, abs=1e-6)
-    assert table(bag, "/launcher/command")["t"].tolist() == [0.0, 0.0]
+    bag = read_bag(rewritten(path, tmp_path / "bag", change, topics))
+    shifted = tables_of(read_bag(path))["/chaser/odom"].fields["t"] - 5.0
+    assert tables_of(bag)["/chaser/odom"].fields["t"] == pytest.approx(shifted, abs=1e-6)
+    assert tables_of(bag)["/launcher/command"].fields["t"].tolist() == [0.0, 0.0]
 
 
 def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
-    run = read_run(path)
+    run = read_bag(path)
     folder = tmp_path / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for name, type_name in (
@@ -114,7 +116,11 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "type of /target/odom = geometry_msgs/msg/PoseStamped: must be nav_msgs" in said
     with pytest.raises(RecordingError, match="type of /bench/state = "):
-        _ = read_run(folder).samples
+        _ = read_bag(folder).samples
+    odd = read_run(folder)  # a foreign topic hinders only what needs it
+    assert odd.origin.left_out[1].startswith("/bench/state: left out: type = geometry_msgs")
+    assert odd.measured("chaser").t.size == 9
+    assert odd.state.size == 0
 
 
 def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys):
@@ -165,11 +171,11 @@ def test_bag_with_two_runs_is_not_judged_as_one(path, tmp_path, capsys):
 
 def test_detector_judges_a_bag_as_it_judged_the_run(path):
     run = read_run(path)
-    again = detect_again(run)
+    again = detect(run, from_series=True)
     assert [(s.t, s.state, s.final, s.reason) for s in again] == [
-        (s.t, s.state, s.final, s.reason) for s in run.statuses
+        (s.t, s.state, s.final, s.reason) for s in run.reported_statuses
     ]
-    for mine, theirs in zip(again, run.statuses, strict=True):
+    for mine, theirs in zip(again, run.reported_statuses, strict=True):
         # the heading went through a quaternion
         assert mine.distance == pytest.approx(theirs.distance, abs=1e-12)
 
@@ -182,7 +188,7 @@ def test_detector_with_other_limits(path, capsys):
     said = capsys.readouterr().out
     assert "verdict: stuck" in said
     assert "DIFFERENT" in said
-    assert read_run(path).criteria == read_run(path).scene.detector
+    assert read_bag(path).criteria == read_bag(path).scene.detector
 
 
 @pytest.mark.parametrize("change", ["buffer.c_A=3", "detector.radus=0.004", "detector=1"])
@@ -199,26 +205,26 @@ def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
     assert "give it with --scene" in capsys.readouterr().err
     assert main(["detect", str(bench_bag), "--scene", "tilt_0"]) == 0
     assert "verdict: captured" in capsys.readouterr().out
-    assert read_run(bench_bag).samples.size == 0
-    assert first_contact(read_run(bench_bag))[0] == pytest.approx(
-        first_contact(read_run(path))[0], abs=0.05
+    assert read_bag(bench_bag).samples.size == 0
+    assert read_run(bench_bag).first_contact.t == pytest.approx(
+        read_run(path).first_contact.t, abs=0.05
     )
 
 
 def test_topic_that_the_detector_needs_is_named(path, tmp_path):
-    bag = read_run(rewritten(path, tmp_path / "bag", topics=BENCH_TOPICS[:1]))
+    run = read_run(rewritten(path, tmp_path / "bag", topics=BENCH_TOPICS[:1]))
     with pytest.raises(RecordingError, match="contains no target/odom, which the detector needs"):
-        detect_again(bag, read_run(path).scene)
+        detect(run, read_run(path).scene)
 
 
 def test_csv_gives_the_same_bits(path, tmp_path, capsys):
     assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 0
-    run = read_run(path)
+    run = read_bag(path)
     tables = sum(map(bool, run.topics.values())) + 1  # and that of the touches
     assert capsys.readouterr().out.count("written: ") == tables
     with (tmp_path / "bench_state.csv").open() as file:
         rows = list(csv.DictReader(file))
-    columns = columns_of(table(run, "/bench/state"))
+    columns = columns_of(tables_of(run)["/bench/state"].fields)
     assert [head.partition(" [")[0] for head in rows[0]] == list(columns)
     for head in ("t [s]", "q.x_S [m]", "v.theta_T [rad/s]", "penetration.-y [m]", "kinetic [J]"):
         name, _, _ = head.partition(" ")
@@ -230,8 +236,8 @@ def test_csv_gives_the_same_bits(path, tmp_path, capsys):
 
 
 def test_npz_holds_everything_without_pickle(path, tmp_path):
-    run = read_run(path)
-    (file,) = save_tables(run, tmp_path, "npz")
+    run = read_bag(path)
+    (file,) = save_tables(tables_of(run), tmp_path, "npz", name=path.stem, scene=run.scene_text)
     with np.load(file, allow_pickle=False) as data:
         for topic in filter(run.raw, run.topics):
             for name, column in run.columns(topic).items():
@@ -246,7 +252,7 @@ def test_npz_holds_everything_without_pickle(path, tmp_path):
 
 
 def test_topics_and_columns_are_chosen(path, tmp_path, capsys):
-    run, wanted = read_run(path), ["--topics", "bench/state", "/chaser/odom"]
+    run, wanted = read_bag(path), ["--topics", "bench/state", "/chaser/odom"]
     command = ["export", str(path), "--out", str(tmp_path), *wanted]
     assert main([*command, "--columns", "q.x_S", "impulse", "seq"]) == 0
     (file,) = tmp_path.iterdir()  # the odometry has none of them
@@ -258,16 +264,16 @@ def test_topics_and_columns_are_chosen(path, tmp_path, capsys):
         assert capsys.readouterr().err.count("\n") == 1
     for topic in run.topics:
         if run.topics[topic]:
-            assert table(run, topic)["t"].min() >= 0.0
+            assert tables_of(run)[topic].fields["t"].min() >= 0.0
 
 
 def test_parquet_gives_the_same_bits(path, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     assert main(["export", str(path), "--to", "parquet", "--out", str(tmp_path)]) == 0
-    run = read_run(path)
+    run = read_bag(path)
     for topic in filter(run.raw, run.topics):
         found = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
-        for name, column in columns_of(table(run, topic)).items():
+        for name, column in columns_of(tables_of(run)[topic].fields).items():
             if column.dtype != object:
                 assert found[name].to_numpy().tobytes() == np.ascontiguousarray(column).tobytes()
     schema = parquet.read_schema(tmp_path / "touches.parquet")

@@ -1,7 +1,9 @@
 """Sweeps: what is drawn is run, one row is one run, statistics, files, and executors."""
 
+import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,20 +22,25 @@ import capture_sim
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.recording.sweep_file import METADATA, read_cases
-from capture_sim.results import LOADS
+from capture_sim.launch.approach import approach_of, placed
+from capture_sim.recording.sweep_file import read_cases
+from capture_sim.results import LOADS, loads_of
+from capture_sim.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.scene import paths
 from capture_sim.studies import sweep as module
-from capture_sim.studies.approach import approach_of, placed
 from capture_sim.studies.axes import make_axis
 from capture_sim.studies.dispersion import (
     capture_probability,
+    limit_probability,
+    margin_at,
     quantiles,
     rank_correlations,
     sobol_indices,
+    success_probability,
     wilks_runs,
 )
 from capture_sim.studies.executors import InProcess, open_executor
+from capture_sim.studies.limits import exceeded, make_limits
 from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.sampling import make_samples
 from capture_sim.studies.sweep import Recipe, samples_of
@@ -103,7 +110,10 @@ def test_an_approach_is_read_back_from_the_scene_that_is_run(scenes_run):
     assert len(table) == len(scenes_run) == 18
     names = ["approach.angle", "approach.offset", "approach.speed"]
     for (_, row), scene in zip(table.iterrows(), scenes_run, strict=True):
-        assert approach_of(scene) == pytest.approx(row[names].tolist(), rel=1e-9, abs=1e-12)
+        found = approach_of(scene)
+        assert [found.angle, found.offset, found.speed] == pytest.approx(
+            row[names].tolist(), rel=1e-9, abs=1e-12
+        )
         assert scene.cone.R_c == row["cone.R_c"]
         assert scene.rail is None
         assert scene.string is None
@@ -111,16 +121,19 @@ def test_an_approach_is_read_back_from_the_scene_that_is_run(scenes_run):
 
 def test_approach_that_is_not_varied_is_that_of_the_scene(scenes_run):
     capture_sim.sweep("tilt_p10", {"approach.offset": [0.0, 0.005]}, executor=HERE)
-    angle, _, speed = approach_of(load_scene("tilt_p10"))
+    own = approach_of(load_scene("tilt_p10"))
     for scene, offset in zip(scenes_run, (0.0, 0.005), strict=True):
-        assert approach_of(scene) == pytest.approx((angle, offset, speed), abs=1e-12)
+        found = approach_of(scene)
+        assert [found.angle, found.offset, found.speed] == pytest.approx(
+            [own.angle, offset, own.speed], abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", ["tilt_0", "paper_designed"])
 def test_a_row_is_the_run_that_simulate_makes(name):
     table = capture_sim.sweep(name, {"buffer.c_A": [5, 25]}, executor=HERE)
     for _, row in table.iterrows():
-        result = simulate(name, {"buffer.c_A": row["buffer.c_A"]})
+        result = simulate(name, {"buffer.c_A": row["buffer.c_A"], "run.rtol": 1e-6})
         assert row["verdict"] == result.verdict
         final = next(status for status in result.statuses if status.final)
         assert row["verdict_time"] == final.t
@@ -136,13 +149,16 @@ def test_a_row_is_the_run_that_simulate_makes(name):
 
 
 def test_the_command_of_a_run_repeats_it_to_the_bit():
+    """Also where the approach is varied only in part: the rest is the unchanged scene's."""
     scene = load_scene("tilt_p10", SHORT)
     vary = {"approach.angle": [0.1], "buffer.k_A": "normal(500, 5%)", "contact.law": "flores"}
+    vary |= {"chaser.mass": [22.0], "approach.mouth_offset": [0.01]}
     samples = samples_of(scene, vary, 2)
     table = module.run_samples(scene, samples, executor=HERE)
     recipe = Recipe(scene, tuple(vary))
     for number, values in enumerate(samples.rows):
         alone = run_to_end(load_scene("tilt_p10", [*SHORT, *recipe.overrides_of(values)]))
+        assert alone.loads["touches"] > 0
         assert table["verdict"][number] == alone.verdict
         loads = {name: math.nan if x is None else x for name, x in alone.loads.items()}
         row = table.loc[number, list(loads)].to_dict()
@@ -215,6 +231,10 @@ def test_draws_follow_their_distributions_and_the_seed():
         assert values[2].mean() == pytest.approx(0.5, rel=0.01)
     first, again, other = (make_samples(axes, 50, "random", seed).rows for seed in (1, 1, 2))
     assert first == again != other
+    for sample in ("random", "latin"):  # nor on the others, nor on their order
+        alone = np.array(make_samples(axes[1:2], 50, sample, edges=5).rows)[:, 0]
+        turned = np.array(make_samples(axes[::-1], 50, sample, edges=5).rows)[:, 1]
+        assert np.array_equal(alone, turned)
     longer = make_samples(axes, 60, "random", 1).rows
     assert longer[:50] == first
     edged = make_samples(axes, 50, "random", 1, edges=200)
@@ -223,6 +243,26 @@ def test_draws_follow_their_distributions_and_the_seed():
     assert edge.min() == pytest.approx(0.005)
     assert edge.max() == pytest.approx(0.995)
     assert np.mean((edge < 0.02) | (edge > 0.98)) > 0.35
+
+
+@pytest.mark.parametrize("sample", ["random", "latin", "sobol"])
+def test_correlated_draws_keep_their_distributions(sample):
+    """Spearman's correlation of a Gaussian copula is 6 / pi asin(R / 2); a third is untouched."""
+    scene = load_scene("tilt_0")
+    texts = {
+        "buffer.k_A": "normal(500, 5%)",
+        "buffer.k_T": "loguniform(100, 400)",
+        "friction.mu": "uniform(0, 0.3)",
+    }
+    axes = [make_axis(scene, name, text) for name, text in texts.items()]
+    correlations = {("buffer.k_T", "buffer.k_A"): 0.6}
+    free = np.array(make_samples(axes, 4096, sample).rows).T
+    found = np.array(make_samples(axes, 4096, sample, correlations=correlations).rows).T
+    rank = stats.spearmanr(found[0], found[1]).statistic
+    assert rank == pytest.approx(6.0 / math.pi * math.asin(0.3), abs=0.03)
+    for values, axis in zip(found, axes, strict=True):
+        assert stats.kstest(values, axis.distribution.cdf).pvalue > 1e-3
+    assert np.array_equal(found[2], free[2])
 
 
 def test_every_value_has_the_same_draws():
@@ -254,7 +294,7 @@ def test_runs_that_cannot_be_computed_say_why_and_count_apart():
 def verdicts(captured, missed, failed=0):
     return pd.DataFrame(
         {"verdict": ["captured"] * captured + ["missed"] * missed + ["failed"] * failed}
-    )
+    ).assign(left_again=False)
 
 
 def test_probability_has_the_exact_interval():
@@ -267,6 +307,61 @@ def test_probability_has_the_exact_interval():
         pytest.approx(0.9748, abs=1e-4),
     )
     assert np.isnan(capture_probability(verdicts(0, 0, failed=2)).estimate)
+
+
+def test_limits_have_their_probabilities_margins_and_flags():
+    """A table whose loads are 0.01 to 1.00 N: a limit of 0.8 N is met by 80 of 100 runs."""
+    force = np.arange(1, 101) / 100.0
+    table = pd.DataFrame({"verdict": ["captured"] * 90 + ["missed"] * 10, "left_again": False})
+    table["max_normal_force"] = force
+    table["max_torsion"] = force[::-1] * 1e-3
+    limits = make_limits({"max_normal_force": 0.8, "max_torsion": "0.905 mrad"})
+    found = limit_probability(table, limits[:1])
+    exact = stats.beta.ppf(0.025, 80, 21), stats.beta.ppf(0.975, 81, 20)
+    assert (found.met, found.computed, found.low, found.high) == (
+        80,
+        100,
+        *map(pytest.approx, exact),
+    )
+    assert limit_probability(table, limits).met == 70
+    assert success_probability(table, limits).met == 70
+    assert success_probability(table, limits[1:]).met == 80
+    assert margin_at(table, limits[0], 0.05) == pytest.approx(1 - np.quantile(force, 0.95) / 0.8)
+    assert margin_at(table, limits[0], 0.0) == pytest.approx(-0.25)
+    assert exceeded(limits, {"max_normal_force": 0.8, "max_torsion": 1e-3}) == ("max_torsion",)
+    assert exceeded(limits, {"max_normal_force": None, "max_torsion": math.nan}) == ()
+
+
+def test_the_command_reports_limits_and_flags_the_runs_that_exceed_them(tmp_path, capsys):
+    out = tmp_path / "a.csv"
+    vary = ["--vary=buffer.k_A=uniform(100, 900)", "--runs=12", "--set=run.t_end=3.5"]
+    limits = ["--limit=max_axial_stroke_in_before_latch=7 mm", "--limit=max_normal_force=500"]
+    assert main(["sweep", "tilt_0", *vary, *limits, "--workers=1", f"--out={out}"]) == 0
+    printed = capsys.readouterr().out
+    table = pd.read_csv(out, keep_default_na=False)
+    too_long = table["max_axial_stroke_in_before_latch [m]"] > 7e-3
+    assert 0 < too_long.sum() < 12
+    flags = np.where(too_long, "max_axial_stroke_in_before_latch", "")
+    assert table["exceeded"].tolist() == flags.tolist()
+    assert f"all limits met {12 - too_long.sum()} of 12: probability" in printed
+    assert re.search(
+        rf"stroke inwards before the latch +7 +mm +{12 - too_long.sum()} of 12", printed
+    )
+    assert re.search(r"peak normal force +500 +N +12 of 12 +1\.0000 +0\.7354 to 1\.0000", printed)
+    assert (tmp_path / "a_loads.png").exists()
+    assert main(["sweep", "tilt_0", *vary, "--limit=max_force=5", f"--out={out}"]) == 2
+    assert "limit max_force: is no load; did you mean max_" in capsys.readouterr().err
+
+
+def test_captures_that_left_again_count_apart(tmp_path, capsys):
+    """In the paper's case without a latch, the tip of every captured run leaves the zone again."""
+    out = tmp_path / "a.csv"
+    vary = ["--vary=buffer.c_A=uniform(12, 13)", "--runs=3", "--workers=1", f"--out={out}"]
+    assert main(["sweep", "paper_designed", *vary]) == 0
+    printed = capsys.readouterr().out
+    assert "verdicts: 3 captured, left again" in printed
+    assert "captured 3 of 3" in printed
+    assert "captured and not left again 0 of 3" in printed
 
 
 def test_intervals_of_quantiles_hold_as_often_as_they_say():
@@ -287,7 +382,7 @@ def test_wilks_numbers():
 
 def test_indices_and_correlations_of_a_known_function():
     """Y = 4 a + 2 b + 0 c of independent uniform shares: S = 0.8, 0.2, 0."""
-    scene, names = load_scene("tilt_0"), ["buffer.c_A", "friction.mu", "contact.restitution"]
+    scene, names = load_scene("tilt_0"), ["buffer.c_A", "contact.restitution", "friction.mu"]
     axes = [make_axis(scene, name, "uniform(0, 1)") for name in names]
     samples = make_samples(axes, 512, "saltelli")
     table = pd.DataFrame(samples.rows, columns=names)
@@ -324,14 +419,14 @@ def test_an_experiment_is_the_approach_that_it_is(name):
     Placed, the buffer has not yet felt the rolling resistance: m_P a / k_A is 3 um.
     """
     launched = simulate(name)
-    angle, offset, speed = approach_of(launched.scene)
-    assert angle == pytest.approx(math.radians({"0": 0, "p10": 10, "m10": -10}[name[5:]]))
-    assert (offset, speed) == (pytest.approx(0.005), pytest.approx(0.1))
-    near = simulate(placed(launched.scene, angle, offset, speed), t_end=4.0)
+    own = approach_of(launched.scene)
+    assert own.angle == pytest.approx(math.radians({"0": 0, "p10": 10, "m10": -10}[name[5:]]))
+    assert (own.offset, own.speed) == (pytest.approx(0.005), pytest.approx(0.1))
+    near = simulate(placed(launched.scene, own), t_end=4.0)
     assert near.verdict == launched.verdict
     for key in ("impact_speed", "first_contact_duration", "first_contact_impulse"):
         assert near.summary[key] == pytest.approx(launched.summary[key], rel=2e-3)
-    assert near.summary["first_contact_time"] == pytest.approx(2e-3 / speed, rel=2e-3)
+    assert near.summary["first_contact_time"] == pytest.approx(2e-3 / own.speed, rel=2e-3)
 
 
 BAD = [
@@ -361,6 +456,8 @@ BAD = [
     ({"sensors.seed": "1,2"}, "sensors.seed: must not vary"),
     ({}, "one axis or more"),
     (pd.DataFrame({"buffer.cA": [1]}), r"column buffer.cA: .*did you mean buffer.c_A\?"),
+    (pd.DataFrame({"k_A": [1], "buffer.c_A": [1]}), r"column k_A: .*did you mean buffer.k_A\?"),
+    ({"approach.offset": "0", "approach.mouth_offset": "0"}, "must not vary with approach.offset"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
     (pd.DataFrame({"buffer.c_A": [-1.0]}), "must be >= 0"),
     (pd.DataFrame({"buffer.c_A": [5.0, None]}), "column buffer.c_A: run 1 has no value"),
@@ -386,11 +483,22 @@ def test_what_cannot_be_varied_is_rejected_in_a_line_before_anything_runs(
         ({"runs": 8, "sample": "saltelli"}, "two distributions or more"),
         ({"runs": 8, "sample": "grid"}, "must be one of random, latin, sobol, saltelli"),
         ({"runs": 8, "edges": -1}, "edges = -1"),
+        ({"correlations": {("buffer.c_A", "buffer.k_A"): 0.5}}, "buffer.k_A is no distribution"),
+        ({"correlations": {("buffer.c_A", "buffer.c_A"): 0.5}}, "must be two distributions"),
     ],
 )
 def test_wrong_designs_are_rejected(options, message):
     with pytest.raises(SceneError, match=message):
+        options = {"runs": 2, **options}
         capture_sim.sweep("tilt_0", {"buffer.c_A": "uniform(5, 30)"}, executor=HERE, **options)
+
+
+def test_correlations_that_contradict_each_other_are_rejected():
+    names = ["buffer.c_A", "buffer.k_A", "buffer.k_T"]
+    vary = dict.fromkeys(names, "uniform(5, 30)")
+    pairs = {(names[0], names[1]): 0.9, (names[1], names[2]): 0.9, (names[0], names[2]): -0.9}
+    with pytest.raises(SceneError, match="contradict each other"):
+        capture_sim.sweep("tilt_0", vary, runs=2, correlations=pairs, executor=HERE)
 
 
 def test_ctrl_c_keeps_the_rows_that_are_done(scenes_run):
@@ -406,18 +514,20 @@ def test_ctrl_c_keeps_the_rows_that_are_done(scenes_run):
     assert_frame_equal(table, whole[:40])
 
 
-def test_ctrl_c_of_the_command_keeps_the_rows_and_says_so(tmp_path):
+@pytest.mark.parametrize("number, to_all", [(signal.SIGINT, False), (signal.SIGTERM, True)])
+def test_a_command_that_is_ended_keeps_the_rows_and_says_so(number, to_all, tmp_path):
+    """By Ctrl-C, or as a batch queue ends all processes of a job."""
     out = tmp_path / "t.csv"
     command = [sys.executable, "-u", "-m", "capture_sim.cli", "sweep", "tilt_0", "--workers=2"]
     command += ["--vary=buffer.c_A=uniform(5, 30)", "--runs=1000000", f"--out={out}"]
     with subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as run:
         for line in run.stderr:
             if line.startswith("sweep: "):
                 assert "runs/s, about" in line
                 break
-        os.kill(run.pid, signal.SIGINT)
+        (os.killpg if to_all else os.kill)(run.pid, number)
         output, errors = run.communicate(timeout=300)
     assert run.returncode == 130
     assert f"of 1000000 runs written to {out}" in errors
@@ -469,7 +579,7 @@ def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, caps
     assert "6 runs, seed 1" in text
     assert "95 % interval" in text
     assert "59 for 0.95" in text
-    assert "capture-sim run tilt_0 --set run.t_end=3 --set buffer.k_A=" in text
+    assert "capture-sim run tilt_0 --set run.t_end=3 --set run.rtol=1e-06 --set buffer.k_A=" in text
     assert main(["sweep", "tilt_0", f"--from={out}", *options, f"--out={again}"]) == 0
     assert read_cases(again).equals(read_cases(out))
     if suffix == "csv":
@@ -477,13 +587,15 @@ def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, caps
         assert head[:3] == ["run", "buffer.k_A [N/m]", "initial.target.theta [rad]"]
         assert "max_torsion [rad]" in head
         assert out.read_bytes() == again.read_bytes()
+        made_by = json.loads(out.with_name(f"{out.stem}_made_by.json").read_text())
     else:
-        import pyarrow.parquet as pq
-
-        schema = pq.read_schema(out)
-        assert schema.field("buffer.k_A").metadata == {b"unit": b"N/m"}
-        assert b"cone" in schema.metadata[METADATA]
+        made_by = pd.read_parquet(out).attrs["made_by"]
+        assert pd.read_parquet(out).attrs["units"]["buffer.k_A"] == "N/m"
         assert_frame_equal(pd.read_parquet(again), pd.read_parquet(out), check_exact=True)
+    assert made_by["scene"] == "tilt_0"
+    assert len(made_by["scene_sha256"]) == 64
+    assert "run.t_end=3" in made_by["overrides"]
+    assert made_by["software"][1] == f"capture_sim {capture_sim.__version__}"
 
 
 def test_sensors_change_no_verdict_and_the_command_says_so(tmp_path, capsys):
@@ -529,6 +641,74 @@ def test_the_command_says_why_runs_could_not_be_computed(tmp_path, capsys):
     assert "2 could not be computed, e.g. run 0: " in shown
 
 
+def test_columns_that_are_no_fields_are_named_once(tmp_path, capsys):
+    cases = tmp_path / "cases.csv"
+    cases.write_text("case,buffer.c_A,remark\n7,10,first\n8,12,second\n")
+    short = ["--set", "run.t_end=0.5", "--workers=1", f"--out={tmp_path / 'a.csv'}"]
+    assert main(["sweep", "tilt_0", f"--from={cases}", *short]) == 0
+    warnings = capsys.readouterr().err.splitlines()
+    assert warnings == ["capture-sim: ignored columns: case, remark: no fields of tilt_0"]
+
+
+def test_a_sweep_that_only_misses_prints_the_closest_approaches(tmp_path, capsys):
+    """A grid prints effects, one run has neither interval nor probability, no change is none."""
+    vary = ["--vary=approach.offset=0.3,0.31,0.32,0.33", "--set", "run.t_end=3", "--workers=1"]
+    assert main(["sweep", "tilt_0", *vary, "--check", f"--out={tmp_path / 'a.csv'}"]) == 0
+    printed = capsys.readouterr().out
+    assert "no run touches the cone; smallest nearest_distance" in printed
+    lines = [line for line in printed.splitlines() if "capture-sim run" in line]
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert [line.split(": ", 2)[2] for line in lines] == table["command"].tolist()[:3]
+    assert "verdicts that change at half the tolerance: none" in printed
+    assert "effect of each input" in printed
+    assert "Spearman" not in printed
+    effect = np.ptp(table["nearest_distance [m]"]) * 1e3
+    row = next(line for line in printed.splitlines() if line.startswith("approach.offset  "))
+    assert float(row.split()[-2]) == pytest.approx(effect, rel=1e-3)
+    vary[:1] = ["--vary=buffer.k_A=normal(500, 5%)", "--runs=1"]
+    assert main(["sweep", "tilt_0", *vary, f"--out={tmp_path / 'a.csv'}"]) == 0
+    printed = capsys.readouterr().out
+    assert "interval" not in printed
+    assert ".." not in printed
+
+
+def test_a_stroke_of_round_off_is_zero():
+    extremes = np.zeros(1, EXTREMES)[0]
+    extremes["axial_stroke_out"], extremes["axial_stroke_in"] = 5.551e-17, 5.551e-7
+    loads = loads_of(Extremes(extremes, None), np.zeros(0, TOUCH))
+    assert (loads["max_axial_stroke_out"], loads["max_axial_stroke_out_time"]) == (0.0, None)
+    assert loads["max_axial_stroke_in"] == 5.551e-7
+
+
+def test_an_offset_at_the_mouth_aims_at_its_centre():
+    """The straight path of the tip passes the mouth's centre at this distance, to the left."""
+    for angle in (-0.3, 0.0, 0.3):
+        changes = {"approach.angle": angle, "approach.mouth_offset": 0.012, "approach.speed": 0.1}
+        scene = load_scene("tilt_p10", changes)
+        chaser, target, cone = scene.initial.chaser, scene.initial.target, scene.cone
+        along = np.array([math.cos(chaser.theta), math.sin(chaser.theta)])
+        axis = np.array([math.cos(target.theta), math.sin(target.theta)])
+        mouth = np.array([target.x, target.y]) - axis * (
+            cone.L_T + cone.L_c * math.cos(cone.half_angle)
+        )
+        off = np.array([chaser.x, chaser.y]) - mouth
+        assert along[0] * off[1] - along[1] * off[0] == pytest.approx(0.012, abs=1e-12)
+        assert scene.rail is None
+
+
+def test_the_approach_of_a_run_is_set_as_in_a_sweep(tmp_path, capsys):
+    changes = ["--set=approach.angle=5 deg", "--set=approach.offset=3 mm"]
+    options = ["--no-record", f"--out={tmp_path}"]
+    assert main(["run", "tilt_0", *changes, "--set=run.t_end=3", *options]) == 0
+    found = json.loads((tmp_path / "results.json").read_text())[0]
+    vary = {"approach.angle": ["5 deg"], "approach.offset": ["3 mm"]}
+    table = capture_sim.sweep("tilt_0", vary, SHORT, rtol=1e-8, executor=HERE)
+    assert found["max_normal_force"] == table["max_normal_force"][0] > 0.0
+    capsys.readouterr()
+    assert main(["run", "tilt_0", "--set=approach.angel=1", *options]) == 2
+    assert "approach.angel: unknown field" in capsys.readouterr().err
+
+
 def test_cases_in_other_units(tmp_path):
     path = tmp_path / "cases.csv"
     path.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
@@ -565,7 +745,9 @@ def test_pictures_fit_what_was_varied(vary, names, tmp_path):
     drawn = not isinstance(vary, pd.DataFrame) and any("(" in str(v) for v in vary.values())
     samples = samples_of(scene, vary, 4 if drawn else 0)
     table = module.run_samples(scene, samples, executor=HERE)
-    figures = draw_sweep(table, samples.axes, scene.name)
+    table = table.assign(exceeded=["max_torsion", *[""] * (len(table) - 1)])
+    limits = make_limits({"max_torsion": 1e-3, "max_normal_force": 100.0})
+    figures = draw_sweep(table, samples.axes, scene.name, limits=limits)
     assert set(figures) == names
     if "loads" in figures:
         title = figures["loads"].get_suptitle()
@@ -612,3 +794,17 @@ def test_a_run_that_would_fill_the_memory_is_a_row_with_its_reason():
     table = capture_sim.sweep("tilt_0", {"run.t_end": [1e6, 0.5]}, executor=HERE)
     assert table["verdict"].tolist() == ["failed", "undecided"]
     assert "run.t_end = 1e+06 s at run.rate = 100 Hz" in table["failure"][0]
+
+
+def test_a_stroke_without_room_names_what_to_set(tmp_path, capsys):
+    """At 1 m/s without stops, the probe goes 132 mm into a cylinder of 136.5 mm."""
+    fast = ["tilt_0", "--set=string.impact_speed=1", "--set=run.t_end=3"]
+    assert main(["run", *fast, "--no-record", f"--out={tmp_path}"]) == 0
+    assert ": stroke inwards 131.7 mm" in (warning := capsys.readouterr().err)
+    assert "set stops.compression" in warning
+    vary = ["--vary=buffer.c_A=13,14", "--workers=1", f"--out={tmp_path / 'a.csv'}"]
+    assert main(["sweep", *fast, *vary]) == 0
+    assert "2 runs have too long a stroke" in capsys.readouterr().err
+    slow = ["tilt_0", "--set=run.t_end=3"]
+    assert main(["sweep", *slow, *vary]) == 0
+    assert capsys.readouterr().err == ""

@@ -6,7 +6,7 @@ from noisy_bench import noisy_run
 
 import capture_sim
 from capture_sim.bench import Bench
-from capture_sim.studies.touches import above, in_force, in_messages, quiet_before_contact
+from capture_sim.touches import above, in_force, in_messages, quiet_before_contact
 
 
 def test_touches_in_a_fast_force_are_those_that_made_it():
