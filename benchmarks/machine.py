@@ -62,8 +62,9 @@ def stamp(others: float, *, timed: bool = True) -> str:
     ``timed``: it contains times, on which a busy machine has an effect.
     """
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
+    load = max(others, 0.0)  # counters of idle cores may differ by less than their resolution
     line = (
         f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
-        f"capture_sim {__version__}, kernels {source_hash()}; background load {others:.2f} cores.*"
+        f"capture_sim {__version__}, kernels {source_hash()}; background load {load:.2f} cores.*"
     )
     return f"**{BUSY}**\n\n{line}" if timed and is_busy(others) else line

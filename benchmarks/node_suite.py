@@ -24,8 +24,8 @@ import psutil
 from benchmarks.pages import Spread, table, write_parts
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
-from capture_sim.recording.read import read_run
-from tests.nodes.bench_processes import Client, Simulation, processes, wait_until
+from capture_sim.recording.bag import read_bag
+from tests.nodes.bench_processes import Client, Simulation, processes, statuses, wait_until
 
 FOLLOWERS = ("launcher", "capture_detector", "recorder")
 NODES = ("simulator", *FOLLOWERS)
@@ -61,7 +61,7 @@ class Suite:
         self.out, self.nodes = out, {}
         others = [name for name in FOLLOWERS if name in order]
         given = {
-            "simulator": {"consumers": f"[{','.join(others)}]", **simulator},
+            "simulator": {"wait_for": f"[{','.join(others)}]", **simulator},
             "recorder": {"out": out},
         }
         for name in order:
@@ -90,14 +90,15 @@ class Suite:
 
     def end(self) -> str:
         """Wait until all have ended well; return what the simulator said of its last run."""
-        statuses = {name: node.status(600.0) for name, node in self.nodes.items()}
-        assert not any(statuses.values()), "\n".join(node.text for node in self.nodes.values())
+        assert not any(statuses(self.nodes).values()), "\n".join(
+            node.text for node in self.nodes.values()
+        )
         return self.nodes["simulator"].text.rpartition("done, ")[2]
 
     def recorded(self):
         """Return the newest recording; None where there is none."""
         files = sorted(self.out.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
-        return read_run(files[-1]) if files else None
+        return read_bag(files[-1]) if files else None
 
 
 def endless(seconds: float) -> str:
@@ -201,36 +202,36 @@ def measure_same_bits(options: Namespace, folder: Path) -> list[str]:
 def measure_resets(options: Namespace, folder: Path) -> list[str]:
     steps, names = 20, NODES[:3]
     with processes() as start, closing(Client()) as client:
-        lasting = {"exit_when_done": "false"}
         nodes = [
             start(
                 "simulator",
-                consumers="[launcher,capture_detector]",
+                wait_for="[launcher,capture_detector]",
                 initial_state="stopped",
                 scenes="[paper_designed]",
-                **lasting,
+                exit_when_done="false",
             ),
-            *(start(name, **lasting) for name in names[1:]),
+            *(start(name) for name in names[1:]),
         ]
         for node in nodes[1:]:
             node.wait_for("ready")
         simulation = Simulation(client)
-        assert simulation.set(State.PAUSED)[0] == Code.OK
+        assert simulation.set(State.PLAYING)[0] == Code.OK
         watched = [psutil.Process(node.process.pid) for node in nodes]
         states, memory, files, others = [], [], [], 0
         began = time.monotonic()
         for i in range(options.resets):
-            simulation.states.clear()
-            assert simulation.step(steps)[0] == Code.OK
-            wait_until(lambda: len(simulation.states) == steps)
+            wait_until(lambda: len(simulation.states) >= steps)
             bits = b"".join(
-                np.array([m.t, *m.q, *m.v, m.energy_residual]).tobytes() for m in simulation.states
+                np.array([m.t, *m.q, *m.v, m.energy_residual]).tobytes()
+                for m in simulation.states[:steps]
             )
             states = states or [bits]
             others += bits != states[0]
             simulation.runs.clear()
             simulation.clock.clear()
             assert simulation.reset()[0] == Code.OK
+            wait_until(lambda: simulation.runs)
+            simulation.states.clear()
             if (i + 1) % max(options.resets // 4, 1) == 0:
                 memory.append([p.memory_info().rss / 2**20 for p in watched])
                 files.append([p.num_fds() for p in watched])

@@ -18,17 +18,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from capture_sim.launch.approach import Approach, placed
 from capture_sim.launch.plan import travel_to_touch
 from capture_sim.launch.scenes import load_scene
 from capture_sim.resources import config_dir
 from capture_sim.results import first_cluster
+from capture_sim.run import Run
 from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.scene.paths import changed
-from capture_sim.simulation import Result, simulate
-from capture_sim.studies.approach import placed
-from capture_sim.studies.design import DesignTarget, design_buffer
+from capture_sim.simulation import simulate
 from capture_sim.studies.executors import answers
 from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_verdict
+from capture_sim.studies.paper_flow import FirstContactTarget, design_first_contact
 
 #: The cases with a verdict in the paper: whether it says captured.
 CASES = {
@@ -191,7 +192,7 @@ def run_case(task: tuple[str, tuple[tuple[str, float | str], ...]]) -> Outcome:
             scene = changed(scene, field, value)
     cone, tip = scene.cone, scene.probe.tip_radius
     lateral_offset = cone.R_c + b * math.sin(cone.half_angle) - tip * math.cos(cone.half_angle)
-    near = placed(scene, 0.0, -lateral_offset, _SPEED, _RUN_UP)
+    near = placed(scene, Approach(0.0, -lateral_offset, _SPEED), _RUN_UP)
     return run_to_verdict(changed(near, "run.rtol", _RTOL))
 
 
@@ -275,7 +276,7 @@ class SecondEngine:
         Engine, version and settings.
     t, v, h : ndarray (n,), (n, 8), (n,)
         Its times, s, rates, m/s and rad/s, and length of the buffer, m.
-    ours : Result
+    ours : Run
         At the same times.
     difference, law_effect : ndarray (8,)
         Largest difference of each rate to the end of the first contact: between the engines,
@@ -286,7 +287,7 @@ class SecondEngine:
     t: np.ndarray
     v: np.ndarray
     h: np.ndarray
-    ours: Result
+    ours: Run
     difference: np.ndarray
     law_effect: np.ndarray
 
@@ -349,7 +350,7 @@ class Evidence:
         return vary_together(self._executor)
 
     @cached_property
-    def damping(self) -> dict[tuple[str, str], Result]:
+    def damping(self) -> dict[tuple[str, str], Run]:
         """Every case with each damping of a touch, by both names."""
         return {
             (case, how): simulate(scene_of(case, overrides))
@@ -403,14 +404,14 @@ def claims(evidence: Evidence) -> Iterator[Claim]:
         yield _verdict(evidence.run(name), where, says, captured, why)
 
 
-def _verdict(run: Result, where: str, says: str, captured: bool, why: str = "") -> Claim:
+def _verdict(run: Run, where: str, says: str, captured: bool, why: str = "") -> Claim:
     agrees = (run.verdict == "captured") == captured
     here = f"{run.verdict}; nearest {run.summary['nearest_distance'] * 1e3:.2f} mm"
     paper = f"{run.scene.name}: {says}"
     return Claim(where, paper, here, "" if agrees else "differs", why, agrees)
 
 
-def impact(clamped: Result, undamped: Result) -> Iterator[Claim]:
+def impact(clamped: Run, undamped: Run) -> Iterator[Claim]:
     """Figures 5 to 7: the clamped probe, and the buffer without damper."""
     (force, lasts), (soft_force, soft_lasts) = (
         (run.summary["first_contact_peak_force"], run.summary["first_contact_duration"])
@@ -452,7 +453,7 @@ def design_flow() -> Iterator[Claim]:
     """Section 4, from the strokes that the paper's springs give."""
     scene = load_scene("paper_undamped")
     own = run_first_contact(scene)
-    design = design_buffer(scene, DesignTarget(own.axial_stroke, own.torsion, first_contact=True))
+    design = design_first_contact(scene, FirstContactTarget(own.axial_stroke, own.torsion))
     assert design.scene is not None
     assert design.capturing is not None
     low, high = design.capturing
@@ -489,6 +490,6 @@ def velocities(engine: SecondEngine) -> Iterator[Claim]:
     yield Claim("Fig. 11", says, here, f"{largest:.0e}", why, bool(largest <= 1e-5))
 
 
-def docking(run: Result) -> Iterator[Claim]:
+def docking(run: Run) -> Iterator[Claim]:
     """Figure 12."""
     yield _verdict(run, "Fig. 12", "the tip slides into the capture area", True)

@@ -1,4 +1,4 @@
-"""The benchmark's pictures: logarithmic axes with units, a colour for a kind of solver, one key."""
+"""The benchmark's plots: logarithmic axes with units, at most six lines, each with its name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _COLOURS = {
     "numpy": style.GREY,
     "engine": style.GREEN,
 }
-_MARKERS = "osD^v<>PX*"
+_MARKERS = "osD^v<"
+_MOST_LINES = 6  # of an axes
+_SIDES = {"rk4": "right"}  # of its end where a name is written
+_COMPARED_AT = 1e-6  # m or rad, error at which the fastest are chosen
 _FONT = 11.5  # of labels, points; numbers are smaller by 1.5
 _POSITION = "position error, m or rad"
 
@@ -57,41 +60,45 @@ def _curves(trials: Sequence[Trial]) -> Iterator[list[Trial]]:
         yield min(curves, key=lambda curve, e=level: work_precision.time_at(curve, e))
 
 
-def _draw(axes: Axes, trials: Sequence[Trial], x: Value, y: Value) -> None:
-    """Draw a line for each family: its group's colour, and its own marker in the group."""
+def _chosen(trials: Sequence[Trial]) -> list[list[Trial]]:
+    """Return the curves to draw: all of ours, and the fastest of each other right-hand side."""
+    curves = list(_curves(trials))
+    drawn = [curve for curve in curves if curve[0].group == "own"]
+    for group in dict.fromkeys(curve[0].group for curve in curves):
+        rivals = [curve for curve in curves if curve[0].group == group]
+        if group == "engine":
+            drawn += rivals
+        elif group != "own":
+            drawn.append(min(rivals, key=lambda curve: work_precision.time_at(curve, _COMPARED_AT)))
+    if len(drawn) > _MOST_LINES:  # fixed steps are the slowest of ours
+        drawn = [curve for curve in drawn if curve[0].family != "rk4"]
+    return drawn[:_MOST_LINES]
+
+
+def _draw(axes: Axes, curves: Sequence[Sequence[Trial]], x: Value, y: Value) -> None:
+    """Draw a line for each curve in its group's colour, with its name at its most exact point."""
     axes.set(xscale="log", yscale="log")
-    families: dict[str, list[str]] = {}
-    for trial in trials:
-        known = families.setdefault(trial.group, [])
-        if trial.family not in known:
-            known.append(trial.family)
-    for curve in _curves(trials):
+    axes.margins(0.15, 0.12)
+    for curve, marker in zip(curves, _MARKERS, strict=False):
         points = [(x(t), y(t)) for t in curve]
         points = [(a, b) for a, b in points if a > 0.0 and b > 0.0 and math.isfinite(a + b)]
         if not points:
             continue
-        family, group = curve[0].family, curve[0].group
-        axes.plot(
-            *zip(*points, strict=True),
-            color=_COLOURS[group],
-            marker=_MARKERS[families[group].index(family) % len(_MARKERS)],
-            markersize=3.5,
-            linewidth=1.8 if group == "own" else 1.0,
-            label=f"capture_sim {family}" if group == "own" else family,
+        own, colour = curve[0].group == "own", _COLOURS[curve[0].group]
+        line = {"color": colour, "marker": marker, "markersize": 4.0}
+        axes.plot(*zip(*points, strict=True), linewidth=1.8 if own else 1.2, **line)
+        # of ours the names are at the exact end, of others at the loose one
+        axes.annotate(
+            f"capture_sim {curve[0].family}" if own else curve[0].family,
+            (min if own else max)(points, key=lambda point: point[1]),
+            xytext=(0, -6 if own else 7),
+            textcoords="offset points",
+            ha=_SIDES.get(curve[0].family, "left" if own else "center"),
+            va="top" if own else "bottom",
+            color=colour,
+            fontsize=_FONT - 2.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
         )
-
-
-def _key(figure: Figure, columns: int) -> None:
-    """Write below all panels what the lines are, each once."""
-    lines = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
-    figure.legend(
-        lines.values(),
-        list(lines),
-        loc="outside lower center",
-        ncols=columns,
-        fontsize=8.0,
-        frameon=False,
-    )
 
 
 def _titled(axes: Axes, x: str, y: str, title: str) -> None:
@@ -102,11 +109,10 @@ def _titled(axes: Axes, x: str, y: str, title: str) -> None:
 
 def _works(results: Results, x: Value, name: str) -> Figure:
     count = len(results.works)
-    figure, [panels] = subplots(6.2 * count, 7.0, 1, count, font=_FONT)
+    figure, [panels] = subplots(6.4 * count, 5.6, 1, count, font=_FONT)
     for axes, work in zip(panels, results.works, strict=True):
-        _draw(axes, work.trials, x, lambda t: t.errors.position)
+        _draw(axes, _chosen(work.trials), x, lambda t: t.errors.position)
         _titled(axes, name, _POSITION, f"{results.scene} to {work.plan.t_end:g} s")
-    _key(figure, 2 * count)
     return figure
 
 
@@ -117,13 +123,12 @@ def _quantities(results: Results) -> Figure:
         ("error of impulse, 1", lambda t: t.errors.impulse),
     ]
     count = len(results.works)
-    figure, rows = subplots(13.0, 4.6 * count, count, 3, font=_FONT)
+    figure, rows = subplots(14.0, 4.6 * count, count, 3, font=_FONT)
     for row, work in zip(rows, results.works, strict=True):
-        trials = [t for t in work.trials if t.group in ("own", "compiled")]
+        curves = _chosen([t for t in work.trials if t.group in ("own", "compiled")])
         for axes, (name, value) in zip(row, quantities, strict=True):
-            _draw(axes, trials, lambda t: t.median, value)
+            _draw(axes, curves, lambda t: t.median, value)
             _titled(axes, "wall time, s", name, f"to {work.plan.t_end:g} s")
-    _key(figure, 5)
     return figure
 
 
@@ -131,9 +136,8 @@ def _engines(results: Results) -> Figure:
     (figure, [[axes]]), work = subplots(7.0, 6.5, font=_FONT), results.works[0]
     trials = [t for t in work.trials if t.group == "own"]
     trials += [t for engine in results.engines for t in engine.trials]
-    _draw(axes, trials, lambda t: t.median, lambda t: t.errors.position)
+    _draw(axes, _chosen(trials), lambda t: t.median, lambda t: t.errors.position)
     _titled(axes, "wall time, s", _POSITION, f"{results.scene} to {work.plan.t_end:g} s")
-    _key(figure, 2)
     return figure
 
 

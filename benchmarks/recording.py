@@ -22,13 +22,13 @@ from benchmarks.node_suite import Suite, endless
 from benchmarks.pages import Spread, repeated, table, write_parts
 from capture_sim import load_scene, simulate
 from capture_sim.messages.convert import RunDescription
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
-from capture_sim.recording.read import read_run
 from capture_sim.recording.write import RunWriter
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 from tests.nodes.bench_processes import processes
-from tests.noisy_bench import NAMES, noisy_run
+from tests.noisy_bench import NAMES, later, noisy_run
 
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 REPEATS = 5
@@ -47,7 +47,7 @@ def write(_: Namespace, folder: Path) -> list[str]:
                 writer.write(topic, data, stamp)
 
     def read_columns() -> None:
-        found = read_run(path)
+        found = read_bag(path)
         for topic in found.topics:
             found.columns(topic)
 
@@ -62,7 +62,7 @@ def write(_: Namespace, folder: Path) -> list[str]:
     for what, work in (
         ("made, serialised and written (`write_run`)", lambda: write_run(result, path)),
         ("written alone (`RunWriter`)", write_alone),
-        ("read, checksums checked (`read_run`)", lambda: read_run(path)),
+        ("read, checksums checked (`read_bag`)", lambda: read_bag(path)),
         ("read into columns of all topics", read_columns),
         ("written by the live recorder, without ROS", take),
     ):
@@ -107,7 +107,7 @@ def replay(_: Namespace, folder: Path) -> list[str]:
         said = done.stdout + done.stderr
         assert done.returncode == 0, said
         (rate,) = re.findall(r"\(([\d.]+) x real time\)", said)
-        one, two = read_run(path), read_run(folder / "replayed" / f"{name}.mcap")
+        one, two = read_bag(path), read_bag(folder / "replayed" / f"{name}.mcap")
         lost = sum(
             len(one.raw(topic)) - len(two.raw(topic))
             for topic in one.topics
@@ -149,9 +149,9 @@ def fits(touches: bool = True, late: str = "") -> Fits:
         elif late:
             shift = 1e-3
         met = dataclasses.replace(run.touches, start=run.touches.start + shift)
-        measured = run.measured.shifted(shift)
+        measured = later(run.run, shift)
         began = time.perf_counter()
-        fit = identify(run.scene, measured, names, plan=run.plan, touches=met if touches else None)
+        fit = identify(run.scene, measured, names, touches=met if touches else None)
         took.append(time.perf_counter() - began)
         warned += not is_explained(fit)
         off.append(np.abs(fit.values - true) / fit.errors)

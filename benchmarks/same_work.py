@@ -18,18 +18,18 @@ import numpy as np
 
 from capture_sim import load_scene, simulate
 from capture_sim.bench import Bench
+from capture_sim.launch.approach import Approach, placed
 from capture_sim.launch.plan import travel_to_touch
-from capture_sim.studies.approach import placed
 from capture_sim.viewing.rerun_view import save_rrd
 
 try:
+    from capture_sim.recording.bag import read_bag
     from capture_sim.recording.offline import write_run
-    from capture_sim.recording.read import read_run
     from capture_sim.studies.outcome import run_to_verdict
 except ImportError:  # before the rebuild
     from capture_sim.studies.verdict import run_to_verdict
 
-    from capture_sim.recording import read_run, write_run
+    from capture_sim.recording import read_bag, write_run
 
 TIMES = int(sys.argv[1])
 
@@ -58,7 +58,8 @@ def main() -> None:
     paper = load_scene("paper_designed", ["run.t_end=0.35"])
     tilted, base = load_scene("tilt_p10"), load_scene("tilt_0")
     run = replace(base.run, rtol=1e-5, t_end=5.0, after_latch=None)
-    points = [placed(replace(base, run=run, rail=None, string=None), *a) for a in approaches()]
+    base = replace(base, run=run, rail=None, string=None)
+    points = [placed(base, Approach(*a)) for a in approaches()]
     # an earlier state makes no scene of a path that touches nothing
     points = [p for p in points if p is not None and math.isfinite(travel_to_touch(p))]
     decided = np.arange(int(run_to_verdict(tilted).t * tilted.run.rate) + 1) / tilted.run.rate
@@ -81,7 +82,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         found["a run written as MCAP"] = least(lambda: write_run(usual, path))
-        found["... and read"] = least(lambda: read_run(path))
+        found["... and read"] = least(lambda: read_bag(path))
         found["`.rrd` of two runs of 20 s"] = least(lambda: save_rrd(long, Path(folder) / "x.rrd"))
     print(json.dumps(found))
 

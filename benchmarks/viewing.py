@@ -60,7 +60,7 @@ def live(asked: Namespace, folder: Path) -> list[str]:
                     with socket.socket() as probe:
                         probe.bind(("127.0.0.1", 0))
                         port = probe.getsockname()[1]
-                    viewer = start("viewer", port=port, exit_when_done="false")
+                    viewer = start("viewer", port=port)
                     viewer.wait_for("waiting for a run")
                 changes = f"[run.rate={rate}, run.t_end={seconds}, latch=null]"
                 order = ("simulator", "launcher", "capture_detector")
