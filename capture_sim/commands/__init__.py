@@ -17,6 +17,7 @@ GROUPS = {
         "bench": "run scenes with the ROS 2 nodes",
         "scenes": "list the scenes of the package",
         "show": "print a scene with all its values, as YAML",
+        "fmu": "write a scene as an FMI 3.0 unit or as a library in C",
     },
     "look": {
         "view": "draw runs as images and for the rerun viewer",
@@ -26,9 +27,7 @@ GROUPS = {
     },
     "examine": {
         "detect": "evaluate a recorded run again, with the same or other criteria",
-        "compare": "compare two recordings, e.g. measured and simulated",
-        "resimulate": "simulate a recorded run again and compare the states",
-        "recover": "copy a damaged recording up to the damage",
+        "compare": "compare two runs, e.g. measured and simulated",
     },
     "study": {
         "identify": "fit parameters of the bench to a recorded run",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from pathlib import Path
 
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
@@ -12,7 +13,6 @@ from capture_sim.commands.output import IMAGES_MISSING, draw, report, reported_i
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import check_ros, run_suite
 from capture_sim.recording.read import read_run
-from capture_sim.viewing.source import summary_of
 
 DESCRIPTION = (
     "Run scenes with the ROS 2 nodes, one process each; record, tabulate and draw the results."
@@ -55,10 +55,10 @@ def run(options: argparse.Namespace) -> int:
         status, recordings = run_suite(
             scenes, options.out, rtf=options.rtf, namespace=options.namespace or ""
         )
-    runs = [run for run in map(read_run, recordings) if run.samples.size]
-    report([summary_of(run, run.wall_time) for run in runs], options.out)
+    runs = [run for run in map(read_run, recordings) if run.is_exact]
+    report([run.summary for run in runs], options.out)
     with reported_if_interrupted(IMAGES_MISSING):
-        draw(runs, [run.path.stem for run in runs], options.out)
+        draw(runs, [Path(run.origin.path).stem for run in runs], options.out)
     missing = {scene.name for scene in scenes} - {run.name for run in runs}
     if missing:
         warn(f"no result for {', '.join(sorted(missing))}")

@@ -5,34 +5,71 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator
-from itertools import zip_longest
 
-from capture_sim.commands import OK
-from capture_sim.commands.inputs import add_out, add_remaps, not_negative, open_run, prepare_folder
-from capture_sim.commands.output import drawing, echo, print_table
+import numpy as np
+
+from capture_sim.commands import FAILED, OK
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
+    add_geometry,
+    add_out,
+    add_release,
+    add_remaps,
+    not_negative,
+    open_or_simulate,
+    prepare_folder,
+)
+from capture_sim.commands.output import drawing, echo
 from capture_sim.errors import RecordingError
-from capture_sim.recording.comparing import Comparable, characteristics, comparable, rate_of
-from capture_sim.studies.compare import LEAST, Gap, gaps, overlap
-from capture_sim.studies.touches import Touches
+from capture_sim.run import Run
+from capture_sim.software import software_versions
+from capture_sim.studies.agreement import Agreement, agreement
+from capture_sim.studies.compare import (
+    LEAST,
+    Gap,
+    Side,
+    characteristics,
+    gaps,
+    overlap,
+    pair_touches,
+    sides,
+)
+from capture_sim.tables import print_table
+from capture_sim.touches import Touches
 
 DESCRIPTION = (
-    "Compare two recordings, e.g. measured and simulated, aligned at their first contacts: "
-    "strokes and times, the touches one by one, and the poses over time. Write a diagram. Each "
-    "number comes from the finest series that both files contain; the table names it. Strokes, "
-    "torsion and closest approach cover the whole recording, including the latched phase."
+    "Compare two runs, e.g. measured and simulated, aligned at their first contacts: strokes and "
+    "times, the touches one by one, and the poses over time. Write a diagram. Each number comes "
+    "from the finest series that both runs have; the table names it. Strokes, torsion and closest "
+    "approach cover the whole run, including the latched phase. Scenes given by name are "
+    "simulated. With --simulated, compare a recording with its own scene simulated again; the exit "
+    "status is then 1 if the samples of a simulated recording differ."
 )
 IDENTICAL = "identical"
 #: Beyond this share of A, a difference is not written in percent.
 _LARGEST_SHARE = 10.0
 #: Number of touches in the printed list.
 SHOWN = 12
-EXAMPLE = "  capture-sim compare runs/tilt_0.mcap measured.mcap --out compared"
+EXAMPLE = "  capture-sim compare measured.mcap --scene tilt_0 --simulated --out compared"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("a", metavar="A.mcap", help="recording: file, or folder of a bag")
-    parser.add_argument("b", metavar="B.mcap", help="recording to compare with A")
+    parser.set_defaults(intermixed=True)
+    parser.add_argument("a", metavar="A", help="recording (file, or folder of a bag) or scene")
+    parser.add_argument("b", metavar="B", nargs="?", help="recording or scene to compare with A")
+    parser.add_argument(
+        "--simulated",
+        action="store_true",
+        help="compare the recording A with its scene, simulated again",
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=not_negative,
+        default=0.0,
+        help="with --simulated, accept differences of coordinates up to this value, m and rad "
+        "(default: 0, bit-identical)",
+    )
     parser.add_argument(
         "--window",
         type=not_negative,
@@ -40,24 +77,77 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="compare this time after the first contact, s (default: 1)",
     )
+    add_geometry(parser)
+    add_release(parser)
     add_remaps(parser)
     add_out(parser, ".", "write the diagram to this folder")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    if options.simulated == (options.b is not None):
+        raise RecordingError("compare: must have either a second run B or --simulated")
     prepare_folder(options.out)
-    a, b = comparable(*(open_run(path, options.remaps) for path in (options.a, options.b)))
-    measured = (a.measured(), b.measured())
+    sources = [options.a, *filter(None, [options.b])]
+    runs = [
+        open_or_simulate(source, options.remaps, scene=options.scene, release=options.release)
+        for source in sources
+    ]
+    labels = [f"{letter} {source}" for letter, source in zip("AB", sources, strict=False)]
+    status = OK
+    if options.simulated:
+        runs.append(_simulated(runs[0]))
+        labels.append(f"B {runs[0].scene.name}, simulated")
+        if runs[0].is_exact:
+            found = agreement(*runs)
+            _print_agreement(found, runs[0])
+            status = OK if found.within(options.tolerance) else FAILED
+            if runs[0].first_contact is None and runs[1].first_contact is None:
+                return status
+    _compare(*sides(*runs), labels, options)
+    return status
+
+
+def _simulated(run: Run) -> Run:
+    """Return the scene of a run, simulated."""
+    from capture_sim.simulation import simulate
+
+    compile_first()
+    return simulate(run.scene)
+
+
+def _print_agreement(found: Agreement, recorded: Run) -> None:
+    """Print how far the samples of a recording are those of its scene simulated again."""
+    echo(f"{found.compared} of {recorded.state.size} samples compared")
+    if found.foreign:
+        echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
+    if found.missing:
+        echo(f"  {found.missing} samples of the run were not recorded")
+    if found.identical:
+        echo("bit-identical, including the events")
+    for difference in found.differences:
+        echo(
+            f"  {difference.name:20} differs by at most {difference.largest:.3g}, "
+            f"first at {difference.first:.4f} s"
+        )
+    if not found.same_events:
+        echo("  the events differ")
+    if not found.same_trace:
+        echo("  the contact traces differ")
+    for line in sorted(set(recorded.origin.software) ^ set(software_versions())):
+        echo(f"  {'then' if line in recorded.origin.software else 'now'}: {line}")
+
+
+def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -> None:
+    """Print the comparison of two runs and draw it."""
     ended = _check_window(a, b, options.window)
-    labels = [f"A {options.a}", f"B {options.b}"]
     for label in labels:
         echo(label)
     _print_characteristics(a, b)
-    for label, of in (("A", a), ("B", b)):
-        if of.contact_may_be_late:
+    for label, side in (("A", a), ("B", b)):
+        if side.contact_may_be_late:
             echo(
-                f"{label} is aligned at the first force in {of.contact_source}; a touch "
+                f"{label} is aligned at the first force in {side.contact_source}; a touch "
                 "between its samples may have started earlier"
             )
     _print_touches(a, b, options.window)
@@ -65,14 +155,14 @@ def run(options: argparse.Namespace) -> int:
     echo(
         f"\nB - A over {over:.4g} s after the first contact, poses relative to it"
         + (
-            f" (--window is {options.window:g} s, but one recording ends there):"
+            f" (--window is {options.window:g} s, but one run ends there):"
             if over < options.window
             else ":"
         )
     )
     rows = [
         _gap_row(gap, over, _source(a.sources[gap.series], b.sources[gap.series]))
-        for gap in gaps(*measured, a.contact, b.contact, options.window)
+        for gap in gaps(a.measured, b.measured, a.contact, b.contact, options.window)
     ]
     print_table(["", "rms", "peak", "at s", "source"], rows)
     with drawing("no diagram: {error}"):
@@ -81,10 +171,9 @@ def run(options: argparse.Namespace) -> int:
 
         path = options.out / f"{a.run.name}_compared.png"
         echo(f"diagram in {save(draw_comparison((a, b), labels, over), path)}")
-    return OK
 
 
-def _check_window(a: Comparable, b: Comparable, window: float) -> float:
+def _check_window(a: Side, b: Side, window: float) -> float:
     """Return how long both were measured after their first contacts, s.
 
     Raises
@@ -92,7 +181,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
     RecordingError
         The window, or the time that both cover, has too few samples of every quantity.
     """
-    mine, theirs = dict(a.measured().items()), dict(b.measured().items())
+    mine, theirs = a.measured, b.measured
     shared = [name for name in mine if name in theirs]
     if not shared:
         raise RecordingError("the recordings have no measured quantity in common")
@@ -110,7 +199,7 @@ def _check_window(a: Comparable, b: Comparable, window: float) -> float:
             f"fewer than {LEAST} samples"
         )
     if most(window) < LEAST:
-        rates = {n: min(rate_of(mine[n]), rate_of(theirs[n])) for n in shared}
+        rates = {n: min(mine[n].rate, theirs[n].rate) for n in shared}
         finest = max(rates, key=lambda n: rates[n])
         raise RecordingError(
             f"--window {window:g} s: must be {LEAST / rates[finest]:.4g} s ({LEAST} samples of "
@@ -132,7 +221,7 @@ def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
     return [f"{name} {unit}", rms, largest, f"{gap.at:.3f}", note]
 
 
-def _print_characteristics(a: Comparable, b: Comparable) -> None:
+def _print_characteristics(a: Side, b: Side) -> None:
     sampled = a.touches is None or b.touches is None
     of_a, of_b = (characteristics(recording, sampled=sampled) for recording in (a, b))
     rows = []
@@ -151,46 +240,52 @@ def _print_characteristics(a: Comparable, b: Comparable) -> None:
     print_table(["", "A", "B", "B - A", "%", "source"], rows)
 
 
-def _print_touches(a: Comparable, b: Comparable, window: float) -> None:
-    """Print the touches one by one, paired in their order."""
-    tables = []
-    for label, of in (("A", a), ("B", b)):
-        if of.touches is None:
-            echo(f"\n{label} has no list of touches: {of.touch_source}")
+def _print_touches(a: Side, b: Side, window: float) -> None:
+    """Print the touches one by one, paired by wall and time."""
+    both: list[Touches] = []
+    for label, side in (("A", a), ("B", b)):
+        if side.touches is None:
+            echo(f"\n{label} has no list of touches: {side.touch_source}")
         else:
-            tables.append(of.touches.within(of.contact, window))
-    if len(tables) < 2:
+            both.append(side.touches.within(side.contact, window))
+    if len(both) < 2:
         return
     echo(
-        f"\ntouches within {window:g} s, paired in order, from "
-        f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall; blank: not known):"
+        f"\ntouches within {window:g} s, paired by wall and time, from "
+        f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall; blank: not known; "
+        "a touch without a partner stands alone):"
     )
     rows = []
-    for i, pair in enumerate(zip_longest(*map(_touch_rows, tables))):
-        (wall, start, peak, lasted, impulse), other = (each or _NO_TOUCH for each in pair)
+    columns = [list(_touch_rows(touches)) for touches in both]
+    pairs = pair_touches(*both)
+    for number, (i, k) in enumerate(pairs, start=1):
+        wall_a, start_a, peak_a, lasted_a, impulse_a = _NO_TOUCH if i is None else columns[0][i]
+        wall_b, start_b, peak_b, lasted_b, impulse_b = _NO_TOUCH if k is None else columns[1][k]
         rows.append(
             [
-                f"{i + 1}",
-                f"{wall} {other[0]}",
-                *(_number(x, 3) for x in (start, other[1])),
-                _number(other[1] - start, 3, "+"),
-                *(_number(x, 2) for x in (peak, other[2])),
-                _percent(peak, other[2], 0.01),
-                *(_number(x, 3) for x in (lasted, other[3], impulse, other[4])),
-                _percent(impulse, other[4], 0.001),
+                f"{number}",
+                f"{wall_a} {wall_b}",
+                *(_number(x, 3) for x in (start_a, start_b)),
+                _number(start_b - start_a, 3, "+"),
+                *(_number(x, 2) for x in (peak_a, peak_b)),
+                _percent(peak_a, peak_b, 0.01),
+                *(_number(x, 3) for x in (lasted_a, lasted_b, impulse_a, impulse_b)),
+                _percent(impulse_a, impulse_b, 0.001),
             ]
         )
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
     print_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
     if len(rows) > SHOWN:
         echo(f"    and {len(rows) - SHOWN} more in the diagram")
-    for label, table in zip("AB", tables, strict=True):
-        if table.start.size:
-            impulse = float(table.impulse.sum())
-            number = f"{table.start.size} touch{'es' if table.start.size > 1 else ''}"
+    for label, touches, other in zip("AB", both, (1, 0), strict=True):
+        if touches.start.size:
+            impulse = float(touches.impulse.sum())
+            number_text = f"{touches.start.size} touch{'es' if touches.start.size > 1 else ''}"
+            alone = sum(pair[other] is None for pair in pairs)
             echo(
-                f"  {label}: {number}, peak {table.peak.max():.2f} N"
+                f"  {label}: {number_text}, peak {np.nanmax(touches.peak):.2f} N"
                 + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
+                + (f", {alone} without a partner" if alone else "")
             )
 
 

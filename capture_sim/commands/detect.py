@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from capture_sim.commands import FAILED, OK
-from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, scene_of
+from capture_sim.commands.inputs import add_geometry, add_remaps, open_run
 from capture_sim.commands.output import echo
-from capture_sim.detection.exact import CaptureStatus
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.recorded import TICK, with_criteria
 from capture_sim.errors import SceneError, one_line
-from capture_sim.recording.detect import TICK, detect_again, with_criteria
+from capture_sim.run import detect
 from capture_sim.scene.parts import Detector
 
 # s: a bench's messages reach detector and recorder in different orders
@@ -45,26 +46,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     changed = _limits_changed(options.overrides)
-    recorded = open_run(options.recording, options.remaps)
-    scene = scene_of(recorded, options.scene, options.overrides)
+    recorded = open_run(
+        options.recording, options.remaps, scene=options.scene, overrides=options.overrides
+    )
+    scene = recorded.scene
     judged_by = with_criteria(scene, recorded.criteria, changed)
     for limit in fields(Detector):
         name, unit = limit.name, limit.metadata["unit"]
         value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))
         if value != of_scene:
             echo(f"recorded criterion: {name} = {value:g} {unit} (scene: {of_scene:g} {unit})")
-    statuses = detect_again(recorded, judged_by)
-    released = recorded.clock.t_release
+    statuses = detect(recorded, judged_by)
+    is_simulated = recorded.origin.trial.is_simulated
     label = None
     for status in statuses:
         if status.label != label:
-            since = _since(status, released)
-            reported = status.t - released
-            late = f", reported at {reported:.3f} s" if status.time_in_state > TICK else ""
+            since = _since(status)
+            late = f", reported at {status.t:.3f} s" if status.time_in_state > TICK else ""
             echo(f"{since:10.3f} s  {status.label:9} {one_line(status.reason)}{late}")
             label = status.label
     verdict = statuses[-1]
-    since = _since(verdict, released)
+    since = _since(verdict)
     # the detector sees samples; the run itself may have come nearer between them
     nearest = f"closest approach in the samples {verdict.nearest_distance * 1e3:.3f} mm"
     if not math.isfinite(verdict.nearest_distance):
@@ -72,13 +74,15 @@ def run(options: argparse.Namespace) -> int:
     echo(
         f"verdict: {verdict.label} since {since:.3f} s; {nearest}, {len(statuses) - 1} measurements"
     )
-    if not recorded.statuses:
+    if verdict.not_used:
+        echo(f"measurements not used: {one_line(verdict.not_used)}")
+    if not recorded.reported_statuses:
         return OK
-    before = recorded.statuses[-1]
-    since_before = _since(before, released)
-    tolerance = TICK if recorded.is_simulated else _BENCH_TOLERANCE
+    before = recorded.reported_statuses[-1]
+    since_before = _since(before)
+    tolerance = TICK if is_simulated else _BENCH_TOLERANCE
     # a bench's undecided trial has no time of its own: detector and recorder begin and end apart
-    is_timed = verdict.state.is_verdict or recorded.is_simulated
+    is_timed = verdict.state.is_verdict or is_simulated
     is_near = abs(since_before - since) < tolerance
     same = before.state is verdict.state and (is_near or not is_timed)
     echo(
@@ -100,9 +104,9 @@ def run(options: argparse.Namespace) -> int:
     return FAILED
 
 
-def _since(status: CaptureStatus, released: float) -> float:
+def _since(status: CaptureStatus) -> float:
     """Return when a status's state began, s since the release."""
-    return status.t - status.time_in_state - released
+    return status.t - status.time_in_state
 
 
 def _limits_changed(overrides: Sequence[str]) -> set[str]:

@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import add_remaps, is_bag, open_run, prepare_folder
+from capture_sim.commands.inputs import add_remaps, is_bag, open_bag, prepare_folder
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError
-from capture_sim.recording.export import KINDS, exported, save_tables
+from capture_sim.recording.export import KINDS, readable, save_tables, tables_of
 
 DESCRIPTION = (
     "Write a recording as tables with one column for each number, in the SI units of msg/: one CSV "
@@ -45,17 +45,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    recorded = open_run(options.recording, options.remaps, several=True)
-    topics, problems = exported(recorded)
+    bag = open_bag(options.recording, options.remaps, several=True)
+    tables, problems = readable(tables_of(bag))
     for problem in problems:
         warn(problem)
-    if not topics:
+    if not tables:
         raise RecordingError(
             f"{options.recording}: contains no message that can be written as a table"
         )
     folder = options.out or _folder_beside(Path(options.recording).resolve(), options.to)
     prepare_folder(folder)
-    for path in save_tables(recorded, folder, options.to, options.topics, options.columns):
+    files = save_tables(
+        tables,
+        folder,
+        options.to,
+        name=bag.path.stem,
+        topics=options.topics,
+        columns=options.columns,
+        scene=bag.scene_text if bag.has_scene else "",
+    )
+    # named one by one: if the next one fails, these are complete
+    for path in files:
         echo(f"written: {path}")
     return OK
 

@@ -14,14 +14,13 @@ from capture_sim.commands.inputs import (
     add_remaps,
     not_negative,
     open_run,
-    scene_of,
     whole,
 )
-from capture_sim.commands.output import echo, print_table
-from capture_sim.recording.clock import Origin
-from capture_sim.recording.measured import launch_of, measurements, touches_of
+from capture_sim.commands.output import echo
+from capture_sim.run import Release
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
+from capture_sim.tables import print_table
 
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
@@ -86,30 +85,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    recorded = open_run(options.recording, options.remaps, release=options.release)
-    scene = scene_of(recorded, options.scene, options.overrides)
-    measured = measurements(recorded)
+    recorded = open_run(
+        options.recording,
+        options.remaps,
+        scene=options.scene,
+        overrides=options.overrides,
+        release=options.release,
+    )
+    scene = recorded.scene
     names = list(options.parameters)
-    known = recorded.clock.origin is Origin.STAMP
+    known = recorded.origin.release is Release.STAMP
     if not known and not options.fix_release and RELEASE not in names:
         names.append(RELEASE)
     compile_first()
     touches, source = None, ""
     if options.touches > 0:
-        found, source = touches_of(recorded, scene)
+        found, source = recorded.resolved_touches
         if found is not None:
             touches = found.of(slice(options.touches)).with_noise(*options.touch_noise)
     fit = identify(
         scene,
-        measured,
+        recorded,
         names,
-        plan=launch_of(recorded, scene),
         touches=touches,
         until=options.until,
         starts=options.starts,
     )
     # a release that is not recorded counts from the first pose, as --release does
-    given = 0.0 if known else recorded.clock.after_first_pose
+    given = 0.0 if known else recorded.origin.after_first_pose
     rows = []
     for name, value, error in zip(fit.names, fit.values, fit.errors, strict=True):
         notes = ["at the limit of its range"] if name in fit.at_bound else []

@@ -7,7 +7,6 @@ used.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,14 +16,15 @@ from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.files import why_not_writable
 from capture_sim.launch.scenes import load_scene, load_scene_text
-from capture_sim.scene.files import scene_names
+from capture_sim.scene.files import MAX_TEXT, parse, scene_names
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
 from capture_sim.scene.units import comma_hint, in_si, split
-from capture_sim.viewing.source import Opened, distinct_names
+from capture_sim.viewing.source import distinct_names
 
 if TYPE_CHECKING:
-    from capture_sim.recording.read import Run
+    from capture_sim.recording.bag import Bag
+    from capture_sim.run import Run
 
 Read = TypeVar("Read")
 Number = TypeVar("Number", int, float)
@@ -219,6 +219,69 @@ def add_remaps(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add the limits of the loads of a study."""
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        dest="limits",
+        metavar="LOAD=VALUE",
+        help="limit a load of the whole run, or until the latch closes, e.g. max_normal_force=500 "
+        "(SI) or max_axial_stroke_in_before_latch='15 mm'; may be repeated",
+    )
+
+
+def add_under(parser: argparse.ArgumentParser, help_text: str) -> None:
+    """Add the file of the dispersions of a study, and their correlations."""
+    parser.add_argument(
+        "--under",
+        type=Path,
+        metavar="FILE",
+        help=f"{help_text}, one line each, e.g. 'approach.speed: normal(0.1, 10%%)'",
+    )
+    parser.add_argument(
+        "--correlate",
+        action="append",
+        default=[],
+        metavar="NAME,NAME=R",
+        help="correlate two distributions by R, of a Gaussian copula, e.g. "
+        "approach.speed,approach.angle=0.6; may be repeated",
+    )
+
+
+def dispersions(
+    options: argparse.Namespace,
+) -> tuple[dict[str, str], dict[tuple[str, str], float]]:
+    """Return the distributions by name of ``--under``, and the correlations."""
+    vary: dict[str, str] = {}
+    if options.under is not None:
+        try:
+            with options.under.open(encoding="utf-8") as file:
+                text = file.read(MAX_TEXT + 1)
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or "no UTF-8"
+            raise SceneError(f"--under {options.under}: cannot be read: {reason}") from None
+        given = parse(text, str(options.under))
+        if not isinstance(given, dict) or not all(isinstance(x, str) for x in given.values()):
+            raise SceneError(
+                f"--under {options.under}: must be distributions by name, e.g. "
+                "approach.speed: normal(0.1, 10%)"
+            )
+        vary = given
+    correlations = {}
+    for item in options.correlate:
+        names, _, value = item.partition("=")
+        first, comma, second = (name.strip() for name in names.partition(","))
+        try:
+            if not comma:
+                raise ValueError(item)
+            correlations[first, second] = float(value)
+        except ValueError:
+            raise SceneError(f"--correlate {item}: must be NAME,NAME=R") from None
+    return vary, correlations
+
+
 def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
     """Add the processes or the cluster for the runs of a study."""
     parser.add_argument(
@@ -256,11 +319,11 @@ def load(source: str, overrides: Sequence[str] = ()) -> Scene:
     """Load a scene by name, from a YAML file, or out of a recording."""
     if not is_recording(source):
         return load_scene(source, overrides)
-    from capture_sim.recording.read import read_run
+    from capture_sim.recording.bag import read_bag
 
-    run = read_run(source)
-    _refuse_several_runs(run)
-    return load_scene_text(run.scene_text, overrides)
+    bag = read_bag(source)
+    _refuse_several_runs(bag)
+    return load_scene_text(bag.scene_text, overrides)
 
 
 def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
@@ -282,13 +345,9 @@ def prepare_folder(folder: Path) -> None:
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
 
-def open_run(
-    path: str,
-    remaps: Sequence[str],
-    *,
-    release: float | None = None,
-    several: bool = False,
-) -> Run:
+def open_bag(
+    path: str, remaps: Sequence[str], *, release: float | None = None, several: bool = False
+) -> Bag:
     """Read a recording and print its problems.
 
     Parameters
@@ -307,25 +366,65 @@ def open_run(
     RecordingError
         It cannot be read, or contains several runs without ``several``.
     """
-    from capture_sim.recording.read import read_run, remap_of
+    from capture_sim.recording.bag import read_bag, remap_of
 
-    run = read_run(path, remaps=dict(map(remap_of, remaps)), release=release)
+    bag = read_bag(path, remaps=dict(map(remap_of, remaps)), release=release)
     if not several:
-        _refuse_several_runs(run)
-    for problem in (*run.left_out, *run.problems):
+        _refuse_several_runs(bag)
+    for problem in (*bag.left_out, *bag.problems):
         warn(f"{path}: {problem}")
-    return run
+    return bag
 
 
-def _refuse_several_runs(run: Run) -> None:
+def open_run(
+    path: str,
+    remaps: Sequence[str] = (),
+    *,
+    scene: str | None = None,
+    overrides: Sequence[str] = (),
+    release: float | None = None,
+) -> Run:
+    """Read a recorded run and print its problems.
+
+    Parameters
+    ----------
+    path
+        File, or folder of a bag.
+    remaps
+        From :func:`add_remaps`.
+    scene
+        From :func:`add_geometry`: replaces the recorded scene.
+    overrides
+        Changes of the scene.
+    release
+        From :func:`add_release`.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or contains several runs.
+    SceneError
+        The scene or a change of it is invalid.
+    """
+    from capture_sim.recording.read import run_of
+
+    bag = open_bag(path, remaps, release=release)
+    if scene is not None:
+        return run_of(bag, load_scene(scene, overrides))
+    if overrides and bag.has_scene:
+        return run_of(bag, load_scene_text(bag.scene_text, overrides))
+    return run_of(bag)
+
+
+def _refuse_several_runs(bag: Bag) -> None:
     """Raise RecordingError, with the files to choose from, if a recording contains several runs."""
-    if len(run.run_ids) < 2:
+    if len(bag.run_ids) < 2:
         return
-    files = _recordings_in(run.path)
+    files = _recordings_in(bag.path)
     choice = "must be one run" + (
         f", one of {', '.join(map(str, files))}" if len(files) > 1 else ""
     )
-    raise RecordingError(f"{run.path}: contains {len(run.run_ids)} runs: {choice}")
+    raise RecordingError(f"{bag.path}: contains {len(bag.run_ids)} runs: {choice}")
 
 
 def _recordings_in(folder: Path) -> list[Path]:
@@ -340,23 +439,40 @@ def _recordings_in(folder: Path) -> list[Path]:
 
 def _one_run_each(source: str) -> list[str]:
     """Return the files of a folder of several recorded runs; any other source as it is."""
-    from capture_sim.recording.read import read_run
+    from capture_sim.recording.bag import read_bag
 
     files = _recordings_in(Path(source)) if is_recording(source) else []
-    if len(files) > 1 and len(read_run(source).run_ids) > 1:
+    if len(files) > 1 and len(read_bag(source).run_ids) > 1:
         return list(map(str, files))
     return [source]
 
 
-def scene_of(run: Run, given: str | None, overrides: Sequence[str]) -> Scene:
-    """Return the recorded scene, or for a bag without one the given one, with changes."""
-    if given is not None:
-        return load_scene(given, overrides)
-    try:
-        text = run.scene_text
-    except RecordingError as error:
-        raise SceneError(f"{error}: give it with --scene") from None
-    return load_scene_text(text, overrides)
+def open_or_simulate(
+    source: str,
+    remaps: Sequence[str] = (),
+    *,
+    scene: str | None = None,
+    release: float | None = None,
+) -> Run:
+    """Open a recording and print its problems, or simulate a scene given by name.
+
+    Parameters
+    ----------
+    source
+        MCAP file, folder of a bag, or scene.
+    remaps
+        From :func:`add_remaps`.
+    scene
+        From :func:`add_geometry`: of a recording that contains no exact samples, or no scene.
+    release
+        From :func:`add_release`.
+    """
+    if not is_recording(source):
+        return _simulated(source)
+    run = open_run(source, remaps, release=release)
+    if scene is not None and not (run.is_exact and run.given_scene):
+        run = run.replaced(given_scene=load_scene(scene))
+    return run
 
 
 def open_runs(
@@ -364,8 +480,10 @@ def open_runs(
     scene: str | None,
     release: float | None = None,
     remaps: Sequence[str] = (),
-) -> list[Opened]:
+) -> list[Run]:
     """Open recordings and print their problems, or run scenes given by name.
+
+    No two runs have the same name; a recording's is that of its file or folder.
 
     Parameters
     ----------
@@ -388,55 +506,37 @@ def open_runs(
     if scene is not None:
         load_scene(scene)  # also where every recording contains its own
     sources = [file for source in sources for file in _one_run_each(source)]
-    opened = [
-        _open_recording(source, scene, release, remaps)
-        if is_recording(source)
-        else _run_now(source)
-        for source in sources
-    ]
-    return [
-        dataclasses.replace(one, label=label)
-        for one, label in zip(opened, _labels(opened, sources), strict=True)
-    ]
+    runs = [_opened(source, scene, release, remaps) for source in sources]
+    names = _distinct_names(runs, sources)
+    return [run.replaced(name=name) for run, name in zip(runs, names, strict=True)]
 
 
-def _labels(opened: Sequence[Opened], sources: Sequence[str]) -> list[str]:
-    """Return labels of runs, with the folder in front if recordings of two folders share a name."""
+def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:
+    """Return names of runs, with the folder in front if recordings of two folders share a name."""
     folders: dict[str, set[Path]] = {}
-    for one, source in zip(opened, sources, strict=True):
+    for run, source in zip(runs, sources, strict=True):
         if is_recording(source):
-            folders.setdefault(one.label, set()).add(Path(source).resolve().parent)
+            folders.setdefault(run.name, set()).add(Path(source).resolve().parent)
     return distinct_names(
         [
-            f"{Path(source).resolve().parent.name}-{one.label}"
-            if is_recording(source) and len(folders[one.label]) > 1
-            else one.label
-            for one, source in zip(opened, sources, strict=True)
+            f"{Path(source).resolve().parent.name}-{run.name}"
+            if is_recording(source) and len(folders[run.name]) > 1
+            else run.name
+            for run, source in zip(runs, sources, strict=True)
         ]
     )
 
 
-def _open_recording(
-    path: str, scene: str | None, release: float | None, remaps: Sequence[str]
-) -> Opened:
-    from capture_sim.recording.measured_run import run_from_bag
-
-    recorded = open_run(path, remaps, release=release)
-    place = Path(path).resolve()  # the path may be . or end in ..
-    label = place.stem if path.endswith(".mcap") else place.name
-    software = tuple(filter(None, recorded.metadata.get("software", "").split("\n")))
-    problems = (*recorded.left_out, *recorded.problems)
-    if recorded.samples.size:
-        return Opened(
-            recorded, label, f"recorded in {path}", software, recorded.wall_time, problems
-        )
-    run = run_from_bag(recorded, scene_of(recorded, scene, ()))
-    return Opened(run, label, f"measured, in {path}", software, problems=problems, measured=True)
+def _opened(source: str, scene: str | None, release: float | None, remaps: Sequence[str]) -> Run:
+    run = open_or_simulate(source, remaps, scene=scene, release=release)
+    if not is_recording(source):
+        return run
+    place = Path(source).resolve()  # the path may be . or end in ..
+    return run.replaced(name=place.stem if source.endswith(".mcap") else place.name)
 
 
-def _run_now(name: str) -> Opened:
+def _simulated(name: str) -> Run:
     from capture_sim.commands.compiling import compile_first
-    from capture_sim.messages.convert import software_versions
     from capture_sim.simulation import simulate
 
     try:
@@ -444,5 +544,4 @@ def _run_now(name: str) -> Opened:
     except SceneError as error:
         raise SceneError(f"{error}; a recording ends in .mcap or is the folder of a bag") from None
     compile_first()
-    result = simulate(scene)
-    return Opened(result, scene.name, "run now", software_versions(), result.wall_time)
+    return simulate(scene)

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,9 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from capture_sim.errors import one_line
 from capture_sim.files import whole_file
@@ -30,7 +28,7 @@ from capture_sim.files import whole_file
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from capture_sim.viewing.source import ViewableRun
+    from capture_sim.run import Run
 
 #: Image of several runs side by side.
 OVERVIEW = "overview.png"
@@ -50,22 +48,6 @@ def echo(text: str) -> None:
 def warn(text: str) -> None:
     """Print a warning on standard error, in one line."""
     print(f"capture-sim: {one_line(text)}", file=sys.stderr, flush=True)
-
-
-def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
-    """Print a table; the first ``left`` columns are aligned to the left.
-
-    Without a terminal, it is as wide as its contents and has no bold text.
-    """
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    for number, name in enumerate(head):
-        table.add_column(name, justify="left" if number < left else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    console = Console(highlight=False, markup=False, emoji=False)
-    if not console.is_terminal:
-        console.width = 1000
-    console.print(table)
 
 
 class Progress:
@@ -170,12 +152,13 @@ def report(summaries: list[dict[str, Any]], folder: Path) -> None:
 
 
 def draw(
-    runs: Sequence[ViewableRun],
+    runs: Sequence[Run],
     labels: Sequence[str],
     folder: Path,
     rrd: Path | None = None,
     *,
     pictures: bool = True,
+    window: tuple[float, float] | None = None,
 ) -> None:
     """Draw each run, all side by side, and all for rerun, if the libraries are installed.
 
@@ -191,6 +174,8 @@ def draw(
         File for rerun; None for ``runs.rrd`` in the folder.
     pictures
         False to write only the file for rerun.
+    window
+        Time that this file shows, s since the release; None for the whole runs.
     """
     if not runs:
         return
@@ -199,7 +184,7 @@ def draw(
         with drawing("no images: {error}"):
             jobs += _picture_jobs(runs, labels, folder)
     path = folder / RRD if rrd is None else rrd
-    jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels)))
+    jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels, window)))
     # forked, so that each process shares what is loaded and loads what only its job needs
     fork = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(
@@ -214,8 +199,6 @@ def draw(
             # a system's ROS has no rerun: the recording matters there
             with drawing("no rerun file: {error}; install it and run capture-sim view"):
                 echo(f"{job.title} {file.result()}")
-    if pictures and len(runs) == 1:
-        remove_earlier([folder / OVERVIEW])
 
 
 class _Job(NamedTuple):
@@ -226,9 +209,7 @@ class _Job(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def _picture_jobs(
-    runs: Sequence[ViewableRun], labels: Sequence[str], folder: Path
-) -> Iterator[_Job]:
+def _picture_jobs(runs: Sequence[Run], labels: Sequence[str], folder: Path) -> Iterator[_Job]:
     from capture_sim.viewing.plots import draw_overview, draw_run
 
     for run, label in zip(runs, labels, strict=True):
@@ -247,15 +228,9 @@ def _save_picture(draw: Callable[..., Any], runs: Any, labels: Any, path: Path) 
     return save(draw(runs, labels), path)
 
 
-def _save_rrd(runs: Sequence[ViewableRun], path: Path, labels: Sequence[str]) -> Path:
+def _save_rrd(
+    runs: Sequence[Run], path: Path, labels: Sequence[str], window: tuple[float, float] | None
+) -> Path:
     from capture_sim.viewing.rerun_view import save_rrd
 
-    return save_rrd(runs, path, labels)
-
-
-def remove_earlier(paths: Iterable[Path]) -> None:
-    """Remove files of earlier runs and print their names."""
-    for path in paths:
-        if path.is_file():
-            path.unlink()
-            echo(f"removed {path}: from earlier runs")
+    return save_rrd(runs, path, labels, window)

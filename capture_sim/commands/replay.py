@@ -10,8 +10,8 @@ from capture_sim.commands.inputs import add_out, add_remaps, number, prepare_fol
 from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
+from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback
-from capture_sim.recording.read import remap_of
 from capture_sim.scene.quantities import Range
 
 DESCRIPTION = (
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     if options.remaps:
         parameters["remaps"] = options.remaps
     if options.followers:
-        parameters["consumers"] = options.followers
+        parameters["wait_for"] = options.followers
     if "recorder" in options.followers:
         prepare_folder(options.out)
     return replay(parameters, options.out)

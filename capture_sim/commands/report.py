@@ -31,14 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from capture_sim.viewing.report import save_report  # needs the extra view
+    from capture_sim.viewing.report import save_report
 
     is_folder = options.out.is_dir() or not options.out.suffix
     page = options.out / "report.html" if is_folder else options.out
     prepare_folder(page.parent)
     with reported_if_interrupted(f"{page} is not written"):
-        opened = open_runs(options.runs, options.scene, options.release, options.remaps)
+        runs = open_runs(options.runs, options.scene, options.release, options.remaps)
         with Progress("steps") as progress:
-            saved = save_report(opened, page, partial(progress.at, "report"))
+            saved = save_report(runs, page, partial(progress.at, "report"))
     echo(f"report in {saved}")
     return OK

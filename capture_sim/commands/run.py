@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+import dataclasses
 
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
 from capture_sim.commands.output import (
     IMAGES_MISSING,
-    OVERVIEW,
-    RRD,
     draw,
     echo,
-    remove_earlier,
     report,
     reported_if_interrupted,
     warn,
 )
 from capture_sim.errors import SimulationError
-from capture_sim.simulation import Result, simulate
+from capture_sim.launch.scenes import overridden_name
+from capture_sim.results import implausible_stroke
+from capture_sim.run import Run
+from capture_sim.simulation import simulate
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
@@ -30,22 +30,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_experiments(parser)
     parser.add_argument(
-        "--no-record",
+        "--no-record", action="store_true", help="write no recordings and no images"
+    )
+    parser.add_argument(
+        "--overwrite",
         action="store_true",
-        help="write no recordings and no images; remove the earlier ones of the same scenes in "
-        "the folder, which would not match the new results",
+        help="replace earlier simulated runs of the same name (default: a run of another scene or "
+        "version is kept, and the new one gets a number after its name)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     scenes = load_all(options.experiments, options.overrides)
+    if options.overrides:
+        scenes = [dataclasses.replace(scene, name=overridden_name(scene)) for scene in scenes]
     if not options.no_record:
         # imported here: the import needs more time than a run without recording
         from capture_sim.recording.offline import write_run
     prepare_folder(options.out)
     compile_first()
-    results: list[Result] = []
+    results: list[Run] = []
     recordings: list[str] = []
     status = OK
     with reported_if_interrupted("only the recordings named above are written"):
@@ -58,26 +63,16 @@ def run(options: argparse.Namespace) -> int:
                 if error.result is None or error.result.samples.size == 0:
                     continue
                 result = error.result
+            if text := implausible_stroke(scene, result.summary["max_axial_stroke_in"]):
+                warn(f"{scene.name}: {text}")
             results.append(result)
             if not options.no_record:
-                path = write_run(result, options.out / f"{scene.name}.mcap")
+                file = options.out / f"{scene.name}.mcap"
+                path = write_run(result, file, overwrite=options.overwrite)
                 recordings.append(path.stem)
                 echo(f"{scene.name}: recorded in {path}")
     report([result.summary for result in results], options.out)
-    if options.no_record:
-        _remove_replaced([result.scene.name for result in results], options.out)
-    else:
+    if not options.no_record:
         with reported_if_interrupted(IMAGES_MISSING):
             draw(results, recordings, options.out)
     return status
-
-
-def _remove_replaced(names: list[str], folder: Path) -> None:
-    """Remove files that a recorded run would have replaced: they do not match the results."""
-    recordings = [path for name in names if (path := folder / f"{name}.mcap").is_file()]
-    if recordings:
-        from capture_sim.recording.offline import is_repeatable
-
-        recordings = [path for path in recordings if is_repeatable(path)]
-    pictures = [path.with_suffix(".png") for path in recordings]
-    remove_earlier([*recordings, *pictures, *([folder / OVERVIEW, folder / RRD] if names else [])])

@@ -15,43 +15,64 @@ from capture_sim.commands import INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     SEEDS,
+    add_limits,
     add_scene,
+    add_under,
     add_workers,
+    dispersions,
     load,
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, echo, print_table, warn
+from capture_sim.commands.output import Progress, drawing, echo, warn
 from capture_sim.errors import SceneError
+from capture_sim.interrupts import terminated_as_interrupted
 from capture_sim.recording.sweep_file import check_format, read_cases, write_sweep
-from capture_sim.results import LOADS
+from capture_sim.results import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import FAMILIAR
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
     QUANTILES,
     Indices,
+    Probability,
     Quantile,
     capture_probability,
     computed_rows,
+    hold_probability,
+    limit_probability,
+    main_effects,
+    margin_at,
+    outcome_labels,
     plain_rows,
     quantiles,
     rank_correlations,
     sobol_indices,
+    success_probability,
     wilks_runs,
-    worst_runs,
 )
 from capture_sim.studies.executors import open_executor
+from capture_sim.studies.limits import Limit, read_limits
 from capture_sim.studies.sampling import EDGES, SAMPLES, Samples
-from capture_sim.studies.sweep import FAILED, Recipe, run_samples, samples_of
+from capture_sim.studies.sweep import (
+    FAILED,
+    RTOL,
+    Recipe,
+    at_tolerance,
+    ignored_text,
+    run_samples,
+    samples_of,
+)
+from capture_sim.tables import print_table
 
 if TYPE_CHECKING:
     import pandas
 
 DESCRIPTION = (
     "Run a scene over values, distributions or the rows of a table. Print the probability of "
-    "capture, the percentiles of the loads, the worst runs and the most influential inputs. "
-    "Verdicts are those of the exact motion, without the noise of the scene's sensors."
+    "capture and of keeping the limits, the percentiles of the loads, the worst runs and the most "
+    "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts are "
+    "those of the exact motion, without the noise of the scene's sensors."
 )
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
@@ -61,7 +82,7 @@ EXAMPLE = """\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
 #: Number of runs below which the percentiles are printed with their intervals.
 _FEW_RUNS = 500
-_WORST = 10
+_WORST = 3  # runs whose commands are printed; those of all runs are in the table
 _FAILURES = 3  # kinds of them that are printed
 
 
@@ -73,17 +94,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUES",
-        help="vary a field of the scene, or approach.angle, .offset or .speed (free flight just "
-        "before the first touch), over LOW:HIGH:COUNT, A,B,C or a distribution: "
+        help="vary a field of the scene, or approach.angle, .offset, .mouth_offset or .speed (free "
+        "flight just before the first touch), over LOW:HIGH:COUNT, A,B,C or a distribution: "
         f"{', '.join(FAMILIAR.values())} or any other of scipy.stats. Numbers are in SI units, "
         "with a unit, or in %% of the mean. May be repeated",
     )
+    add_under(parser, "also vary the distributions of this YAML file")
     parser.add_argument(
         "--from",
         type=Path,
         dest="cases",
         metavar="TABLE",
-        help="run the rows of a .csv or .parquet table; each column is a field",
+        help="run the rows of a .csv or .parquet table; columns that are no fields are ignored",
     )
     parser.add_argument(
         "--runs",
@@ -109,6 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="draw N more runs near the edges of the distributions (default: 0)",
     )
+    add_limits(parser)
     parser.add_argument(
         "--check",
         action="store_true",
@@ -135,19 +158,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     check_format(options.out)
-    scene = load(options.scene, options.overrides)
+    scene = at_tolerance(load(options.scene, options.overrides), options.overrides, RTOL)
     samples = _samples(scene, options)
+    limits = read_limits(options.limits)
+    if samples.ignored:
+        warn(ignored_text(scene, samples.ignored))
     prepare_folder(options.out.parent)
     if scene.sensors is not None and scene.sensors.motion_capture is not None:
         warn("verdicts are of the exact motion: sensors.motion_capture is not simulated")
     compile_first()
     with (
+        terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
         Progress() as progress,
     ):
         table = run_samples(
             scene,
             samples,
+            limits=limits,
             check=options.check,
             executor=executor,
             report=partial(progress.at, "sweep"),
@@ -156,12 +184,15 @@ def run(options: argparse.Namespace) -> int:
         warn(f"interrupted: 0 of {len(samples.rows)} runs are done; nothing is written")
         return INTERRUPTED
     about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
-    about |= {"sample": options.sample, "runs": len(samples.rows)}
+    about |= {"sample": options.sample, "runs": len(samples.rows), "limits": options.limits}
+    about |= {"correlate": options.correlate}
+    table["command"] = _commands(scene, samples, options)[: len(table)]
+    table.attrs["units"]["command"] = ""
     echo(
         f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
     )
     indices = _indices(samples, table, options)
-    _report(scene, samples, table, indices, options)
+    _report(scene, samples, table, indices, limits, options)
     if len(table) < len(samples.rows):
         warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
         return INTERRUPTED
@@ -169,7 +200,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.sweep import draw_sweep
 
-        for name, figure in draw_sweep(table, samples.axes, scene.name, indices).items():
+        for name, figure in draw_sweep(table, samples.axes, scene.name, indices, limits).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
             echo(f"image in {save(figure, path)}")
     return OK
@@ -177,23 +208,42 @@ def run(options: argparse.Namespace) -> int:
 
 def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
     if options.cases is not None:
-        if options.vary or options.runs is not None or options.edges:
-            raise SceneError("--from: must be given without --vary, --runs and --edges")
+        others = options.vary, options.under, options.correlate, options.runs, options.edges
+        if any(others):
+            raise SceneError(
+                "--from: must be given without --vary, --under, --correlate, --runs and --edges"
+            )
         return samples_of(scene, read_cases(options.cases))
-    vary: dict[str, str] = {}
+    vary, correlations = dispersions(options)
     for item in options.vary:
         name, sign, given = item.partition("=")
         if not sign or not name.strip() or name.strip() in vary:
             raise SceneError(f"--vary {item}: must be NAME=VALUES, each name once")
         vary[name.strip()] = given
     if not vary:
-        raise SceneError("--vary: must be given at least once, or --from")
+        raise SceneError("--vary: must be given at least once, or --under, or --from")
     runs = options.runs
     if runs is None:
         runs = 100 if any("(" in given for given in vary.values()) else 0
         if runs and options.sample in ("sobol", "saltelli"):
             runs = 128
-    return samples_of(scene, vary, runs, options.sample, options.seed, options.edges)
+    return samples_of(scene, vary, runs, options.sample, options.seed, options.edges, correlations)
+
+
+def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> list[str]:
+    """Return the command that repeats each run."""
+    recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
+    given = {item.partition("=")[0].strip() for item in options.overrides}
+    always = [*options.overrides]
+    if "run.rtol" not in given:
+        always.append(f"run.rtol={scene.run.rtol!r}")
+    commands = []
+    for row in samples.rows:
+        words = ["capture-sim", "run", options.scene]
+        for change in (*always, *recipe.overrides_of(row)):
+            words += ["--set", change]
+        commands.append(shlex.join(words))
+    return commands
 
 
 def _indices(
@@ -202,7 +252,7 @@ def _indices(
     """Return the Sobol indices of the main loads, where the runs are those of Saltelli's design."""
     if options.sample != "saltelli":
         return []
-    drawn = [axis.name for axis in samples.axes if axis.distribution]
+    drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
     indices = (sobol_indices(table, drawn, key, options.seed) for key in MAIN_LOADS)
     return [found for found in indices if found is not None]
 
@@ -212,28 +262,36 @@ def _report(
     samples: Samples,
     table: pandas.DataFrame,
     indices: Sequence[Indices],
+    limits: Sequence[Limit],
     options: argparse.Namespace,
 ) -> None:
-    counts = ", ".join(f"{count} {name}" for name, count in table["verdict"].value_counts().items())
-    echo(f"verdicts: {counts}")
-    if table["left_again"].any():
-        echo(f"{table['left_again'].sum()} of the captured runs left the capture zone again")
+    labels = outcome_labels(table).value_counts()
+    echo(f"verdicts: {', '.join(f'{count} {name}' for name, count in labels.items())}")
     _print_failures(table)
-    drawn = [axis.name for axis in samples.axes if axis.distribution]
-    if drawn or options.cases is not None:
-        _print_probability(table, samples, options)
+    strokes = computed_rows(table)["max_axial_stroke_in"].dropna()
+    if text := implausible_stroke(scene, float(strokes.max()) if strokes.size else None):
+        n_long = int((strokes > plausible_stroke(scene)).sum())
+        warn(f"{n_long} runs have too long a stroke; the longest: {text}")
+    drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
+    is_grid = not drawn and options.cases is None
+    if not is_grid:
+        _print_probability(table, samples, limits, options)
+    if limits:
+        _print_limits(table, limits, is_grid=is_grid)
     if options.check:
         changed = table[table["verdict"] != table["verdict_at_half_tolerance"]]
-        echo(f"{len(changed)} verdicts change at half the tolerance: runs {list(changed.index)}")
+        which = f"runs {', '.join(map(str, changed.index))}" if len(changed) else "none"
+        echo(f"verdicts that change at half the tolerance: {which}")
     if computed_rows(table).empty:
         return
-    is_grid = not drawn and options.cases is None
     _print_loads(plain_rows(computed_rows(table)), is_grid=is_grid)
     if indices:
         _print_indices(indices, drawn)
     else:
-        _print_correlations(table, samples)
-    _print_worst(scene, samples, table, options)
+        grid = [a.name for a in samples.axes if len(set(a.values)) > 1] if not options.cases else []
+        _print_effects(table, [name for name in grid if table[name].nunique() > 1])
+        _print_correlations(table, [a.name for a in samples.axes if a.name not in grid])
+    _print_worst(table, options)
 
 
 def _print_failures(table: pandas.DataFrame) -> None:
@@ -246,32 +304,69 @@ def _print_failures(table: pandas.DataFrame) -> None:
 
 
 def _print_probability(
-    table: pandas.DataFrame, samples: Samples, options: argparse.Namespace
+    table: pandas.DataFrame,
+    samples: Samples,
+    limits: Sequence[Limit],
+    options: argparse.Namespace,
 ) -> None:
     # the rows of a table are draws of the user's own
     fixed = () if options.cases is not None else samples.axes
     grid = [axis.name for axis in fixed if not axis.distribution]
     groups = plain_rows(table).groupby(grid, sort=False) if grid else [("", table)]
     for point, rows in groups:
-        found = capture_probability(rows)
         values = point if isinstance(point, tuple) else (point,)
         where = ", ".join(
             f"{name} = {value:.6g}" for name, value in zip(grid, values, strict=False)
         )
-        echo(
-            f"{where + ': ' if where else ''}captured {found.captured} of {found.computed}: "
-            f"probability {found.estimate:.4f}, 95 % interval {found.low:.4f} to {found.high:.4f}"
-            + (f"; {found.failed} could not be computed, not counted" if found.failed else "")
-        )
+        start = f"{where}: " if where else ""
+        captured = capture_probability(rows)
+        echo(f"{start}{_probability_text('captured', captured)}")
+        if rows["left_again"].any():
+            held = hold_probability(rows)
+            echo(f"{start}{_probability_text('captured and not left again', held)}")
+        if limits:
+            echo(f"{start}{_probability_text('all limits met', limit_probability(rows, limits))}")
+            success = success_probability(rows, limits)
+            echo(f"{start}{_probability_text('captured with all limits met', success)}")
     if options.sample in ("latin", "sobol", "saltelli"):
         echo(f"(the interval applies to independent draws; {options.sample} draws are not)")
     if options.cases is not None:
         echo("(the interval applies if the rows of the table are independent draws)")
     if "design" in table:
         edge = capture_probability(table[table["design"] == EDGES].drop(columns="design"))
-        echo(f"near the edges: captured {edge.captured} of {edge.computed}, not counted above")
+        echo(f"near the edges: captured {edge.met} of {edge.computed}, not counted above")
     needed = ", ".join(f"{wilks_runs(share)} for {share:g}" for share in (0.9, 0.95, 0.99, 0.9973))
     echo(f"runs without a failure that prove a probability at 95 % confidence: {needed}")
+
+
+def _probability_text(condition: str, found: Probability) -> str:
+    text = f"{condition} {found.met} of {found.computed}"
+    if found.computed > 1:
+        text += (
+            f": probability {found.estimate:.4f}, 95 % interval {found.low:.4f} to {found.high:.4f}"
+        )
+    if found.failed:
+        text += f"; {found.failed} could not be computed, not counted"
+    return text
+
+
+def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: bool) -> None:
+    """Print how often each limit is met, and what is left of it in the worst 5 and 1 % of runs."""
+    cells = []
+    for limit in limits:
+        found = limit_probability(table, [limit])
+        row = [limit.meaning, limit.shown(limit.value), limit.load.shown_in]
+        row.append(f"{found.met} of {found.computed}")
+        if not is_grid:
+            row += [f"{found.estimate:.4f}", f"{found.low:.4f} to {found.high:.4f}"]
+            row += [f"{margin_at(table, limit, share):+.1%}" for share in (0.05, 0.01)]
+        row.append(f"{margin_at(table, limit, 0.0):+.1%}")
+        cells.append(row)
+    head = ["limit", "at most", "unit", "met"]
+    if not is_grid:
+        head += ["probability", "95 % interval", "margin at 5 %", "at 1 %"]
+    echo("\nlimits; a margin is the share of the limit that is left")
+    print_table([*head, "worst run"], cells)
 
 
 def _print_loads(rows: pandas.DataFrame, *, is_grid: bool) -> None:
@@ -296,14 +391,31 @@ def _print_loads(rows: pandas.DataFrame, *, is_grid: bool) -> None:
 
 
 def _quantile_text(found: Quantile, runs: int) -> str:
-    if runs >= _FEW_RUNS:
+    if runs >= _FEW_RUNS or found.low == found.high or runs == 1:
         return f"{found.value:.4g}"
     low, high = ("-" if np.isnan(end) else f"{end:.3g}" for end in (found.low, found.high))
     return f"{found.value:.4g} ({low}..{high})"
 
 
-def _print_correlations(table: pandas.DataFrame, samples: Samples) -> None:
-    inputs = [a.name for a in samples.axes if table[a.name].nunique() > 1]
+def _print_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> None:
+    """Print by how much the loads change over each axis of a grid."""
+    if not inputs:
+        return
+    effects = main_effects(table, inputs)
+    units = {load.key: (load.shown_in, load.factor) for load in LOADS}
+    head = [f"{name}, {units[name][0]}" if name in units else str(name) for name in effects.columns]
+    echo("\neffect of each input: range of the load's mean over its values")
+    cells = []
+    for name, row in zip(effects.index, effects.to_numpy(float), strict=True):
+        factors = [units.get(column, ("", 1.0))[1] for column in effects.columns]
+        texts = ["-" if np.isnan(v) else f"{v * f:.4g}" for v, f in zip(row, factors, strict=True)]
+        cells.append([str(name), *texts])
+    print_table(["input", *head], cells)
+
+
+def _print_correlations(table: pandas.DataFrame, names: Sequence[str]) -> None:
+    """Print the rank correlations of the inputs that are drawn."""
+    inputs = [name for name in names if table[name].nunique() > 1]
     numbers = [name for name in inputs if table[name].dtype.kind in "if"]
     if not numbers or len(plain_rows(computed_rows(table))) < 3:
         return
@@ -329,19 +441,22 @@ def _print_indices(indices: Sequence[Indices], inputs: Sequence[str]) -> None:
         print_table(["input", "first", "total"], cells)
 
 
-def _print_worst(
-    scene: Scene, samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
-) -> None:
-    worst_load = next(each for each in LOADS if each.key == options.worst)
-    recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
-    echo(f"\nlargest {options.worst}, with the command that repeats each run")
-    for number, row in worst_runs(table, options.worst, _WORST).iterrows():
-        value = row[options.worst]
-        if np.isnan(value):
+def _print_worst(table: pandas.DataFrame, options: argparse.Namespace) -> None:
+    """Print the worst runs with their commands; without a touch, the closest approaches."""
+    load = next(each for each in LOADS if each.key == options.worst)
+    computed = computed_rows(table)
+    if not computed["touches"].any():
+        load = next(each for each in LOADS if each.least)
+        echo(f"\nno run touches the cone; smallest {load.key}, with the command that repeats it")
+        worst = computed.nsmallest(_WORST, load.key)
+    else:
+        echo(f"\nlargest {load.key}, with the command that repeats it (column command: all runs)")
+        worst = computed.nlargest(_WORST, load.key)
+    labels = outcome_labels(worst)
+    for number, row in worst.iterrows():
+        if np.isnan(row[load.key]):
             continue
-        changes = [*options.overrides, *recipe.overrides_of(samples.rows[int(number)])]
-        command = ["capture-sim", "run", options.scene]
-        for change in changes:
-            command += ["--set", change]
-        shown = f"{value * worst_load.factor:.4g} {worst_load.shown_in}, {row['verdict']}"
-        echo(f"{number}: {shown}: {shlex.join(command)}")
+        shown = f"{row[load.key] * load.factor:.4g} {load.shown_in}, {labels[number]}"
+        if row.get("exceeded"):
+            shown += f", exceeds {row['exceeded']}"
+        echo(f"{number}: {shown}: {row['command']}")

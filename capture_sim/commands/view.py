@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
-from typing import Any
 
 from capture_sim.commands import OK
 from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
@@ -17,9 +15,11 @@ from capture_sim.commands.output import (
     reported_if_interrupted,
 )
 from capture_sim.errors import RecordingError
+from capture_sim.run import Run
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.figures import FIGURES, OVER_TIME, snapshots
-from capture_sim.viewing.source import Opened, resolved, resolved_or_not
+from capture_sim.viewing.curves import plotted_runs
+from capture_sim.viewing.figures import pictures_of
+from capture_sim.viewing.source import resolved, resolved_or_not
 
 DESCRIPTION = (
     "Draw runs: one image of each, one of all side by side, and a file for the rerun viewer. "
@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--figures",
         action="store_true",
-        help="also draw the paper's figures, with the runs overlaid, as SVG and PNG in OUT/figures",
+        help="also draw a plot of each quantity, with the runs overlaid, as SVG and PNG in "
+        "OUT/figures",
     )
     parser.add_argument(
         "--window",
@@ -63,43 +64,27 @@ def run(options: argparse.Namespace) -> int:
             raise RecordingError(f"--save {options.save}: must end in .rrd")
         prepare_folder(options.save.parent)
     with reported_if_interrupted("nothing is written"):
-        opened = open_runs(options.runs, options.scene, options.release, options.remaps)
+        runs = open_runs(options.runs, options.scene, options.release, options.remaps)
         if window is not None:
-            opened = [_within(run, window) for run in opened]
-    runs = [item.run for item in opened]
-    labels = [item.label for item in opened]
+            # a run known from measurements alone cannot be simulated again
+            runs = [resolved(run, window) if run.is_exact else run for run in runs]
+        names = [run.name for run in runs]
+        plotted_runs(runs, names, window=window)  # before anything is written: are there samples?
     with reported_if_interrupted(IMAGES_MISSING):
-        draw(runs, labels, options.out, options.save, pictures=window is None)
+        draw(runs, names, options.out, options.save, pictures=window is None, window=window)
         if options.figures:
-            _draw_figures(runs, labels, options.out / "figures", window)
+            _draw_figures(runs, names, options.out / "figures", window)
     return OK
 
 
-def _within(one: Opened, window: tuple[float, float]) -> Opened:
-    if not one.measured:
-        return dataclasses.replace(one, run=resolved(one.run, window))
-    run: Any = one.run  # cannot be run again: select from its samples
-    t = run.samples["t"]
-    inside = run.samples[(t >= window[0]) & (t <= window[1])]
-    if not inside.size:
-        raise RecordingError(
-            f"{run.scene.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples "
-            f"from {t[0]:g} to {t[-1]:g} s"
-        )
-    return dataclasses.replace(one, run=dataclasses.replace(run, samples=inside))
-
-
 def _draw_figures(
-    runs: list, labels: list[str], folder: Path, window: tuple[float, float] | None
+    runs: list[Run], labels: list[str], folder: Path, window: tuple[float, float] | None
 ) -> None:
-    drawn = dict(FIGURES)
     if window is None:
-        drawn["snapshots"] = snapshots
         runs = [resolved_or_not(run) for run in runs]  # with a window they are already
+    pictures = pictures_of(runs, labels, window)
     with Progress("figures") as progress:
-        for done, (name, figure) in enumerate(drawn.items()):
-            progress.at("figures", done, len(drawn))
-            aligned = {"aligned": True} if name in OVER_TIME and len(runs) > 1 else {}
-            paths = (folder / f"{name}{ending}" for ending in (".svg", ".png"))
-            save(figure(runs, labels=labels, **aligned), *paths)
-    echo(f"figures of the paper in {folder}")
+        for done, picture in enumerate(pictures):
+            progress.at("figures", done, len(pictures))
+            save(picture.draw(), *(folder / f"{picture.name}{end}" for end in (".svg", ".png")))
+    echo(f"plots of each quantity in {folder}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from PIL import Image
 
 from capture_sim.files import whole_file
 from capture_sim.viewing import style
@@ -121,6 +123,25 @@ def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> Non
     axes.autoscale_view()
 
 
+def small_png(figure: Figure, dpi: float) -> bytes:
+    """Return a figure as the bytes of a PNG file of 64 colours."""
+    _skip_contents_in_layout(figure)
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    file = io.BytesIO()
+    image.quantize(64, dither=Image.Dither.NONE).save(file, "PNG")
+    return file.getvalue()
+
+
+def _skip_contents_in_layout(figure: Figure) -> None:
+    """Exclude artists within the axes from the layout: they need no measuring."""
+    for axes in figure.axes:
+        for artist in (*axes.lines, *axes.collections, *axes.patches):
+            artist.set_in_layout(False)
+
+
 def save(figure: Figure, *paths: Path | str) -> Path:
     """Save a figure, as PNG, SVG or whatever a path's ending says; return the last path.
 
@@ -131,9 +152,7 @@ def save(figure: Figure, *paths: Path | str) -> Path:
     RecordingError
         A file cannot be written.
     """
-    for axes in figure.axes:
-        for artist in (*axes.lines, *axes.collections, *axes.patches):
-            artist.set_in_layout(False)  # within the axes: no need to measure them
+    _skip_contents_in_layout(figure)
     for path in map(Path, paths):
         metadata = {"Date": None} if path.suffix == ".svg" else None
         with whole_file(path) as part, mpl.rc_context(_SAVING):

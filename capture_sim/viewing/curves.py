@@ -1,4 +1,4 @@
-"""What is drawn over time, as data: used by pictures, report and rerun alike.
+"""What is drawn over time, as data: used by plots and rerun alike.
 
 As in the paper, a line is solid while the tip touches the cone and dashed while it does not; while
 a latch holds the tip it is dotted and dashed.
@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.errors import CaptureSimError
+from capture_sim.run import Run
 from capture_sim.samples import Phase
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import CHASER, TARGET
 from capture_sim.viewing.source import (
-    ViewableRun,
     distinct_names,
     first_touch,
     in_contact,
@@ -26,7 +27,7 @@ from capture_sim.viewing.source import (
     time_window,
 )
 
-Runs = ViewableRun | Sequence[ViewableRun]
+Runs = Run | Sequence[Run]
 Window = tuple[float, float]
 
 #: Layers of the ledger, from below: name, colour, fields of a sample.
@@ -48,36 +49,41 @@ HOLDS = ("free", "in contact", "latched")
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out
 _POINTS = 600
 _MARKERS = 6  # of a run on each of its curves
+_ENVELOPE_POINTS = 400
 
 
 class PlottedRun(NamedTuple):
     """A run as it is drawn: its name, colour, marker, and from when its time counts."""
 
-    run: ViewableRun
+    run: Run
     label: str
     colour: str
     origin: float  # s
-    touching: np.ndarray  # (n,) bool, of its samples
-    marker: tuple[str, str] | None  # of matplotlib and plotly; None where the colour is enough
+    samples: np.ndarray  # (n,) of dtype SAMPLE: the drawn ones
+    touching: np.ndarray  # (n,) bool, of these samples
+    marker: str | None  # None where the colour is enough
 
     @property
     def holds(self) -> np.ndarray:
         """What holds the tip right after each sample, (n,), numbers of :data:`HOLDS`."""
-        latched = self.run.samples["phase"] == Phase.LATCHED
+        latched = self.samples["phase"] == Phase.LATCHED
         return np.where(latched, HOLDS.index("latched"), self.touching.astype(int))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as drawn."""
+        return self.run.drawn_scene
+
+    def curve(self, quantity: Quantity) -> tuple[np.ndarray, np.ndarray]:
+        """Return times (n,), s since the release, and values (n,) of a quantity, in its unit."""
+        t, values = quantity.curve(self.run)
+        inside = (t >= self.samples["t"][0]) & (t <= self.samples["t"][-1])
+        return t[inside], values[inside]
 
     @property
     def time(self) -> np.ndarray:
         """Times of the samples as drawn, (n,), s."""
-        return np.asarray(self.run.samples["t"]) - self.origin
-
-
-class Trace(NamedTuple):
-    """A curve from elsewhere, to be drawn over a run's: another engine, a measurement."""
-
-    label: str
-    t: np.ndarray  # (n,), s, on the axis that is drawn
-    values: np.ndarray  # (n,) or (n, k), SI units
+        return np.asarray(self.samples["t"]) - self.origin
 
 
 class Limit(NamedTuple):
@@ -101,7 +107,7 @@ class Quantity(NamedTuple):
     from_zero: bool = False  # the axis begins at zero
     #: Times (n,), s, and values (n,), SI, of a run, with the touches between its samples.  None if
     #: the samples are all: then the line shows contact and flight.
-    located: Callable[[ViewableRun], tuple[np.ndarray, np.ndarray]] | None = None
+    located: Callable[[Run], tuple[np.ndarray, np.ndarray]] | None = None
     limits: Callable[[Scene], tuple[Limit, ...]] = lambda _: ()  # of a scene, in the unit
 
     @property
@@ -113,7 +119,7 @@ class Quantity(NamedTuple):
         """Return its values in samples (n,), in its unit."""
         return np.asarray(self.si(samples) * self.factor)
 
-    def curve(self, run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+    def curve(self, run: Run) -> tuple[np.ndarray, np.ndarray]:
         """Return times (n,), s, and values (n,), in its unit, of a run."""
         if self.located is None:
             return run.samples["t"], self.of(run.samples)
@@ -128,7 +134,7 @@ def _depth(samples: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(touched, samples["penetration"], 0.0).max(axis=1))
 
 
-def _depth_with_ends(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+def _depth_with_ends(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Return times, s, and depth, m, (n,): zero at the located ends, or a touch looks longer."""
     touches = run.touches
     t = np.concatenate([run.samples["t"], touches["start"], touches["end"]])
@@ -216,28 +222,82 @@ VELOCITIES = tuple(
 
 
 def plotted_runs(
-    runs: Runs, labels: Sequence[str] | None = None, *, aligned: bool = False, first: int = 0
+    runs: Runs,
+    labels: Sequence[str] | None = None,
+    *,
+    aligned: bool = False,
+    window: Window | None = None,
 ) -> list[PlottedRun]:
     """Return one run or several with their labels, colours, markers and origins of time.
 
     Without labels, runs have their scenes' names.  ``aligned`` counts each run's time from its
-    first touch; ``first`` is the number of the first run among others, for its colour.
-    ValueError: there is no run, or not one label for each.
+    first touch; ``window`` is the drawn time, s since the release.  ValueError: there is no run, or
+    not one label for each.  CaptureSimError: a run has no sample in the window.
     """
     several = list(runs) if isinstance(runs, Sequence) else [runs]
     if not several:
         raise ValueError("no run to draw")
-    names = distinct_names([run.scene.name for run in several]) if labels is None else labels
+    names = distinct_names([run.drawn_scene.name for run in several]) if labels is None else labels
     if len(names) != len(several):
         raise ValueError(f"{len(names)} labels for {len(several)} runs")
     shown = []
     for i, (run, name) in enumerate(zip(several, names, strict=True)):
         touch = first_touch(run)
         origin = touch.t if aligned and touch is not None else 0.0
-        marker = style.run_marker(first + i) if len(several) > style.COLOURS_ALONE else None
-        colour = style.run_colour(first + i)
-        shown.append(PlottedRun(run, name, colour, origin, in_contact(run), marker))
+        marker = style.run_marker(i) if len(several) > style.COLOURS_ALONE else None
+        inside = _inside(run, window)
+        touching = in_contact(run)[inside]
+        samples = run.samples[inside]
+        shown.append(PlottedRun(run, name, style.run_colour(i), origin, samples, touching, marker))
     return shown
+
+
+def _inside(run: Run, window: Window | None) -> slice:
+    """Return the samples of a run that lie in a window, s since the release."""
+    if window is None:
+        return slice(None)
+    t = run.samples["t"]
+    first, last = np.searchsorted(t, window[0], "left"), np.searchsorted(t, window[1], "right")
+    if first == last:
+        raise CaptureSimError(
+            f"{run.name}: no sample from {window[0]:g} to {window[1]:g} s; it has samples from "
+            f"{t[0]:g} to {t[-1]:g} s"
+        )
+    return slice(int(first), int(last))
+
+
+def are_many(shown: Sequence[PlottedRun]) -> bool:
+    """Return True if runs are more than there are colours: they are drawn as an envelope."""
+    return len(shown) > len(style.RUNS)
+
+
+class Envelope(NamedTuple):
+    """A quantity of many runs over time, in its unit; columns of ``bounds`` are runs together."""
+
+    t: np.ndarray  # (n,), s, as drawn
+    bounds: np.ndarray  # (n, 5): least, first quartile, median, third quartile, greatest
+
+
+def envelope(quantity: Quantity, shown: Sequence[PlottedRun], window: Window) -> Envelope:
+    """Return the range of a quantity over runs; a run counts while it has samples.
+
+    Of a quantity with located touches, each point has the greatest value around it: a touch is
+    shorter than the distance of two points.
+    """
+    t = np.linspace(*window, _ENVELOPE_POINTS)
+    step = t[1] - t[0]
+    curves = np.empty((len(shown), len(t)))
+    for curve, plotted in zip(curves, shown, strict=True):
+        times, values = plotted.curve(quantity)
+        times = times - plotted.origin
+        curve[:] = np.interp(t, times, values, left=np.nan, right=np.nan)
+        if quantity.located is not None:
+            inside = (times >= t[0]) & (times <= t[-1])
+            nearest = np.rint((times[inside] - t[0]) / step).astype(int)
+            np.fmax.at(curve, nearest, values[inside])
+    known = np.isfinite(curves).any(axis=0)
+    shares = (0.0, 0.25, 0.5, 0.75, 1.0)
+    return Envelope(t[known], np.nanquantile(curves[:, known], shares, axis=0).T)
 
 
 def marked_points(length: np.ndarray, number: int, count: int) -> np.ndarray:
@@ -284,7 +344,7 @@ def time_label(shown: Sequence[PlottedRun]) -> str:
     """Return from when time counts, in words."""
     if any(plotted.origin for plotted in shown):
         return "time since the first touch"
-    words = {start_word(plotted.run.scene) for plotted in shown}
+    words = {start_word(plotted.scene) for plotted in shown}
     return f"time since the {words.pop() if len(words) == 1 else 'start'}"
 
 
@@ -308,20 +368,20 @@ def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def has_ledger(run: ViewableRun) -> bool:
+def has_ledger(run: Run) -> bool:
     """Return whether the run's energies are known; those of a measured run are not."""
-    return bool(np.isfinite(run.samples["kinetic"]).any())
+    return run.is_exact
 
 
 def energy_layers(
-    run: ViewableRun,
+    samples: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str, np.ndarray]]]:
-    """Return where the energy that was put in is.
+    """Return where the energy that was put in is, from samples (n,) of the state.
 
     These are times (n,), s, of some of the samples, the energy put in (n,), mJ, and name, colour
     and energy (n,), mJ, of each layer that is large enough to be seen.
     """
-    samples = run.samples[:: max(len(run.samples) // _POINTS, 1)]
+    samples = samples[:: max(len(samples) // _POINTS, 1)]
     put_in = (samples["kinetic"][0] + samples["work_string"]) * 1e3
     layers = []
     for name, colour, fields in LAYERS:

@@ -15,6 +15,8 @@ from capture_sim.viewing.curves import (
     PlottedRun,
     Quantity,
     Window,
+    are_many,
+    envelope,
     held_by,
     highest_touches,
     marked_points,
@@ -29,26 +31,40 @@ _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
     """Draw the paths of the tip's centre; each cone that differs is drawn once."""
-    several, scenes = len(shown) > 1, [plotted.run.scene for plotted in shown]
+    scenes = [plotted.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
     axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="limit of the centre")
     axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
-    for number, plotted in enumerate(shown):
-        draw_path(axes, plotted.run.scene, plotted.run.samples, plotted.holds, plotted.colour)
-        if several:
-            path = tip_in_cone(plotted.run.samples) * _MM
-            path = path[_in_frame(plotted.run.scene, path)]
-            draw_markers(axes, plotted, path, path_length(path), number, len(shown))
-            axes.plot([], [], label=plotted.label, **run_look(plotted, _PATH))
-    colour = style.GREY if several else shown[0].colour
-    for name in held_by(shown):
-        axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
+    (_draw_thin_paths if are_many(shown) else _draw_paths)(axes, shown)
     across, upwards = frame_bounds(scenes[0])
     axes.set(aspect="equal", xlim=across, ylim=upwards)
     axes.set_xlabel("x in the cone's frame, from BE  [mm]")
     axes.set_ylabel("y in the cone's frame  [mm]")
     axes.legend(loc="upper right", fontsize=style.SMALL, framealpha=1.0).set_zorder(10)
+
+
+def _draw_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
+    several = len(shown) > 1
+    for number, plotted in enumerate(shown):
+        draw_path(axes, plotted.scene, plotted.samples, plotted.holds, plotted.colour)
+        if several:
+            path = tip_in_cone(plotted.samples) * _MM
+            path = path[_in_frame(plotted.scene, path)]
+            draw_markers(axes, plotted, path, path_length(path), number, len(shown))
+            axes.plot([], [], label=plotted.label, **run_look(plotted, _PATH))
+    colour = style.GREY if several else shown[0].colour
+    for name in held_by(shown):
+        axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
+
+
+def _draw_thin_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
+    """Draw the paths of many runs alike."""
+    for plotted in shown:
+        path = tip_in_cone(plotted.samples) * _MM
+        path = path[_in_frame(plotted.scene, path, margin=50.0)]
+        axes.plot(*path.T, color=style.BLUE, lw=0.8, alpha=0.4, zorder=5)
+    axes.plot([], [], color=style.BLUE, lw=0.8, label=f"centre, {len(shown)} runs")
 
 
 def _draw_cone(axes: Axes, scene: Scene) -> None:
@@ -106,7 +122,7 @@ def run_look(plotted: PlottedRun, width: float = CURVE) -> dict[str, Any]:
     """Return how matplotlib draws a run's entry in a legend: its colour, and its marker if any."""
     look: dict[str, Any] = {"color": plotted.colour, "lw": width}
     if plotted.marker is not None:
-        look |= {"marker": plotted.marker[0], "ms": 9.0, "mec": "white", "mew": 0.5}
+        look |= {"marker": plotted.marker, "ms": 9.0, "mec": "white", "mew": 0.5}
     return look
 
 
@@ -130,7 +146,7 @@ def draw_quantity(
     axes: Axes, quantity: Quantity, shown: Sequence[PlottedRun], window: Window
 ) -> None:
     """Draw a quantity over time, as far as it lies in the window, so that the axis fits it."""
-    limits = {limit for plotted in shown for limit in quantity.limits(plotted.run.scene)}
+    limits = {limit for plotted in shown for limit in quantity.limits(plotted.scene)}
     for limit in sorted(limits, key=lambda limit: limit.value):
         name = f"{limit.name}, {limit.value:g} {quantity.unit}"
         if quantity.from_zero:
@@ -139,21 +155,42 @@ def draw_quantity(
             axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":", label=name)
     if quantity.sign:
         axes.axhline(0.0, color=style.GREY, lw=0.8)
-    for number, plotted in enumerate(shown):
-        t, values = quantity.curve(plotted.run)
-        inside = (t - plotted.origin >= window[0]) & (t - plotted.origin <= window[1])
-        t, values = t[inside] - plotted.origin, values[inside]
-        if quantity.located is None:
-            for name, part in split(values, plotted.holds[inside]).items():
-                axes.plot(t, part, color=plotted.colour, **line_look(name))
-        else:
-            axes.plot(t, values, color=plotted.colour, lw=1.5)
-        if quantity.located is None:
-            curve = np.stack([t, values], axis=-1)
-            draw_markers(axes, plotted, curve, t, number, len(shown))
-        elif plotted.marker is not None and len(shown) > 1:
-            some = highest_touches(t, values, plotted)
-            axes.plot(t[some], values[some], **run_look(plotted) | {"ls": "", "zorder": 6})
+    if are_many(shown):
+        _draw_envelope(axes, quantity, shown, window)
+    else:
+        for number, plotted in enumerate(shown):
+            _draw_curve(axes, quantity, plotted, window, number, len(shown))
     if quantity.from_zero:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel(quantity.axis)
+
+
+def _draw_curve(
+    axes: Axes, quantity: Quantity, plotted: PlottedRun, window: Window, number: int, count: int
+) -> None:
+    """Draw a quantity of run ``number`` of ``count``, with the run's marker on it."""
+    t, values = plotted.curve(quantity)
+    inside = (t - plotted.origin >= window[0]) & (t - plotted.origin <= window[1])
+    t, values = t[inside] - plotted.origin, values[inside]
+    if quantity.located is None:
+        for name, part in split(values, plotted.holds[inside]).items():
+            axes.plot(t, part, color=plotted.colour, **line_look(name))
+        draw_markers(axes, plotted, np.stack([t, values], axis=-1), t, number, count)
+        return
+    axes.plot(t, values, color=plotted.colour, lw=1.5)
+    if plotted.marker is not None and count > 1:
+        some = highest_touches(t, values, plotted)
+        axes.plot(t[some], values[some], **run_look(plotted) | {"ls": "", "zorder": 6})
+
+
+def _draw_envelope(
+    axes: Axes, quantity: Quantity, shown: Sequence[PlottedRun], window: Window
+) -> None:
+    """Draw the range of many runs, the middle half of them, and their median."""
+    t, bounds = envelope(quantity, shown, window)
+    least, first_quartile, median, third_quartile, greatest = bounds.T
+    look: dict[str, Any] = {"color": style.BLUE, "lw": 0}
+    axes.fill_between(t, least, greatest, alpha=0.2, label=f"range of {len(shown)} runs", **look)
+    label = "middle half of the runs"
+    axes.fill_between(t, first_quartile, third_quartile, alpha=0.35, label=label, **look)
+    axes.plot(t, median, color=style.BLUE, lw=1.5, label="median")

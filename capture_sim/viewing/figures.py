@@ -1,23 +1,25 @@
-"""The paper's figures with our data, for one run or several laid over each other.
+"""Plots of one run, or of several drawn over each other.
 
-Every function takes runs (a :class:`capture_sim.Result` or a recorded run, one or a sequence)
-and returns a figure of matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
+Every function takes runs (:class:`capture_sim.Run`, one or a sequence) and returns a figure of
+matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
 
-Common keywords: ``labels``, one for each run, instead of the scenes' names; ``window``, from
-when to when, s on the drawn axis; ``aligned``, time counts from each run's first touch;
-``traces``, curves from elsewhere in SI units.
+Common keywords: ``labels``, one for each run, instead of the scenes' names; ``window``, start and
+end of the drawn time, s on the drawn axis (of the path, the loops and the energies s since the
+release); ``aligned``, time counts from each run's first touch.
 
-Touches of a light tip last a fraction of a millisecond, less than samples lie apart: give runs
-through :func:`capture_sim.viewing.source.resolved` to see them whole.
+More runs than there are colours are drawn as an envelope: their range, the middle half of them and
+their median.
+
+Touches of a light tip last a fraction of a millisecond, less than a sample period: give runs
+through :func:`capture_sim.viewing.source.resolved` to draw them with samples inside every touch.
 """
 
 from __future__ import annotations
 
-import itertools
 import string
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -27,6 +29,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
+from capture_sim.run import Run
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import columns_for, draw_shapes, hide_unused, subplots
 from capture_sim.viewing.curves import (
@@ -36,9 +39,11 @@ from capture_sim.viewing.curves import (
     PlottedRun,
     Quantity,
     Runs,
-    Trace,
     Window,
+    are_many,
     common_window,
+    energy_layers,
+    has_ledger,
     held_by,
     plotted_runs,
     time_label,
@@ -50,15 +55,58 @@ from capture_sim.viewing.drawing import (
     line_look,
     run_look,
 )
-from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes, tip_in_world
-from capture_sim.viewing.source import ViewableRun, first_touch, start_word, time_window
+from capture_sim.viewing.shapes import state_shapes, tip_in_world
+from capture_sim.viewing.source import (
+    SHORTEST_WINDOW,
+    first_touch,
+    start_word,
+    time_window,
+)
 
-_MANY = 3  # runs beyond which a legend covers too much of its axes
+_OUTSIDE = 3  # runs beyond which a legend covers too much of its axes
 _ENTRY = 2.3  # inches, about the width of an entry of a legend
-_TRACES = (style.BLACK, style.BROWN, style.GREY)
-_TRACE: Any = {"marker": "o", "ls": "", "ms": 5, "mfc": "none", "mew": 1.5, "zorder": 3}
 _MARGIN = 0.02  # m, round the vehicles
 _PANEL = 5.4  # inches, width of a picture of a strip
+
+
+class Picture(NamedTuple):
+    """A plot of runs: the name of its file, its title, and the call that draws it."""
+
+    name: str
+    title: str
+    draw: Callable[[], Figure]
+
+
+def pictures_of(
+    runs: Runs, labels: Sequence[str] | None = None, window: Window | None = None
+) -> list[Picture]:
+    """Return every plot of runs, those over time aligned at the first touch if there are several.
+
+    Runs without energies, e.g. measured ones, have neither the plots of energy nor those of the
+    force in the buffer and of the penetration.  ``window`` is s since the release.
+    """
+    plotted = plotted_runs(runs, labels)
+    several = [each.run for each in plotted]
+    names = [each.label for each in plotted]
+    alike: dict[str, Any] = {"labels": names, "window": window}
+    over = alike | {"aligned": window is None and len(several) > 1}
+    simulated, few = all(map(has_ledger, several)), not are_many(plotted)
+    drawn: list[tuple[str, str, Callable[..., Figure], dict[str, Any], bool]] = [
+        *(
+            (name, panel.title, partial(over_time, name), over, simulated or name != "intrusion")
+            for name, panel in PANELS.items()
+        ),
+        ("trajectory", "Path of the tip", trajectory, alike, True),
+        ("load_stroke", "Force over stroke of the axial buffer", load_stroke, alike, simulated),
+        ("velocities", "Velocities", velocities, over, True),
+        ("energies", "Where the energy is", energies, alike, simulated and few),
+        ("snapshots", "From above", snapshots, {"labels": names}, window is None and few),
+    ]
+    return [
+        Picture(name, title, partial(draw, several, **keywords))
+        for name, title, draw, keywords, applies in drawn
+        if applies
+    ]
 
 
 def over_time(
@@ -68,23 +116,15 @@ def over_time(
     labels: Sequence[str] | None = None,
     window: Window | None = None,
     aligned: bool = False,
-    traces: Sequence[Trace] = (),
 ) -> Figure:
     """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
     shown = plotted_runs(runs, labels, aligned=aligned)
     figure, [[axes]] = subplots(8.0, 4.6)
-    _draw_over_time([axes], [PANELS[panel]], shown, window, traces)
+    _draw_over_time([axes], [PANELS[panel]], shown, window)
     contact = PANELS[panel].located is None
     if contact or len(shown) > 1:
-        _label_runs(axes, shown, contact=contact, outside=len(shown) > _MANY)
+        _label_runs(axes, shown, contact=contact, outside=len(shown) > _OUTSIDE)
     return figure
-
-
-intrusion = partial(over_time, "intrusion")  #: Figure 6a
-impact_force = partial(over_time, "impact_force")  #: Figures 5 and 6b
-axial_performance = partial(over_time, "axial_performance")  #: Figures 6c, 8a and 11
-torsional_performance = partial(over_time, "torsional_performance")  #: Figures 8a and 11
-distance = partial(over_time, "distance")  #: Figures 6d and 8b
 
 
 def sheet(
@@ -107,36 +147,13 @@ def sheet(
     return figure
 
 
-#: Figure 6
-undamped_results = partial(sheet, ("intrusion", "impact_force", "axial_performance", "distance"))
-#: Figures 8 and 11
-buffer_results = partial(
-    sheet, ("axial_performance", "torsional_performance", "distance", "impact_force")
-)
-
-
-def trajectory(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw the path of the tip's centre in the cone (Figures 7 and 8c), all in one cone."""
-    shown = plotted_runs(runs, labels)
+def trajectory(
+    runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
+) -> Figure:
+    """Draw the path of the tip's centre in the cone, all runs in one cone."""
+    shown = plotted_runs(runs, labels, window=window)
     figure, [[axes]] = subplots(7.4, 7.6, grid=None)
     draw_trajectory(axes, shown)
-    return figure
-
-
-def trajectories(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw the paths of the tip's centre side by side, each in its own cone (Figure 13)."""
-    shown = plotted_runs(runs, labels)
-    columns = columns_for(len(shown))
-    rows = -(-len(shown) // columns)
-    figure, axes_grid = subplots(5.4 * columns, 6.2 * rows, rows, columns, grid=None, sharey=True)
-    used = list(axes_grid.flat)[: len(shown)]
-    for axes, plotted in zip(used, shown, strict=True):
-        draw_trajectory(axes, [plotted])
-        axes.set_title(plotted.label, fontsize=style.FONT, fontweight="bold")
-        if axes not in axes_grid[:, 0]:
-            axes.set_ylabel("")
-    for axes in axes_grid.flat[len(shown) :]:
-        axes.set_axis_off()
     return figure
 
 
@@ -146,25 +163,12 @@ def velocities(
     labels: Sequence[str] | None = None,
     window: Window | None = None,
     aligned: bool = False,
-    traces: Sequence[Trace] = (),
 ) -> Figure:
-    """Draw horizontal, vertical and angular velocities of both vehicles (Figure 10).
-
-    ``values`` of the traces are (n, 8) or (n, 6): rates of ``q``, or of x, y, theta of chaser
-    and target, m/s and rad/s.
-    """
+    """Draw horizontal, vertical and angular velocities: chaser on the left, target on the right."""
     shown = plotted_runs(runs, labels, aligned=aligned)
     figure, rows = subplots(11.0, 8.2, 3, 2, sharex=True, sharey="row")
-    sides = [
-        trace._replace(values=trace.values[:, [*CHASER, *TARGET]])
-        if trace.values.shape[1] == 8
-        else trace
-        for trace in traces
-    ]
     for column, (vehicle, axes) in enumerate(zip(("chaser", "target"), rows.T, strict=True)):
-        quantities = [row[column] for row in VELOCITIES]
-        rates = [t._replace(values=t.values[:, 3 * column :]) for t in sides]
-        _draw_over_time(axes, quantities, shown, window, rates)
+        _draw_over_time(axes, [row[column] for row in VELOCITIES], shown, window)
         axes[0].set_title(vehicle, fontsize=style.FONT, fontweight="bold")
     for axes in rows[:-1].flat:
         axes.set_xlabel("")
@@ -175,25 +179,58 @@ def velocities(
     return figure
 
 
-def load_stroke(runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
+def load_stroke(
+    runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
+) -> Figure:
     """Draw force over stroke of the axial buffer; the loops' area is the energy of its damper."""
-    shown = plotted_runs(runs, labels)
+    shown = plotted_runs(runs, labels, window=window)
     figure, [[axes]] = subplots(8.4, 5.0)
+    many = are_many(shown)
     for number, plotted in enumerate(shown):
-        samples = plotted.run.samples
+        samples = plotted.samples
         stroke, force = STROKE.of(samples), samples["axial_force"]
-        dissipated = samples["dissipated_axial"][-1] * 1e3
+        if many:
+            axes.plot(stroke, force, color=style.BLUE, lw=0.8, alpha=0.4)
+            continue
         axes.plot(stroke, force, color=plotted.colour, lw=1.5)
         loops = np.stack([stroke, force], axis=-1)
         draw_markers(axes, plotted, loops, samples["t"], number, len(shown))
+        dissipated = samples["dissipated_axial"][-1] * 1e3
         label = f"{plotted.label}: {dissipated:.1f} mJ in the damper"
         axes.plot([], [], label=label, **run_look(plotted))
     axes.set_xlabel(STROKE.axis)
     axes.set_ylabel("force of spring and damper  [N]")
-    # above: inside, the loops are everywhere
-    columns = 1 if len(shown) <= _MANY else 2
-    figure.set_figheight(4.6 + 0.3 * -(-len(shown) // columns))
-    figure.legend(loc="outside upper center", fontsize=style.SMALL, ncols=columns)
+    if not many:
+        # above: inside, the loops are everywhere
+        columns = 1 if len(shown) <= _OUTSIDE else 2
+        figure.set_figheight(4.6 + 0.3 * -(-len(shown) // columns))
+        figure.legend(loc="outside upper center", fontsize=style.SMALL, ncols=columns)
+    return figure
+
+
+def energies(
+    runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
+) -> Figure:
+    """Draw where the energy that was put in is, layer on layer, a panel for each run."""
+    shown = plotted_runs(runs, labels, window=window)
+    columns = columns_for(len(shown))
+    rows = -(-len(shown) // columns)
+    width = 8.4 if columns == 1 else 5.4 * columns
+    figure, panels = subplots(width, 1.0 + 3.9 * rows, rows, columns, sharey=True)
+    for axes, plotted in zip(panels.flat, shown, strict=False):
+        t, put_in, layers = energy_layers(plotted.samples)
+        if layers:
+            names, colours, values = zip(*layers, strict=True)
+            axes.stackplot(t, *values, labels=names, colors=colours, lw=0)
+        axes.plot(t, put_in, color=style.GREY, lw=2.0, ls="--", label="put in")
+        axes.set_title(plotted.label, fontsize=style.FONT, fontweight="bold")
+        axes.set_xlim(t[0], max(t[-1], t[0] + SHORTEST_WINDOW))
+        axes.set_xlabel(f"{time_label([plotted])}  [s]")
+    for axes in panels.flat[len(shown) :]:
+        axes.set_axis_off()
+    for axes in panels[:, 0]:
+        axes.set_ylabel("energy  [mJ]")
+    legend_above(figure)
     return figure
 
 
@@ -203,11 +240,8 @@ def snapshots(
     times: Sequence[float] | None = None,
     count: int = 6,
     labels: Sequence[str] | None = None,
-    first: int = 0,
 ) -> Figure:
     """Draw a run as a strip of pictures from above, or several as strips side by side.
-
-    As the paper's Figures 12 and 15 to 17.
 
     Parameters
     ----------
@@ -220,10 +254,8 @@ def snapshots(
         Pictures of each run, at least 2, where no times are given.
     labels
         One for each run; None takes the scenes' names.
-    first
-        Number of the first run among others, for its colour.
     """
-    shown = plotted_runs(runs, labels, first=first)
+    shown = plotted_runs(runs, labels)
     instants = [
         np.asarray(times, float) if times is not None else snapshot_times(plotted.run, count)
         for plotted in shown
@@ -272,7 +304,7 @@ def snapshots(
     return figure
 
 
-def snapshot_times(run: ViewableRun, count: int) -> np.ndarray:
+def snapshot_times(run: Run, count: int) -> np.ndarray:
     """Return times worth a picture, (count,), s: start, first touch, evenly to the verdict."""
     start, end = float(run.samples["t"][0]), time_window(run)[1]
     touch = first_touch(run)
@@ -281,10 +313,28 @@ def snapshot_times(run: ViewableRun, count: int) -> np.ndarray:
     return np.concatenate([[start], np.linspace(touch.t, end, count - 1)])
 
 
-def state_at(run: ViewableRun, t: float) -> np.ndarray:
+def state_at(run: Run, t: float) -> np.ndarray:
     """Return the coordinates at a time between the samples, (8,)."""
     samples = run.samples
     return np.array([np.interp(t, samples["t"], samples["q"][:, i]) for i in range(8)])
+
+
+def legend_above(figure: Figure) -> None:
+    """Explain all labelled curves of a figure in one legend above it, each label once."""
+    for earlier in figure.legends:
+        earlier.remove()
+    entries = dict[str, Artist]()
+    for axes in figure.axes:
+        handles, names = axes.get_legend_handles_labels()
+        entries.update(zip(names, handles, strict=True))
+    columns = max(min(len(entries), int(figure.get_figwidth() // _ENTRY)), 1)
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="outside upper center",
+        ncols=columns,
+        fontsize=style.SMALL,
+    )
 
 
 def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> None:
@@ -292,9 +342,9 @@ def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> Non
     touch = first_touch(run)
     meaning = "first touch" if touch is not None and t == touch.t else ""
     if t == run.samples["t"][0]:
-        meaning = start_word(run.scene)
-    draw_shapes(axes, state_shapes(run.scene, state_at(run, t), plotted.colour))
-    path = tip_in_world(run.scene, run.samples["q"][run.samples["t"] <= t][::5])
+        meaning = start_word(plotted.scene)
+    draw_shapes(axes, state_shapes(plotted.scene, state_at(run, t), plotted.colour))
+    path = tip_in_world(plotted.scene, run.samples["q"][run.samples["t"] <= t][::5])
     axes.add_line(_path_line(plotted, path))
     axes.set_aspect("equal")
     axes.text(
@@ -321,19 +371,12 @@ def _draw_over_time(
     quantities: Iterable[Quantity],
     shown: Sequence[PlottedRun],
     window: Window | None,
-    traces: Sequence[Trace] = (),
 ) -> None:
-    """Draw a quantity in each axes over one time; of the traces, a column in each."""
+    """Draw a quantity in each axes over one time."""
     start, end = window = common_window(shown, window)
-    for i, (axes, quantity) in enumerate(zip(all_axes, quantities, strict=True)):
+    for axes, quantity in zip(all_axes, quantities, strict=True):
         draw_quantity(axes, quantity, shown, window)
-        for trace, colour in zip(traces, itertools.cycle(_TRACES), strict=False):
-            # thirty points, so that the line under them is seen
-            evenly = np.searchsorted(trace.t, np.linspace(start, end, 30))
-            some = np.unique(evenly[evenly < len(trace.t)])
-            values = trace.values.reshape(len(trace.t), -1)[some, i] * quantity.factor
-            axes.plot(trace.t[some], values, color=colour, label=trace.label, **_TRACE)
-        # a touch at the start is off the frame
+        # a touch at the start is not drawn on the frame
         axes.set_xlim(start - 0.01 * (end - start), end)
         if end - start < 0.01:  # long numbers
             axes.locator_params(axis="x", nbins=5)
@@ -344,37 +387,15 @@ def _label_runs(
     axes: Axes, shown: Sequence[PlottedRun], *, contact: bool = True, outside: bool = False
 ) -> None:
     """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
-    if len(shown) > 1:
-        for plotted in shown:
-            axes.plot([], [], label=plotted.label, **run_look(plotted))
-    tone = shown[0].colour if len(shown) == 1 else style.GREY
-    if contact:
-        for name in held_by(shown):
+    if not are_many(shown):
+        if len(shown) > 1:
+            for plotted in shown:
+                axes.plot([], [], label=plotted.label, **run_look(plotted))
+        tone = shown[0].colour if len(shown) == 1 else style.GREY
+        for name in held_by(shown) if contact else ():
             axes.plot([], [], color=tone, label=name, **line_look(name))
     figure = axes.get_figure(root=True)
     if outside and figure is not None:
-        entries = dict[str, Artist]()
-        for each in figure.axes:
-            handles, names = each.get_legend_handles_labels()
-            entries.update(zip(names, handles, strict=True))
-        columns = max(min(len(entries), int(figure.get_figwidth() // _ENTRY)), 1)
-        figure.legend(
-            list(entries.values()),
-            list(entries),
-            loc="outside upper center",
-            ncols=columns,
-            fontsize=style.SMALL,
-        )
+        legend_above(figure)
     else:
         axes.legend(fontsize=style.SMALL, framealpha=0.9, loc="best", handlelength=2.2)
-
-
-#: Name of the file and function of each figure.
-FIGURES: dict[str, Callable[..., Figure]] = {
-    **{name: partial(over_time, name) for name in PANELS},
-    "trajectory": trajectory,
-    "velocities": velocities,
-    "load_stroke": load_stroke,
-}
-#: Those over time, which can be ``aligned``.
-OVER_TIME = frozenset(FIGURES) - {"trajectory", "load_stroke"}

@@ -1,4 +1,4 @@
-"""Pictures: one for each experiment, and several experiments side by side, a colour each."""
+"""Plots of one run each, and of several runs side by side, a colour each."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
 from capture_sim.messages.urdf import Box, chaser_box, target_box
+from capture_sim.run import Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import shapes, source, style
@@ -35,31 +36,24 @@ from capture_sim.viewing.curves import (
 )
 from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, frame_bounds
 from capture_sim.viewing.figures import sheet
-from capture_sim.viewing.source import ViewableRun
 
 _MM = 1e3
 _FONT = 13.5
 _BLOCK = 13.53  # inches, height of a run in the overview, without its title
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
-_ABOUT_WIDTH = 380.0  # points, of the axes in the smallest of the pictures
-# of a letter from its dot, points, the best first: above, below, beside, then farther away
-_LETTER_PLACES = (
-    *((0, 13), (0, -14), (13, 1), (-13, 1), (11, 10), (-11, 10), (11, -10), (-11, -10)),
-    *((0, 25), (0, -26), (24, 1), (-24, 1), (18, 18), (-18, 18), (18, -18), (-18, -18)),
-)
-
+_LETTER_HEIGHT = 14.0  # points, of a letter above its dot, or below it
 
 _OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_performance")
 
 
-def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
+def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     """Return the figure of one run, or of several drawn over each other.
 
     Parameters
     ----------
     runs
-        Results of :func:`capture_sim.simulate`, or runs read from recordings.
+        Of :func:`capture_sim.simulate`, or of :func:`capture_sim.read_run`.
     labels
         Their names, one each; None takes the scenes'.
 
@@ -77,7 +71,7 @@ def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
     ['(a)', '(b)', '(c)', '(d)']
     """
     for run in runs:
-        if not hasattr(run, "scene"):
+        if not isinstance(run, Run):
             raise TypeError(
                 f"plot({type(run).__name__}): must be runs, one argument each, e.g. "
                 "plot(result_1, result_2)"
@@ -87,7 +81,7 @@ def plot(*runs: ViewableRun, labels: Sequence[str] | None = None) -> Figure:
     return sheet(_OVERLAID, runs, labels=labels)
 
 
-def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
+def draw_run(run: Run, label: str | None = None) -> Figure:
     """Return the figure of one run, under its label or its scene's name."""
     [plotted] = plotted_runs(run)
     title = source.headline(run, label)
@@ -104,7 +98,7 @@ def draw_run(run: ViewableRun, label: str | None = None) -> Figure:
     return figure
 
 
-def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = None) -> Figure:
+def draw_overview(runs: Sequence[Run], labels: Sequence[str] | None = None) -> Figure:
     """Return the figure of several runs side by side, at most three abreast, under their labels.
 
     These are the scenes' names, numbered where they are the same, unless given.
@@ -124,7 +118,7 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
         instants = draw_bench(bench, plotted)
         bench.set_title(title, fontsize=16, fontweight="bold", pad=12, y=1.0)
         dashed = (
-            f"dashed: at the {source.start_word(plotted.run.scene)}"
+            f"dashed: at the {source.start_word(plotted.scene)}"
             if " and " in instants
             else instants
         )
@@ -143,7 +137,7 @@ def draw_overview(runs: Sequence[ViewableRun], labels: Sequence[str] | None = No
 def _draw_trajectory(axes: Axes, plotted: PlottedRun, title: str) -> None:
     moments = key_moments(plotted.run)
     draw_trajectory(axes, [plotted])
-    draw_tip(axes, plotted.run.scene, moments, plotted.colour)
+    draw_tip(axes, plotted.scene, moments, plotted.colour)
     dress(axes, None, _FONT)
     axes.set_title(title, fontsize=_FONT + 1, y=1.0)
     axes.text(
@@ -167,7 +161,7 @@ def _draw_over_time(
 ) -> None:
     """Draw the contact force, quantities, and over all of them when the tip touches."""
     run, window = plotted.run, source.time_window(plotted.run)
-    loads = source.summary_of(run, None)
+    loads = run.loads
     if source.has_force(run):
         titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
         _draw_force(all_axes[0], plotted)
@@ -181,9 +175,9 @@ def _draw_over_time(
         )
         axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
         if quantity is DISTANCE:
-            [zone] = quantity.limits(run.scene)
+            [zone] = quantity.limits(plotted.scene)
             nearest = loads["nearest_distance"] * 1e3
-            titles.append(f"Tip to BE: nearest {nearest:.1f} mm (zone: {zone.value:g} mm)")
+            titles.append(f"Tip to BE: closest {nearest:.1f} mm (zone: {zone.value:g} mm)")
             _mark_verdict(axes, run, window)
             axes.set_ylabel("distance\n[mm]")
         elif quantity is STROKE:
@@ -209,10 +203,10 @@ def _draw_over_time(
         )
         axes.set_xlim(window)
         axes.tick_params(labelbottom=axes is all_axes[-1])
-    near = f"the tip within {run.scene.detector.max_contact_gap * _MM:g} mm of a wall"
+    near = f"the tip within {plotted.scene.detector.max_contact_gap * _MM:g} mm of a wall"
     shaded = "in contact" if source.has_force(run) else near
     all_axes[-1].set_xlabel(
-        f"time since the {source.start_word(run.scene)}  [s]   (shaded: {shaded})"
+        f"time since the {source.start_word(plotted.scene)}  [s]   (shaded: {shaded})"
     )
 
 
@@ -222,7 +216,7 @@ def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
     for force in run.samples["normal_force"].T:
         axes.plot(plotted.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
     every_touch = source.every_touch(run)
-    for side, (marker, _, name) in {**style.WALLS, 0: style.NO_WALL}.items():
+    for side, (marker, name) in {**style.WALLS, 0: style.NO_WALL}.items():
         touches = every_touch[every_touch["wall"] == side]
         if not touches.size and (side == 0 or np.any(every_touch["wall"] == 0)):
             continue
@@ -240,7 +234,7 @@ def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
     axes.legend(loc="upper right", fontsize=_FONT - 1.5, ncols=2, framealpha=1.0)
 
 
-def _mark_verdict(axes: Axes, run: ViewableRun, window: Window) -> None:
+def _mark_verdict(axes: Axes, run: Run, window: Window) -> None:
     """Mark when it latched and when it was decided, where that is in the window."""
     decided = source.decided_at(run)
     moments = [
@@ -276,7 +270,7 @@ def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
 
     Return the drawn instants in words.
     """
-    run, scene, start = plotted.run, plotted.run.scene, plotted.run.samples["q"][0]
+    run, scene, start = plotted.run, plotted.scene, plotted.samples["q"][0]
     touch = source.first_touch(run)
     then = run.samples["q"][-1] if touch is None else touch.q
     moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
@@ -322,8 +316,8 @@ class Moment(NamedTuple):
     meaning: str
 
 
-def key_moments(run: ViewableRun) -> list[Moment]:
-    """Return first touch, strongest touch, then latching or nearest approach and end.
+def key_moments(run: Run) -> list[Moment]:
+    """Return first touch, strongest touch, then latching or closest approach, and end.
 
     The end counts only where it lies within the frame.
     """
@@ -351,8 +345,8 @@ def key_moments(run: ViewableRun) -> list[Moment]:
         add(latched.t, "latched")
     else:
         nearest = int(np.argmin(samples["tip_distance"]))
-        add(float(t[nearest]), f"nearest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
-        (left, right), (low, high) = frame_bounds(run.scene)
+        add(float(t[nearest]), f"closest, {samples['tip_distance'][nearest] * _MM:.1f} mm")
+        (left, right), (low, high) = frame_bounds(run.drawn_scene)
         x, y = places[-1] * _MM
         if nearest == len(t) - 1:
             # as of a run that was broken off: one place, one letter
@@ -366,7 +360,6 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str) -> No
     """Draw the tip as a circle at each moment, marked a, b, c..."""
     radius = scene.probe.tip_radius * _MM
     halo = [patheffects.withStroke(linewidth=3, foreground="white")]
-    offsets = _letter_places(scene, moments)
     for i, moment in enumerate(moments):
         x, y = moment.place * _MM
         axes.add_patch(
@@ -379,7 +372,7 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str) -> No
         axes.annotate(
             ascii_lowercase[i],
             (x, y),
-            xytext=tuple(offsets[i]),
+            xytext=(0.0, _LETTER_HEIGHT * (-1) ** i),
             textcoords="offset points",
             fontsize=14,
             fontweight="bold",
@@ -388,21 +381,3 @@ def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str) -> No
             path_effects=halo,
             zorder=8,
         )
-
-
-def _letter_places(scene: Scene, moments: list[Moment]) -> np.ndarray:
-    """Return where each moment's letter stands, (n, 2), points from its dot, clear of others."""
-    (left, right), _ = frame_bounds(scene)
-    # before it is laid out, the width of the axes is known about
-    dots = np.array([moment.place for moment in moments]).reshape(-1, 2) * _MM
-    dots *= _ABOUT_WIDTH / (right - left)
-    letters: list[np.ndarray] = []
-    for i, dot in enumerate(dots):
-        # up and down in turn, so that near ones part
-        at = dot + np.array(_LETTER_PLACES) * (1.0, (-1.0) ** i)
-        # how far a letter is from what it must not cover; 1 is enough
-        room = [np.ones(len(at))]
-        room += [np.linalg.norm(at - other, axis=1) / 17.0 for other in letters]
-        room += [np.linalg.norm(at - other, axis=1) / 10.0 for other in np.delete(dots, i, axis=0)]
-        letters.append(at[np.min(room, axis=0).argmax()])  # the first of those equally good
-    return np.array(letters).reshape(-1, 2) - dots

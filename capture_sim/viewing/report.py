@@ -1,53 +1,43 @@
-"""Runs as one page of HTML that needs nothing beside itself, and prints."""
+"""Runs as one page of HTML: no scripts, no other files, and it prints."""
 
 from __future__ import annotations
 
 import base64
 import datetime
-import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
-from markupsafe import Markup
-from PIL import Image
-from plotly.offline import get_plotlyjs
 
 import capture_sim
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.files import whole_file
 from capture_sim.results import LEGEND, first_cluster, heads, notes, rows
+from capture_sim.run import Run
 from capture_sim.samples import ENERGIES, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
-from capture_sim.viewing import figures, report_figures, style
-from capture_sim.viewing.curves import PlottedRun, has_ledger, plotted_runs
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import small_png
+from capture_sim.viewing.curves import has_ledger
+from capture_sim.viewing.figures import Picture, pictures_of
 from capture_sim.viewing.source import (
-    Opened,
-    ViewableRun,
     decided_at,
     headline,
+    resolved_or_not,
     start_word,
-    summary_of,
 )
 
-_SECTIONS = (
-    "Results",
-    "Figures",
-    "Energy",
-    "How far to trust the numbers",
-    "Events",
-    "Parameters",
-    "Versions",
-)
+_DPI = 144
+_HALF = 8.5  # inches: wider pictures are as wide as the page
 
 
-def error_statement(run: ViewableRun) -> str:
+def error_statement(run: Run) -> str:
     """Return how far to trust a simulated run: it is made again, as it was and finer."""
     times = np.asarray(run.samples["t"])
     try:
@@ -85,12 +75,20 @@ _MEASURED = (
 )
 
 
-#: Is called with how many steps of the report are done, and of how many.
+#: Is called with the number of finished steps of the report, and of all steps.
 ShowProgress = Callable[[int, int], None]
 
 
+class _Image(NamedTuple):
+    """A picture of the page: its caption, its file as a data URL, and its class."""
+
+    caption: str
+    source: str
+    kind: str  # "half" or "wide" of the page
+
+
 def save_report(
-    opened: Sequence[Opened], path: Path | str, progress: ShowProgress = lambda done, count: None
+    runs: Sequence[Run], path: Path | str, progress: ShowProgress = lambda done, count: None
 ) -> Path:
     """Save the report of runs as one HTML file; return its path.
 
@@ -99,33 +97,27 @@ def save_report(
     RecordingError
         The file cannot be written.
     """
-    path, text = Path(path), report(opened, progress)
+    path, text = Path(path), report(runs, progress)
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
 
 
-def report(opened: Sequence[Opened], progress: ShowProgress = lambda done, count: None) -> str:
+def report(runs: Sequence[Run], progress: ShowProgress = lambda done, count: None) -> str:
     """Return the report of runs as one page of HTML; each run is simulated again."""
-    names, runs = [each.label for each in opened], [each.run for each in opened]
-    summaries = [summary_of(each.run, each.wall_time) for each in opened]
-    plotted = plotted_runs(runs, names, aligned=len(runs) > 1)
-    with_ledger = [each for each in plotted if has_ledger(each.run)]
-    panels = ["impact_force", "distance", "axial_performance", "torsional_performance"]
-    drawn = [report_figures.trajectory(each, i) for i, each in enumerate(plotted)]
-    drawn += [report_figures.over_time(panel, plotted) for panel in panels]
-    if len(with_ledger) == len(runs):  # neither is measured on a bench
-        drawn.append(report_figures.load_stroke(plotted))
-        drawn.append(report_figures.over_time("intrusion", plotted))
-    drawn += report_figures.velocities(plotted)
-    energies, layer_colours = report_figures.energies(with_ledger)
-    about_runs, strips, steps = [], [], 1 + 2 * len(opened)
-    for i, (opened_run, plotted_run) in enumerate(zip(opened, plotted, strict=True)):
-        progress(1 + 2 * i, steps)
-        about_runs.append(_about(opened_run))
-        progress(2 + 2 * i, steps)
-        strips.append(_strip(plotted_run, i))
+    names = [run.name for run in runs]
+    with_ledger = [run for run in runs if has_ledger(run)]
+    pictures = pictures_of([resolved_or_not(run) for run in runs], names)
+    steps = len(runs) + len(pictures)
+    about_runs, images = [], []
+    for done, run in enumerate(runs):
+        progress(done, steps)
+        about_runs.append(_about(run))
+    for done, picture in enumerate(pictures, len(runs)):
+        progress(done, steps)
+        images.append(_image(picture))
     progress(steps, steps)
+    summaries = [run.summary for run in runs]
     differing, shared = parameter_rows([run.scene for run in runs])
     groups = groupby(heads(), key=lambda head: head[0] or head)  # nameless ones stand alone
     environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
@@ -133,88 +125,67 @@ def report(opened: Sequence[Opened], progress: ShowProgress = lambda done, count
         title=f"Docking and capture: {', '.join(names)}",
         date=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         version=capture_sim.__version__,
-        sections=_SECTIONS,
         names=names,
         runs=about_runs,
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
         columns=[(name, unit) for _, name, unit in heads()],
         results=rows(summaries, names),
         legend=" ".join([*LEGEND, *notes(summaries)]),
-        figures=drawn,
-        pictures=strips,
-        energies=energies,
-        layers=layer_colours,
-        key=[
-            (each.label, each.colour, each.marker and _GLYPHS[each.marker[1]]) for each in plotted
-        ],
-        ledger=energy_rows([each.run for each in with_ledger]) if with_ledger else [],
-        ledger_names=[each.label for each in with_ledger],
-        not_measured=[each.label for each in plotted if not has_ledger(each.run)],
+        images=images,
+        ledger=energy_rows(with_ledger) if with_ledger else [],
+        ledger_names=[run.name for run in with_ledger],
+        not_measured=[run.name for run in runs if not has_ledger(run)],
         differing=differing,
         shared=shared,
-        versions=[
-            (name, ", ".join(each.software) or "not known")
-            for name, each in zip(names, opened, strict=True)
-        ],
-        plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
     )
 
 
-def _about(opened: Opened) -> dict[str, Any]:
+def _image(picture: Picture) -> _Image:
+    """Return a picture for the page.
+
+    As PNG: with 64 colours, each is smaller than its SVG file, whose letters are paths.
+    """
+    figure = picture.draw()
+    data = base64.b64encode(small_png(figure, _DPI)).decode()
+    source = f"data:image/png;base64,{data}"
+    return _Image(picture.title, source, "wide" if figure.get_figwidth() > _HALF else "half")
+
+
+def _about(run: Run) -> dict[str, Any]:
     """Return the section of the page on a run."""
-    run = opened.run
     lines = []
     for event in run.events:
-        *_, wall = style.WALLS.get(event.wall, style.NO_WALL)
+        _, wall = style.WALLS.get(event.wall, style.NO_WALL)
         detail = wall if event.kind is EventKind.TOUCH else ""
         if event.detail:
             detail = f"{detail}, {event.detail}" if detail else event.detail
         lines.append((f"{event.t:.6f}", event.kind.label, detail))
-    course = f"{headline(run, opened.label)}."
+    course = f"{headline(run, run.name)}."
     decided = decided_at(run)
     if decided is not None:
         reason = next(s.reason for s in run.statuses if s.state.is_verdict)
         course += f" Decided at {decided:.3f} s: {reason}."
     return {
-        "name": opened.label,
+        "name": run.name,
         "title": run.scene.title,
-        "source": opened.source,
-        "problems": opened.problems,
-        "error": _MEASURED if opened.measured else error_statement(run),
+        "source": _source(run),
+        "problems": (*run.origin.left_out, *run.problems),
+        "software": ", ".join(run.origin.software) or "not known",
+        "error": error_statement(run) if run.is_exact else _MEASURED,
         "course": course,
         "events": lines,
-        "event_head": (f"since the {start_word(run.scene)} [s]", "event", ""),
+        "event_head": (f"since the {start_word(run.scene)} [s]", "event", "detail"),
     }
 
 
-#: Markers of plotly as letters, for the key.
-_GLYPHS = {
-    "circle": "●",
-    "square": "■",
-    "diamond": "◆",
-    "cross": "✚",
-    "x": "✖",
-    "star": "★",
-    "pentagon": "⬟",
-    "triangle-left": "◀",
-    "triangle-right": "▶",
-    "hexagon": "⬢",
-}
+def _source(run: Run) -> str:
+    path = run.origin.path
+    if not path:
+        return "run now"
+    return f"recorded in {path}" if run.is_exact else f"measured, in {path}"
 
 
-def _strip(plotted: PlottedRun, i: int) -> dict[str, str]:
-    """Return the i-th run from above at some instants, as an image within the page."""
-    drawn, small = io.BytesIO(), io.BytesIO()
-    figure = figures.snapshots(plotted.run, labels=[plotted.label], first=i)
-    figure.savefig(drawn, format="png", dpi=80)
-    with Image.open(drawn) as picture:
-        # few colours: a third of the bytes
-        picture.convert("RGB").quantize(48, dither=Image.Dither.NONE).save(small, "PNG")
-    data = base64.b64encode(small.getvalue()).decode()
-    return {"caption": f"{plotted.label}, from above", "source": f"data:image/png;base64,{data}"}
-
-
-def energy_rows(runs: Sequence[ViewableRun]) -> list[tuple[str, ...]]:
+def energy_rows(runs: Sequence[Run]) -> list[tuple[str, ...]]:
     """Return the ledger at the end of each run, mJ, a row for each entry that is not zero."""
     lines: list[tuple[str, ...]] = []
     for name in ENERGIES:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from capture_sim.scene.parts import Scene
+from capture_sim.viewing.curves import Window
 from capture_sim.viewing.rerun_plots import PLOTS
 from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME
 from capture_sim.viewing.shapes import wall
 
 _MM = 1e3
 _PLAYED = 5.0  # s (wall), that a short timeline takes at least
+_MOST_LABELS = 6  # of an axis
+_MARGIN = 0.05  # of a range, beyond a tick that widens it
 _WHITE = rrb.Background(color=(255, 255, 255), kind=rrb.BackgroundKind.SolidColor)
 
 
@@ -25,14 +30,15 @@ def blueprint(
     aligned: bool,
     live: bool = False,
     energies: bool = True,
-    length: float = math.inf,
+    span: Window | None = None,
+    ranges: Mapping[str, Window] = MappingProxyType({}),
 ) -> rrb.Blueprint:
     """Return the layout of runs side by side and overlaid, by their scenes, prefixes and headlines.
 
     ``aligned`` opens it on the time since the first touch, otherwise on simulated time; ``live``
     follows the newest data, otherwise it is paused at the beginning.  ``energies``: they are known,
-    as those of a measured run are not.  ``length`` is that of the timeline it opens on, s: a short
-    one is played more slowly.
+    as those of a measured run are not.  ``span`` is the aligned time, s: a short one is played more
+    slowly.  ``ranges`` are the least and greatest value of plots by their entities.
     """
     rows = [
         rrb.Horizontal(
@@ -44,6 +50,8 @@ def blueprint(
     ]
     if len(rows) == 1:
         rows = [rrb.Vertical(*rows[0].contents, row_shares=[1.0, 1.4])]
+    length = math.inf if span is None else span[1] - span[0]
+    time_axis = None if span is None else _time_axis(*ticked(*span))
     left_out = set() if energies else {"energy"}
     string = any(scene.string is not None for scene in scenes)
     # slack long before the contact, which is all that the aligned time shows: behind a tab
@@ -51,8 +59,8 @@ def blueprint(
         left_out.add("string_tension")
     texts = [rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names]
     tabs = rrb.Tabs(
-        _time_series(len(names), left_out),
-        *([_diagram("string_tension")] if string and aligned else []),
+        _time_series(len(names), left_out, ranges, time_axis),
+        *([_diagram("string_tension", ranges)] if string and aligned else []),
         rrb.TextLogView(origin="/events", name="events"),
         rrb.Grid(*texts, name="parameters"),
         active_tab=0,
@@ -105,18 +113,55 @@ def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
     )
 
 
-def _diagram(entity: str) -> rrb.TimeSeriesView:
+def ticked(low: float, high: float) -> Window:
+    """Return a range that has at least two labelled ticks in it, widened where it must be.
+
+    Rerun labels multiples of a power of ten: a curve from -8 to 8 has a label at 0 only.
+    """
+    if not high > low:
+        return low, high
+    step = 10.0 ** math.ceil(math.log10((high - low) / _MOST_LABELS))
+    before, after = math.ceil(low / step) - 1, math.floor(high / step) + 1
+    margin = _MARGIN * (high - low)
+    while after - before < 3:  # fewer than two multiples between them
+        if after * step - high < low - before * step:
+            high, after = after * step + margin, after + 1
+        else:
+            low, before = before * step - margin, before - 1
+    return low, high
+
+
+def _time_axis(start: float, end: float) -> rrb.TimeAxis:
+    ends = [rr.TimeRangeBoundary.absolute(seconds=second) for second in (start, end)]
+    return rrb.TimeAxis(view_range=rr.TimeRange(*ends))
+
+
+def _diagram(
+    entity: str, ranges: Mapping[str, Window], time_axis: rrb.TimeAxis | None = None
+) -> rrb.TimeSeriesView:
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=entity == "distance")
+    axis = None
+    if entity in ranges and ticked(*ranges[entity]) != ranges[entity]:
+        axis = rrb.ScalarAxis(range=ticked(*ranges[entity]))
     return rrb.TimeSeriesView(
-        origin=f"/plots/{entity}", name=PLOTS[entity].title, plot_legend=legend
+        origin=f"/plots/{entity}",
+        name=PLOTS[entity].title,
+        plot_legend=legend,
+        axis_x=time_axis,
+        axis_y=axis,
     )
 
 
-def _time_series(runs: int, left_out: set[str]) -> rrb.Vertical:
+def _time_series(
+    runs: int,
+    left_out: set[str],
+    ranges: Mapping[str, Window],
+    time_axis: rrb.TimeAxis | None,
+) -> rrb.Vertical:
     """Return the diagrams, one above the other in two columns over the same time."""
     order = ("contact_force", "distance", "axial_stroke", "torsion", "speed", "energy")
     shown = [name for name in (*order, "string_tension") if name not in left_out]
-    views: list[rrb.View] = [_diagram(name) for name in shown]
+    views: list[rrb.View] = [_diagram(name, ranges, time_axis) for name in shown]
     views.insert(6, rrb.StateTimelineView(origin="/states", name="phase and verdict"))
     rows = [rrb.Horizontal(*views[i : i + 2]) for i in range(0, len(views), 2)]
     lanes = 0.75 + 0.3 * runs  # two for each run

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
+from capture_sim.run import Run
 from capture_sim.samples import Phase
 from capture_sim.viewing import style
-from capture_sim.viewing.curves import DISTANCE, FORCE, STROKE, TORSION, Quantity
+from capture_sim.viewing.curves import DISTANCE, FORCE, STROKE, TORSION, PlottedRun, Quantity
 from capture_sim.viewing.rerun_stream import RunStream
-from capture_sim.viewing.source import ViewableRun
 
 
 class Plot(NamedTuple):
@@ -103,10 +103,11 @@ class PlotLog:
         if finite.any():
             self._stream.scalars(self._path(entity), t[finite], values[finite])
 
-    def touches(self, run: ViewableRun) -> None:
+    def touches(self, plotted: PlottedRun) -> None:
         """Log the force with every touch in it, and a mark at each touch's peak."""
-        self._curve("contact_force", *FORCE.curve(run))
-        ordered = run.touches[np.argsort(run.touches["peak_time"], kind="stable")]
+        self._curve("contact_force", *plotted.curve(FORCE))
+        touches = plotted.run.touches
+        ordered = touches[np.argsort(touches["peak_time"], kind="stable")]
         self.mark_touches(ordered["peak_time"], ordered["peak_force"])
 
     def mark_touches(self, t: np.ndarray, force: np.ndarray) -> None:
@@ -117,7 +118,7 @@ class PlotLog:
         """Log states, each from its time on, in the lane ``phase`` or ``verdict``."""
         self._stream.columns(f"states/{self._stream.name}/{lane}", t, rr.StateChange, state=states)
 
-    def events(self, run: ViewableRun) -> None:
+    def events(self, run: Run) -> None:
         """Log the events as text."""
         texts = [event_text(event.kind.label, event.detail) for event in run.events]
         self.note(np.array([event.t for event in run.events]), texts)
@@ -138,12 +139,12 @@ def event_text(kind: str, detail: str) -> str:
     return f"{kind}, {detail}" if detail else kind
 
 
-def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
+def phases(run: Run, samples: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the times (n,), s, at which a phase begins, and the phases' names.
 
     Contact begins and ends at the located ends of the touches.
     """
-    t, phase = run.samples["t"], run.samples["phase"].astype(int)
+    t, phase = samples["t"], samples["phase"].astype(int)
     phase[phase == Phase.CONTACT] = Phase.FREE
     starts, ends = np.sort(run.touches["start"]), np.sort(run.touches["end"])
     times = np.unique(np.concatenate([t[np.diff(phase, prepend=-1) != 0], starts, ends]))
@@ -155,7 +156,7 @@ def phases(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
     return times[begins], [Phase(number).label for number in phases_at[begins].tolist()]
 
 
-def verdicts(run: ViewableRun) -> tuple[np.ndarray, list[str]]:
+def verdicts(run: Run) -> tuple[np.ndarray, list[str]]:
     """Return the times (n,), s, at which a state of the detector begins, and the states' names."""
     firsts = [next(same) for _, same in groupby(run.statuses, key=lambda status: status.state)]
     return np.array([status.t for status in firsts]), [status.state.label for status in firsts]

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing.source import ViewableRun, decided_at, every_touch, first_touch
+from capture_sim.viewing.source import decided_at, every_touch, first_touch
 
 SIM_TIME = "sim_time"
 ALIGNED = "since_first_touch"
@@ -33,13 +34,13 @@ class Span(NamedTuple):
     end: float
 
 
-def aligned_span(run: ViewableRun) -> Span | None:
-    """Return the span of a run's contact; None for a run without samples of one.
+def aligned_span(run: Run, samples: np.ndarray) -> Span | None:
+    """Return the span of a run's contact in its drawn samples; None if they have none of it.
 
     For a run that is cut to a window, it is within the window: a viewer opens at the first
     sample, and events outside do not widen the axes.
     """
-    touch, t = first_touch(run), run.samples["t"]
+    touch, t = first_touch(run), samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
     ends = every_touch(run)["end"].tolist()

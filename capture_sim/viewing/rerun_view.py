@@ -15,15 +15,15 @@ import rerun as rr
 from capture_sim.errors import RecordingError
 from capture_sim.files import whole_file
 from capture_sim.results import impact_speed
+from capture_sim.run import Run
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
-from capture_sim.viewing.curves import PlottedRun, has_ledger, plotted_runs
+from capture_sim.viewing.curves import PlottedRun, Window, has_ledger, plotted_runs
 from capture_sim.viewing.rerun_bench import BenchLog
 from capture_sim.viewing.rerun_layout import blueprint
 from capture_sim.viewing.rerun_plots import PLOTS, PlotLog, phases, verdicts
-from capture_sim.viewing.rerun_stream import RunStream, aligned_span
+from capture_sim.viewing.rerun_stream import RunStream, Span, aligned_span
 from capture_sim.viewing.source import (
-    ViewableRun,
     distinct_names,
     headline,
     verdict,
@@ -31,24 +31,29 @@ from capture_sim.viewing.source import (
 
 
 def save_rrd(
-    runs: Sequence[ViewableRun], path: Path | str, labels: Sequence[str] | None = None
+    runs: Sequence[Run],
+    path: Path | str,
+    labels: Sequence[str] | None = None,
+    window: Window | None = None,
 ) -> Path:
     """Save at least one run as one rerun recording; return its path.
 
     ``labels`` are the runs' names; None takes those of the scenes, numbered if they are equal.
-    RecordingError if the file cannot be written.
+    ``window`` is the time to show, s since the release.  RecordingError: the file cannot be
+    written.
     """
-    path, plotted = Path(path), plotted_runs(runs, labels)
+    path, plotted = Path(path), plotted_runs(runs, labels, window=window)
     # a file's name may be none that a path in the viewer can have
     names = distinct_names([as_name(each.label) for each in plotted])
     titles = [headline(each.run, each.label).replace("\n", " ") for each in plotted]
-    spans = [aligned_span(run) for run in runs]
+    spans = [aligned_span(each.run, each.samples) for each in plotted]
     layout = blueprint(
-        [run.scene for run in runs],
+        [each.scene for each in plotted],
         names,
         titles,
         aligned=any(span is not None for span in spans),
-        length=max((span.end - span.begin for span in spans if span is not None), default=np.inf),
+        span=_common_span([span for span in spans if span is not None]),
+        ranges=_ranges(plotted, spans),
         energies=any(has_ledger(run) for run in runs),
     )
     recording = rr.RecordingStream("capture_sim", recording_id=None)
@@ -57,7 +62,7 @@ def save_rrd(
     recording.send_blueprint(layout, make_active=False)
     for plotted_run, name, span, title in zip(plotted, names, spans, titles, strict=True):
         _log_run(RunStream(recording, name, span), plotted_run, title)
-    _log_limits(recording, runs)
+    _log_limits(recording, plotted)
     try:
         with whole_file(path) as part:
             part.write_bytes(memory.drain_as_bytes())
@@ -66,34 +71,57 @@ def save_rrd(
     return path
 
 
+def _common_span(spans: Sequence[Span]) -> Window | None:
+    """Return the aligned time of runs together, s; None without any."""
+    if not spans:
+        return None
+    return min(s.begin - s.touch for s in spans), max(s.end - s.touch for s in spans)
+
+
+def _ranges(plotted: Sequence[PlottedRun], spans: Sequence[Span | None]) -> dict[str, Window]:
+    """Return least and greatest value of each plot in the aligned time of the runs."""
+    parts = []
+    for each, span in zip(plotted, spans, strict=True):
+        if span is not None:
+            t = each.samples["t"]
+            parts.append(each.samples[(t >= span.begin) & (t <= span.end)])
+    ranges = {}
+    for entity, plot in PLOTS.items():
+        values = np.concatenate([plot.quantity.of(part).ravel() for part in parts] or [np.zeros(0)])
+        values = values[np.isfinite(values)]
+        if values.size:
+            ranges[entity] = float(values.min()), float(values.max())
+    return ranges
+
+
 def _log_run(stream: RunStream, plotted_run: PlottedRun, title: str) -> None:
-    run = plotted_run.run
-    bench = BenchLog(stream, run.scene, plotted_run.colour)
-    bench.motion(run.samples, plotted_run.touching)
-    bench.trail(run.samples, plotted_run.touching)
+    run, scene, samples = plotted_run.run, plotted_run.scene, plotted_run.samples
+    bench = BenchLog(stream, scene, plotted_run.colour)
+    bench.motion(samples, plotted_run.touching)
+    bench.trail(samples, plotted_run.touching)
     plots = PlotLog(stream, plotted_run.colour)
-    plots.curves(run.samples, force=False)
-    plots.touches(run)
-    plots.states("phase", *phases(run))
+    plots.curves(samples, force=False)
+    plots.touches(plotted_run)
+    plots.states("phase", *phases(run, samples))
     plots.states("verdict", *verdicts(run))
     plots.events(run)
-    stream.scene(title, run.scene)
+    stream.scene(title, scene)
     stream.property(
-        title=run.scene.title,
+        title=scene.title,
         verdict=verdict(run),
         impact_speed=impact_speed(run.events),
-        scene=run.scene.to_yaml(),
+        scene=scene.to_yaml(),
     )
 
 
-def _log_limits(recording: rr.RecordingStream, runs: Sequence[ViewableRun]) -> None:
+def _log_limits(recording: rr.RecordingStream, plotted: Sequence[PlottedRun]) -> None:
     """Log the limits that all runs share, capture zone and stops, as horizontal lines."""
     # as long as the longest run on either timeline
-    longest = max(runs, key=lambda run: float(run.samples["t"][-1]))
-    stream = RunStream(recording, "", aligned_span(longest))
+    longest = max(plotted, key=lambda each: float(each.samples["t"][-1]))
+    stream = RunStream(recording, "", aligned_span(longest.run, longest.samples))
     times = longest.samples["t"][:: max(len(longest.samples) // 500, 1)]
     for entity, plot in PLOTS.items():
-        limits, *others = {plot.quantity.limits(run.scene) for run in runs}
+        limits, *others = {plot.quantity.limits(each.scene) for each in plotted}
         for name, value, colour in limits if not others else ():
             path = f"plots/{entity}/{name.replace(', ', '_').replace(' ', '_')}"
             stream.static(path, rr.SeriesLines(colors=style.rgb(colour), names=name, widths=1.2))

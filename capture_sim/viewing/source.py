@@ -1,90 +1,34 @@
-"""Runs to be drawn, simulated or recorded, and what plots, reports and tables need of them."""
+"""What plots, reports and rerun need of a run: its touches, its window, its words."""
 
 from __future__ import annotations
 
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
-from capture_sim.detection.exact import CaptureStatus
 from capture_sim.errors import CaptureSimError, SimulationError
-from capture_sim.results import impact_speed, summarize
-from capture_sim.samples import Event, EventKind, Extremes
+from capture_sim.results import impact_speed
+from capture_sim.run import Run
+from capture_sim.samples import Event, EventKind
 from capture_sim.scene.parts import Scene, as_name
-from capture_sim.simulation import Result, simulate
+from capture_sim.simulation import simulate
 
+#: Width of the drawn time of a run of one sample, s.
+SHORTEST_WINDOW = 1e-3
 #: Number of samples in each touch and in a window.
 _PER_TOUCH, _PER_WINDOW = 40, 4000
 
 
-class ViewableRun(Protocol):
-    """A run that can be drawn: a Result of the core, or a Run read from a file."""
-
-    @property
-    def scene(self) -> Scene:
-        """The scene that was run."""
-
-    @property
-    def samples(self) -> np.ndarray:
-        """(n,) of dtype SAMPLE, by time."""
-
-    @property
-    def touches(self) -> np.ndarray:
-        """(m,) of dtype TOUCH, by their end."""
-
-    @property
-    def events(self) -> Sequence[Event]:
-        """By time."""
-
-    @property
-    def extremes(self) -> Extremes | None:
-        """Extremes between the samples too; None if not known."""
-
-    @property
-    def trace(self) -> np.ndarray | None:
-        """(k,) with the fields of TRACE, by time: the contact; None if not requested."""
-
-    @property
-    def statuses(self) -> Sequence[CaptureStatus]:
-        """The detector's statuses, by time."""
-
-    @property
-    def problems(self) -> Sequence[str]:
-        """Why the run or its recording is incomplete, in lines; empty if it is complete."""
-
-
-def verdict(run: ViewableRun) -> str:
+def verdict(run: Run) -> str:
     """Return the label of the detector's last status, or ``no verdict``."""
     if not run.statuses:
         return "no verdict"
     return run.statuses[-1].label
 
 
-@dataclass(frozen=True)
-class Opened:
-    """A run that a command draws."""
-
-    run: ViewableRun
-    label: str  # its name, unique among the opened ones: the recording's, or the experiment's
-    source: str  # text: file, or run now
-    software: Sequence[str]  # that made it, ``"name version"`` each
-    wall_time: float | None = None  # duration, s of wall time; None if not known
-    problems: Sequence[str] = ()  # of the recording, in lines
-    measured: bool = False  # known from measurements alone: it cannot be run again
-
-
-def summary_of(run: ViewableRun, wall_time: float | None) -> dict[str, Any]:
-    """Return a run in a few numbers, as results.json has them."""
-    bench = (run.scene, run.samples, run.touches, run.events)
-    status = run.statuses[-1] if run.statuses else None
-    return summarize(*bench, status, wall_time, run.extremes, run.problems)
-
-
-def first_touch(run: ViewableRun) -> Event | None:
+def first_touch(run: Run) -> Event | None:
     """Return the event of the first touch."""
     return next((event for event in run.events if event.kind is EventKind.TOUCH), None)
 
@@ -107,7 +51,7 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     return distinct
 
 
-def every_touch(run: ViewableRun) -> np.ndarray:
+def every_touch(run: Run) -> np.ndarray:
     """Return the touches (m,) of dtype TOUCH, including those during which the run ended.
 
     Those end at the last sample; their peak, which was not located, is that of the samples.
@@ -132,7 +76,7 @@ def every_touch(run: ViewableRun) -> np.ndarray:
     return np.concatenate([touches, *unfinished])
 
 
-def strongest(run: ViewableRun) -> tuple[float, float]:
+def strongest(run: Run) -> tuple[float, float]:
     """Return time, s, and peak force, N, of the strongest touch; NaN and 0 if none is known."""
     touches = every_touch(run)
     touches = touches[np.isfinite(touches["peak_force"])]
@@ -142,15 +86,16 @@ def strongest(run: ViewableRun) -> tuple[float, float]:
     return float(touch["peak_time"]), float(touch["peak_force"])
 
 
-def time_window(run: ViewableRun) -> tuple[float, float]:
+def time_window(run: Run) -> tuple[float, float]:
     """Return start and end of the time around contact and verdict, s.
 
     A run without a verdict, e.g. one that ended early, is shown to its end.
     """
     t = run.samples["t"]
     touch = first_touch(run)
+    whole = float(t[0]), max(float(t[-1]), float(t[0]) + SHORTEST_WINDOW)
     if touch is None:
-        return float(t[0]), float(t[-1])
+        return whole
     times = [touch.t, *every_touch(run)["end"].tolist()]
     times += [e.t for e in run.events if e.kind is EventKind.LATCHED]
     decided = decided_at(run)
@@ -162,17 +107,17 @@ def time_window(run: ViewableRun) -> tuple[float, float]:
     margin = 0.12 * max(max(times) - min(times), 0.1)
     start, end = max(float(t[0]), min(times) - margin), min(float(t[-1]), max(times) + margin)
     # the samples may be of a window without any of it
-    return (start, end) if start < end else (float(t[0]), float(t[-1]))
+    return (start, end) if start < end else whole
 
 
-def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
+def normal_force_with_peaks(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,), s, and normal force of both walls (n,), N, with every touch in it.
 
     Start, located peak and end of each touch are inserted between the samples, because most
     touches are shorter than a sample period.  So is the trace if the run has one.
     """
     touches, samples = run.touches, run.samples
-    trace = samples[:0] if run.trace is None else run.trace
+    trace = run.trace
     zeros = np.zeros(len(touches))
     sampled = [samples["normal_force"].sum(axis=1), trace["normal_force"].sum(axis=1)]
     t = np.concatenate(
@@ -183,18 +128,18 @@ def normal_force_with_peaks(run: ViewableRun) -> tuple[np.ndarray, np.ndarray]:
     return t, force[first]
 
 
-def has_force(run: ViewableRun) -> bool:
+def has_force(run: Run) -> bool:
     """Return False if no contact force was measured, or no sensor of it is used."""
     return bool(np.isfinite(run.samples["normal_force"]).any())
 
 
-def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str:
+def headline(run: Run, label: str | None = None, width: int = 95) -> str:
     """Return a line with name, verdict and impact speed, then lines of changes and problems.
 
     The name is the label, with the scene's name after it unless it contains that; without a label
     the scene's.  Lines of more than ``width`` letters are wrapped or shortened.
     """
-    scene = run.scene.name
+    scene = run.drawn_scene.name
     name = scene if label is None else label
     if not as_name(name).startswith(scene) and f"-{scene}" not in name:
         name += f" ({scene})"
@@ -213,7 +158,7 @@ def headline(run: ViewableRun, label: str | None = None, width: int = 95) -> str
     return "\n".join(lines)
 
 
-def in_contact(run: ViewableRun) -> np.ndarray:
+def in_contact(run: Run) -> np.ndarray:
     """Return whether the tip touches at each sample or before the next, (n,) bool.
 
     So touches shorter than a sample period count.
@@ -227,13 +172,13 @@ def in_contact(run: ViewableRun) -> np.ndarray:
     return touching
 
 
-def decided_at(run: ViewableRun) -> float | None:
+def decided_at(run: Run) -> float | None:
     """Return the time of the verdict, s since the release; None without one."""
     return next((status.t for status in run.statuses if status.state.is_verdict), None)
 
 
-def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Result:
-    """Run a run's scene again and sample every touch by the integrator's dense output.
+def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
+    """Return a run with samples in every touch: its scene is simulated again.
 
     With a window (start and end, s since the release) only that part is returned, with about 4000
     further samples.  CaptureSimError if the window is empty, or if this version of the simulator
@@ -264,13 +209,14 @@ def resolved(run: ViewableRun, window: tuple[float, float] | None = None) -> Res
             f"{run.scene.name}: this version of the simulator computes other touches than the run "
             "has; only its samples can be drawn"
         )
-    return again
+    # the detector evaluated the run's own samples
+    return run.replaced(state=again.state, reported_statuses=run.statuses)
 
 
-def resolved_or_not(run: ViewableRun) -> ViewableRun:
+def resolved_or_not(run: Run) -> Run:
     """Return the run resolved, or unchanged if it cannot be simulated again."""
-    if not np.isfinite(run.samples["kinetic"]).any():
-        return run  # measured
+    if not run.is_exact:
+        return run
     try:
         return resolved(run)
     except CaptureSimError:

@@ -10,55 +10,135 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from capture_sim.studies.design import Design
-from capture_sim.studies.measurements import Series
-from capture_sim.studies.touches import Touches
+from capture_sim.series import NO_SERIES, Series
+from capture_sim.studies.design import OBJECTIVE, Design
+from capture_sim.studies.outcome import CAPTURED
+from capture_sim.studies.paper_flow import FirstContactDesign
+from capture_sim.touches import Touches
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import STROKE, TORSION
 
 if TYPE_CHECKING:
-    from capture_sim.recording.comparing import Comparable
+    from capture_sim.studies.compare import Side
 
 
 def draw_design(design: Design) -> Figure:
-    """Return a figure of the search: the strokes run by run, and the verdict over the damper."""
+    """Return a figure of the search: peak force over stroke of the candidates, and its progress."""
+    figure, [[forces, progress]] = subplots(13.0, 5.6, 1, 2)
+    _draw_candidates(forces, design)
+    _draw_progress(progress, design)
+    return figure
+
+
+def _draw_candidates(axes: Axes, design: Design) -> None:
+    """Draw the candidates of the scene's own run by their stroke, or else by the first limit."""
+    alone = [each for each in design.history if each.share is None]
+    limits = {limit.key: limit for limit in design.requirements.limits}
+    across = limits.get("max_axial_stroke_in") or next(
+        (limit for key, limit in limits.items() if key != OBJECTIVE), None
+    )
+    if across is None:  # no load to draw the force over
+        axes.set_axis_off()
+        return
+    parts = {
+        "no capture": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
+        "captured, a limit exceeded": (
+            style.ORANGE,
+            [x for x in alone if x.verdict == CAPTURED and not x.feasible],
+        ),
+        "captured within the limits": (style.GREEN, [x for x in alone if x.feasible]),
+    }
+    for label, (colour, candidates) in parts.items():
+        strokes = [each.loads[across.key] * across.load.factor for each in candidates]
+        forces = [each.peak_force for each in candidates]
+        axes.plot(strokes, forces, ".", color=colour, label=label, ms=5)
+    best = design.best
+    axes.plot(
+        best.loads[across.key] * across.load.factor,
+        best.peak_force,
+        "*",
+        color=style.BLACK,
+        ms=15,
+        label="design" if design.met else "nearest",
+    )
+    axes.axvline(across.value * across.load.factor, color=style.VERMILION, ls="--", label="limit")
+    if OBJECTIVE in limits:
+        axes.axhline(limits[OBJECTIVE].value, color=style.VERMILION, ls="--")
+    axes.set_xlim(0.0, 2.5 * across.value * across.load.factor)
+    axes.set_ylim(0.0, _shown_force(design))
+    axes.set_xlabel(f"{across.meaning}  [{across.load.shown_in}]")
+    axes.set_ylabel("peak normal force  [N]")
+    axes.set_title("Buffers tried", fontsize=15)
+    axes.legend(fontsize=11)
+
+
+def _shown_force(design: Design) -> float:
+    """Return the upper end of an axis of forces, N."""
+    forces = [each.peak_force for each in design.history if each.feasible]
+    highest = float(np.quantile(forces, 0.95)) if forces else 2.0 * design.best.peak_force
+    return 1.2 * highest or 1.0
+
+
+def _draw_progress(axes: Axes, design: Design) -> None:
+    """Draw the least peak force within the limits so far over the candidates."""
+    for name, kind, colour in (
+        ("scene alone", False, style.BLUE),
+        ("with draws", True, style.PURPLE),
+    ):
+        numbered = [
+            (number, each.peak_force)
+            for number, each in enumerate(design.history, 1)
+            if each.feasible and (each.share is not None) == kind
+        ]
+        if numbered:
+            number, force = np.array(numbered).T
+            axes.step(number, np.minimum.accumulate(force), color=colour, label=name, where="post")
+    axes.set_xlim(0, len(design.history) + 1)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("candidate")
+    axes.set_ylabel("least peak force within the limits  [N]")
+    axes.set_title("Search" if design.met else "No buffer found", fontsize=15)
+    if axes.lines:
+        axes.legend(fontsize=12.5)
+
+
+def draw_first_contact_design(design: FirstContactDesign) -> Figure:
+    """Return a figure of the paper's flow: the strokes run by run, the verdict by damper."""
     figure, [[strokes, dampers]] = subplots(13.0, 5.6, 1, 2)
     _draw_strokes(strokes, design)
     _draw_dampers(dampers, design)
     return figure
 
 
-def _draw_strokes(axes: Axes, design: Design) -> None:
+def _draw_strokes(axes: Axes, design: FirstContactDesign) -> None:
     target = design.target
-    # over whole runs each damper has springs of its own
-    runs = [c for c in design.history if (c.verdict is None) == target.first_contact]
+    runs = [trial for trial in design.history if trial.verdict is None]
     number = np.arange(1, len(runs) + 1)
-    line = "o-" if target.first_contact else "."
     for values, name, colour in (
         ([run.axial_stroke / target.axial_stroke for run in runs], "axial", style.BLUE),
         ([run.torsion / target.torsion for run in runs], "torsional", style.VERMILION),
     ):
         error = np.maximum(np.abs(np.array(values) - 1.0), 1e-6)
-        axes.plot(number, error, line, color=colour, label=f"{name} stroke")
+        axes.plot(number, error, "o-", color=colour, label=f"{name} stroke")
     axes.set_yscale("log")
     axes.set_xlabel("run")
     axes.set_ylabel("error of the stroke, relative")
-    period = "first contact" if target.first_contact else "whole run"
-    axes.set_title(f"Springs for the strokes of the {period}", fontsize=15)
+    axes.set_title("Springs for the strokes of the first contact", fontsize=15)
     axes.legend(fontsize=12.5)
 
 
-def _draw_dampers(axes: Axes, design: Design) -> None:
-    # of the searches for springs the last run, which is the nearest to the target
-    by_damper = {c.c_A: c for c in design.history if c.verdict is not None}
-    trials = list(by_damper.values())
+def _draw_dampers(axes: Axes, design: FirstContactDesign) -> None:
+    trials = [trial for trial in design.history if trial.verdict is not None]
+    limit = design.target.peak_force
+    # captures that exceed the limit of the force: the distance would not show why there is none
+    by_force = limit is not None and not design.met and any(t.verdict == "captured" for t in trials)
     for verdict, (colour, marker) in style.VERDICTS.items():
         matching_trials = [trial for trial in trials if trial.verdict == verdict]
         if matching_trials:
             axes.plot(
                 [trial.c_A for trial in matching_trials],
-                [trial.nearest * 1e3 for trial in matching_trials],
+                [t.peak_force if by_force else t.nearest * 1e3 for t in matching_trials],
                 marker,
                 color=colour,
                 label=verdict,
@@ -79,57 +159,71 @@ def _draw_dampers(axes: Axes, design: Design) -> None:
         axes.axvline(c_A, color=style.BLACK, lw=2.0, label=f"chosen: {c_A:.3g} N s/m")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("axial damping  [N s/m]")
-    axes.set_ylabel("closest approach to BE  [mm]")
+    if by_force and limit is not None:
+        label = f"limit of the force: {limit:.4g} N"
+        axes.axhline(limit, color=style.BLACK, ls="--", lw=1.5, label=label)
+    quantity = "peak normal force  [N]" if by_force else "closest approach to BE  [mm]"
+    axes.set_ylabel(quantity)
     title = "Damper by the verdict" if design.met else "No damper meets the target"
     axes.set_title(title, fontsize=15)
     if trials:
         axes.legend(fontsize=12.5)
 
 
-def draw_trade_off(designs: Sequence[Design]) -> Figure:
-    """Return a figure of peak force over axial stroke, and of the springs that it takes."""
-    figure, [[force, buffer]] = subplots(13.0, 5.6, 1, 2)
-    good = [d for d in designs if d.met]
-    stroke = [d.target.axial_stroke * 1e3 for d in good]
-    for label, load, colour, line in (
-        ("peak normal force, whole run", "max_normal_force", style.DARK, "o-"),
-        ("peak force of the buffer, whole run", "max_buffer_force", style.BLUE, "^-"),
+def draw_trade_off(designs: Sequence[FirstContactDesign]) -> Figure:
+    """Return a figure of forces and of the buffer over axial stroke: one unit for each axis."""
+    figure, panels = subplots(16.0, 8.4, 2, 3, sharex=True)
+    normal, buffer, k_A, k_T, c_A, key = panels.flat
+    met = [design for design in designs if design.met]
+    stroke = [design.target.axial_stroke * 1e3 for design in met]
+
+    def draw(axes: Axes, values: list[float], colour: str, label: str = "") -> None:
+        axes.plot(stroke, values, "o-", color=colour, label=label)
+
+    for axes, load, label in (
+        (normal, "max_normal_force", "whole run"),
+        (buffer, "max_buffer_force", "whole run"),
     ):
-        values = [d.outcome.loads[load] for d in good if d.outcome is not None]
-        force.plot(stroke, values, line, color=colour, label=label)
-    first_touch = [d.damped.peak_force for d in good if d.damped is not None]
-    label = "peak normal force, first contact"
-    force.plot(stroke, first_touch, "s-", color=style.GREY, label=label)
-    force.set_ylabel("force  [N]")
-    force.set_title("Force against stroke", fontsize=15)
-    for name, unit, colour in (
-        ("k_A", "N/m", style.BLUE),
-        ("k_T", "N m/rad", style.VERMILION),
-        ("c_A", "N s/m", style.BLACK),
+        loads = [design.outcome.loads[load] for design in met if design.outcome is not None]
+        draw(axes, loads, style.DARK, label)
+    first = [design.damped.peak_force for design in met if design.damped is not None]
+    draw(normal, first, style.GREY, "first contact")
+    for axes, name, unit, title in (
+        (k_A, "k_A", "N/m", "Axial spring"),
+        (k_T, "k_T", "N m/rad", "Torsional spring"),
+        (c_A, "c_A", "N s/m", "Axial damper"),
     ):
-        values = [getattr(d.scene.buffer, name) for d in good if d.scene is not None]
-        buffer.plot(stroke, values, "o-", color=colour, label=f"{name}  [{unit}]")
-    low, high = np.array([d.capturing or (math.nan, math.nan) for d in good]).reshape(-1, 2).T
-    buffer.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
-    buffer.set_yscale("log")
-    buffer.set_title("The buffer (shaded: dampers that capture)", fontsize=15)
-    refused = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
-    for axes in (force, buffer):
-        for place in refused:
-            note = "no buffer meets the target" if place == refused[0] else None
-            axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=note)
+        values = [getattr(d.scene.buffer, name) for d in met if d.scene is not None]
+        draw(axes, values, style.BLUE)
+        axes.set_ylabel(f"{name}  [{unit}]")
+        axes.set_title(title, fontsize=15)
+    low, high = np.array([d.capturing or (math.nan, math.nan) for d in met]).reshape(-1, 2).T
+    c_A.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0, label="captures")
+    for axes, title in ((normal, "Peak normal force"), (buffer, "Peak force of the buffer")):
+        axes.set_ylabel("force  [N]")
+        axes.set_title(title, fontsize=15)
+    rejected = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
+    for axes in (normal, buffer, k_A, k_T, c_A):
+        axes.set_ylim(bottom=0.0)
+        for place in rejected:
+            label = "no buffer meets the target" if place == rejected[0] else ""
+            axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=label)
+    for axes in (k_A, k_T, c_A):
         axes.set_xlabel("target axial stroke  [mm]")
-        axes.legend(fontsize=12, loc="upper left", framealpha=1.0)
-    force.set_ylim(0.0, 1.45 * force.get_ylim()[1])
-    low_end, high_end = buffer.get_ylim()
-    buffer.set_ylim(low_end, high_end * 8.0)
+    entries = dict[str, Any]()
+    for axes in (normal, c_A):
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    key.set_axis_off()
+    k_A.tick_params(labelbottom=True)
+    key.legend(entries.values(), entries.keys(), loc="center", fontsize=style.FONT)
     return figure
 
 
 _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 
-def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: float) -> Figure:
+def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) -> Figure:
     """Draw what was measured in two runs over each other, and where the vehicles went.
 
     A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
@@ -149,25 +243,28 @@ def draw_comparison(runs: Sequence[Comparable], labels: Sequence[str], window: f
     for run, name, colour, line, mark in zip(
         runs, labels, style.RUNS, ("-", "--"), ("o", "D"), strict=False
     ):
-        measured = run.measured(force=True).shifted(-run.contact)
+        measured = {
+            quantity: series._replace(t=series.t - run.contact)
+            for quantity, series in run.series.items()
+        }
         look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.6}
         if run.touches is None:
-            _draw_sampled_force(force, measured.force, run, name, (first, window), colour)
+            _draw_sampled_force(
+                force, measured.get("force", NO_SERIES), run, name, (first, window), colour
+            )
         else:
             touches = run.touches.within(run.contact, window)
             draw_touches(force, touches, name, colour, mark)
             t, total = impulse_so_far(touches, window)
             if np.isfinite(total).all():
                 impulse.plot(t, total * 1e3, **look)
-        for axes, series, quantity in (
-            (stroke, measured.stroke, STROKE),
-            (torsion, measured.torsion, TORSION),
-        ):
+        for axes, key, quantity in ((stroke, "stroke", STROKE), (torsion, "torsion", TORSION)):
+            series = measured.get(key, NO_SERIES)
             shown = (series.t >= first) & (series.t <= window)
             axes.plot(series.t[shown], series.values[shown] * quantity.factor, **look)
             axes.set_ylabel(f"{quantity.label}\n[{quantity.unit}]")
-        chaser, target = measured.chaser, measured.target
-        if chaser.t.size and target.t.size:
+        if "chaser" in measured and "target" in measured:
+            chaser, target = measured["chaser"], measured["target"]
             t = chaser.t[(chaser.t >= first) & (chaser.t <= window)]
             gap, at_contact = (
                 _x(target.t, target.values, at) - _x(chaser.t, chaser.values, at)
@@ -209,7 +306,7 @@ def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str)
 
 
 def _draw_sampled_force(
-    ax: Axes, series: Series, run: Comparable, name: str, shown: tuple[float, float], colour: str
+    ax: Axes, series: Series, run: Side, name: str, shown: tuple[float, float], colour: str
 ) -> None:
     inside = (series.t >= shown[0]) & (series.t <= shown[1])
     label = f"{name}: no touches known"

@@ -37,27 +37,16 @@ PALE = "#E3EEF5"
 RUNS = (BLUE, VERMILION, ROSE, CRIMSON, VIOLET, LIME, OLIVE, MAGENTA, LAVENDER, PLUM)
 #: Runs whose colours differ for people with any colour vision. Of more runs, each has a marker too.
 COLOURS_ALONE = 4
-#: Marker of each run in matplotlib and plotly; triangles up and down are the walls'.
-RUN_MARKERS = (
-    ("o", "circle"),
-    ("s", "square"),
-    ("D", "diamond"),
-    ("P", "cross"),
-    ("X", "x"),
-    ("*", "star"),
-    ("p", "pentagon"),
-    ("<", "triangle-left"),
-    (">", "triangle-right"),
-    ("h", "hexagon"),
-)
+#: Marker of each run; triangles up and down are the walls'.
+RUN_MARKERS = ("o", "s", "D", "P", "X", "*", "p", "<", ">", "h")
 #: The tip touches the cone.
 CONTACT = YELLOW
 #: The zone of capture, and what lies in it.
 ZONE = GREEN
-#: Walls by their side: marker of matplotlib, of plotly, name.
-WALLS = {1: ("^", "triangle-up", "+y wall"), -1: ("v", "triangle-down", "-y wall")}
-#: The same of a measured touch that does not tell its wall.
-NO_WALL = ("D", "diamond", "wall not known")
+#: Walls by their side: marker and name.
+WALLS = {1: ("^", "+y wall"), -1: ("v", "-y wall")}
+#: Marker and name of a measured touch whose wall is not known.
+NO_WALL = ("D", "wall not known")
 
 
 class Look(NamedTuple):
@@ -100,18 +89,17 @@ FREE_LINE = (0, (4.0, 2.4))
 
 
 class Line(NamedTuple):
-    """How a curve is drawn: dashes of matplotlib and plotly, width where contact is 1."""
+    """How a curve is drawn: dashes of matplotlib, width where contact is 1."""
 
     dashes: tuple[float, tuple[float, ...]] | str
-    plotly: str
     width: float
 
 
 #: While the tip is free, in contact, latched.
 LINES = {
-    "free": Line(FREE_LINE, "dash", 0.6),
-    "in contact": Line("solid", "solid", 1.0),
-    "latched": Line((0, (5.0, 1.2, 1.0, 1.2)), "dashdot", 0.8),
+    "free": Line(FREE_LINE, 0.6),
+    "in contact": Line("solid", 1.0),
+    "latched": Line((0, (5.0, 1.2, 1.0, 1.2)), 0.8),
 }
 
 
@@ -120,8 +108,8 @@ def run_colour(i: int) -> str:
     return RUNS[i % len(RUNS)]
 
 
-def run_marker(i: int) -> tuple[str, str]:
-    """Return the marker of the i-th run in matplotlib and in plotly."""
+def run_marker(i: int) -> str:
+    """Return the marker of the i-th run."""
     return RUN_MARKERS[i % len(RUN_MARKERS)]
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import AbstractPathEffect, withStroke
@@ -19,13 +21,17 @@ from matplotlib.ticker import MaxNLocator
 from capture_sim.results import LOADS
 from capture_sim.studies.axes import Axis
 from capture_sim.studies.dispersion import (
+    CAPTURED_LEFT,
     MAIN_LOADS,
     Indices,
     capture_probability,
     computed_rows,
+    limit_probability,
+    outcome_labels,
     plain_rows,
     rank_correlations,
 )
+from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sweep import FAILED
 from capture_sim.viewing import style
@@ -35,6 +41,13 @@ if TYPE_CHECKING:
     import pandas
 
 _COLOURS = {verdict: look.colour for verdict, look in style.VERDICTS.items()}
+#: Colours of outcomes: the verdicts, and captures whose tip left the capture zone again.
+_OUTCOMES = {
+    name: colour
+    for verdict, own in _COLOURS.items()
+    for name, colour in ((verdict, own), (CAPTURED_LEFT, style.LIME))
+    if name != CAPTURED_LEFT or verdict == CAPTURED
+}
 _UNCOMPUTED = style.LIGHT
 #: Most panels of a map.
 _MAX_PANELS = 9
@@ -66,13 +79,18 @@ def _input(axis: Axis) -> _Shown:
 
 
 def draw_sweep(
-    table: pandas.DataFrame, axes: Sequence[Axis], title: str, indices: Sequence[Indices] = ()
+    table: pandas.DataFrame,
+    axes: Sequence[Axis],
+    title: str,
+    indices: Sequence[Indices] = (),
+    limits: Sequence[Limit] = (),
 ) -> dict[str, Figure]:
     """Return the figures of a sweep by name, those that its axes allow.
 
     ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
-    of the scene.
+    of the scene.  ``limits`` are marked.
     """
+    table = table.assign(outcome=outcome_labels(table))
     numbers = [axis for axis in axes if table[axis.name].dtype.kind in "if"]
     grid = [axis for axis in numbers if len(set(axis.values)) > 1]
     drawn = [axis for axis in numbers if axis.distribution]
@@ -82,13 +100,13 @@ def draw_sweep(
         return {}
     figures = {}
     if is_grid and len(grid) == 1:
-        figures["curve"] = draw_curve(table, grid[0], title)
+        figures["curve"] = draw_curve(table, grid[0], title, limits)
     elif is_grid and not drawn:
-        figures["map"] = draw_map(table, grid, title)
+        figures["map"] = draw_map(table, grid, title, limits)
     if drawn or not is_grid:
-        figures["loads"] = draw_loads(table, title)
+        figures["loads"] = draw_loads(table, title, limits)
         if indices:
-            figures["indices"] = draw_indices(indices, [axis.name for axis in drawn], title)
+            figures["indices"] = draw_indices(indices, sorted(axis.name for axis in drawn), title)
         elif len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
             inputs = [axis.name for axis in numbers if table[axis.name].nunique() > 1]
             correlations = rank_correlations(table, inputs).dropna(axis=1, how="all")
@@ -97,7 +115,7 @@ def draw_sweep(
     return figures
 
 
-def draw_curve(table: pandas.DataFrame, axis: Axis, title: str) -> Figure:
+def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence[Limit]) -> Figure:
     """Return the main loads over one axis; with several runs a value, medians and 5 to 95 %."""
     several = table[axis.name].nunique() < len(table)
     figure, panels = subplots(9.0, 12.0, len(MAIN_LOADS) + several, 1, font=12.0, sharex=True)
@@ -111,19 +129,23 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str) -> Figure:
             at = middle.index.to_numpy() * x.factor
             panel.fill_between(at, low, high, color=style.SKY, alpha=0.35, lw=0, label="5 to 95 %")
             panel.plot(at, middle, color=style.BLUE, label="median")
+            single = computed[axis.name] * x.factor, computed[name] * y.factor
+            panel.plot(*single, ".", color=style.GREY, ms=2.5, alpha=0.5, label="single runs")
         else:
             ordered = computed.sort_values(axis.name)
             panel.plot(
                 ordered[axis.name] * x.factor, ordered[name] * y.factor, color=style.GREY, lw=1.0
             )
-            for verdict, rows in ordered.groupby("verdict"):
+            for outcome, rows in ordered.groupby("outcome"):
+                verdict = CAPTURED if outcome == CAPTURED_LEFT else str(outcome)
                 panel.plot(
                     rows[axis.name] * x.factor,
                     rows[name] * y.factor,
-                    style.VERDICTS[str(verdict)].marker,
-                    color=_COLOURS[str(verdict)],
-                    label=verdict,
+                    style.VERDICTS[verdict].marker,
+                    color=_OUTCOMES[str(outcome)],
+                    label=outcome,
                 )
+        _mark_limits(panel.axhline, name, limits)
         panel.set_ylabel(f"{y.name}\n[{y.unit}]")
         panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
     failed = table[table["verdict"] == FAILED]
@@ -138,6 +160,14 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str) -> Figure:
     return figure
 
 
+def _mark_limits(draw_line: Callable[..., Any], load: str, limits: Sequence[Limit]) -> None:
+    """Draw the limits of a load of the whole run as lines."""
+    for limit in limits:
+        if limit.key == load:
+            at = limit.value * limit.load.factor
+            draw_line(at, color=style.VERMILION, lw=2.0, label=f"limit {at:.4g}")
+
+
 def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: float) -> None:
     groups = [(value, capture_probability(rows)) for value, rows in table.groupby(axis.name)]
     at = np.array([value for value, _ in groups]) * factor
@@ -148,8 +178,12 @@ def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: 
     panel.set_ylabel("probability of capture\n(95 % interval)")
 
 
-def draw_map(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figure:
+def draw_map(
+    table: pandas.DataFrame, axes: Sequence[Axis], title: str, limits: Sequence[Limit] = ()
+) -> Figure:
     """Return the verdict over two axes in colours, with contours of the peak force.
+
+    A cross marks each run that exceeds a limit.
 
     The two with the most values are across and up; each combination of the others has a panel.
     """
@@ -164,38 +198,55 @@ def draw_map(table: pandas.DataFrame, axes: Sequence[Axis], title: str) -> Figur
     )
     for panel, (values, page) in zip(panels.flat, pages, strict=False):
         _draw_verdicts(panel, page, across, up)
+        if limits:
+            exceeding = page[page["exceeded"] != ""]
+            panel.plot(
+                exceeding[across.name] * _input(across).factor,
+                exceeding[up.name] * _input(up).factor,
+                "x",
+                color=style.BLACK,
+                ms=5,
+            )
         shown = zip(
             [axis for axis in axes if axis.name in others],
             values if isinstance(values, tuple) else (values,),
             strict=False,
         )
         captured = float((page["verdict"] == CAPTURED).mean())
+        left = float((page["outcome"] == CAPTURED_LEFT).mean())
+        share = f"{captured:.1%} captured" + (f", {left:.1%} left again" if left else "")
         where = ", ".join(
             f"{axis.name} = {value * _input(axis).factor:.4g} {_input(axis).unit}"
             for axis, value in shown
         )
-        panel.set_title(f"{where}\n{captured:.1%} captured".strip(), fontsize=12)
+        panel.set_title(f"{where}\n{share}".strip(), fontsize=12)
     for panel in panels.flat[len(pages) :]:
         panel.set_axis_off()
-    given = set(table["verdict"])
-    patches = [
-        Patch(color=_COLOURS[verdict], label=verdict) for verdict in _COLOURS if verdict in given
+    given = set(table["outcome"])
+    patches: list[Artist] = [
+        Patch(color=colour, label=outcome)
+        for outcome, colour in _OUTCOMES.items()
+        if outcome in given
     ]
     if FAILED in given:
         patches.append(Patch(color=_UNCOMPUTED, label="not computed"))
+    if limits:
+        texts = ", ".join(limit.text for limit in limits)
+        label = f"exceeds a limit: {texts}"
+        patches.append(Line2D([], [], marker="x", ls="", color=style.BLACK, label=label))
     figure.legend(handles=patches, loc="outside lower center", ncols=6 if columns > 1 else 3)
     figure.suptitle(f"{title}: {len(table)} runs; contours: peak normal force [N]", fontsize=13)
     return figure
 
 
 def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) -> None:
-    names = [*_COLOURS, FAILED]
-    numbers = page.assign(number=page["verdict"].map(names.index))
+    names = [*_OUTCOMES, FAILED]
+    numbers = page.assign(number=page["outcome"].map(names.index))
     grid = numbers.pivot(index=up.name, columns=across.name, values="number")
     force = page.pivot(index=up.name, columns=across.name, values="max_normal_force")
     x, y = _input(across), _input(up)
     places = grid.columns.to_numpy(float) * x.factor, grid.index.to_numpy(float) * y.factor
-    colours = ListedColormap([*_COLOURS.values(), _UNCOMPUTED])
+    colours = ListedColormap([*_OUTCOMES.values(), _UNCOMPUTED])
     panel.pcolormesh(
         *places, grid.to_numpy(), cmap=colours, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest"
     )
@@ -224,7 +275,7 @@ def _drop_short_contours(lines: QuadContourSet, least: Sequence[float]) -> None:
     lines.set_paths(paths)
 
 
-def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
+def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> Figure:
     """Return histograms of the main loads, captured and not, with 95 and 99 % marked."""
     figure, panels = subplots(13.0, 8.5, 2, 2, font=12.0)
     plain = plain_rows(table)
@@ -232,15 +283,15 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
     for panel, name in zip(panels.flat, MAIN_LOADS, strict=True):
         shown = _load(name)
         parts = {
-            verdict: (computed.loc[computed["verdict"] == verdict, name] * shown.factor).dropna()
-            for verdict in _COLOURS
+            outcome: (computed.loc[computed["outcome"] == outcome, name] * shown.factor).dropna()
+            for outcome in _OUTCOMES
         }
-        parts = {verdict: values for verdict, values in parts.items() if len(values)}
+        parts = {outcome: values for outcome, values in parts.items() if len(values)}
         panel.hist(
             list(parts.values()),
             bins=min(40, max(8, round(math.sqrt(len(computed))))),
             stacked=True,
-            color=[_COLOURS[verdict] for verdict in parts],
+            color=[_OUTCOMES[outcome] for outcome in parts],
             label=list(parts),
         )
         for share, line in ((0.95, "--"), (0.99, ":")):
@@ -250,6 +301,7 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
                 ls=line,
                 label=f"{share:.0%}",
             )
+        _mark_limits(panel.axvline, name, limits)
         panel.set_xlabel(shown.label)
         panel.set_ylabel("runs")
         panel.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -257,8 +309,11 @@ def draw_loads(table: pandas.DataFrame, title: str) -> Figure:
     p = capture_probability(table)
     interval = f"95 % interval {p.low:.1%} to {p.high:.1%}"
     note = f", {p.failed} could not be computed" if p.failed else ""
+    if limits:
+        kept = limit_probability(table, limits)
+        note += f"; all limits met in {kept.met}"
     figure.suptitle(
-        f"{title}: captured {p.captured} of {p.computed} runs ({interval}){note}", fontsize=14
+        f"{title}: captured {p.met} of {p.computed} runs ({interval}){note}", fontsize=14
     )
     return figure
 

@@ -100,7 +100,7 @@ def test_a_scene_that_exists_does_not_hide_what_is_wrong(command, tmp_path, caps
     assert list(tmp_path.iterdir()) == []
 
 
-DESIGN, SWEEP = ["design"], ["sweep"]
+DESIGN, PAPER, SWEEP = ["design"], ["design", "--first-contact"], ["sweep"]
 BENCH, REPLAY = ["bench", "tilt_0"], ["replay", "x.mcap"]
 NO_FACTOR = "must be a number >= 0 and <= 1000"
 
@@ -117,18 +117,27 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
             for wrong in ("a b", "1x", "", "lab//two", "lab/")
         ],
         (["view"], ["tilt_0", "--window", "nan", "1"], "a number"),
-        (["resimulate"], ["x.mcap", "--tolerance", "nan"], "a number >= 0"),
+        (["compare"], ["x.mcap", "--tolerance", "nan"], "a number >= 0"),
         (["identify"], ["x.mcap", "mu", "--starts", "0x10"], "whole number"),
-        (DESIGN, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be given both or neither"),
-        (DESIGN, ["--stroke=0", "--torsion=1"], "'0': must be a number > 0, in mm"),
-        (DESIGN, ["--stroke=5", "--torsion=nan"], "'nan': must be a number > 0, in mrad"),
-        (DESIGN, ["--stroke=5 deg", "--torsion=2"], "in mm"),
-        (DESIGN, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: must be >= 1e-06"),
-        (DESIGN, ["--spread=1,2"], "--spread: '1,2': must be %,mm,deg"),
-        (DESIGN, ["--spread=50,1,1"], "Spread.speed = 0.5: must be >= 0 and <= 0.24"),
-        (DESIGN, ["--spread=0,0,0"], "must be one above 0"),
-        (DESIGN, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': must be LOW:HIGH:N"),
-        (SWEEP, [], "--vary: must be given at least once, or --from"),
+        (
+            DESIGN,
+            ["--stroke=5"],
+            "--stroke: must be given with --first-contact; use --stroke-limit",
+        ),
+        (PAPER, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be given both or neither"),
+        (PAPER, ["--stroke=0", "--torsion=1"], "'0': must be a number > 0, in mm"),
+        (PAPER, ["--stroke=5", "--torsion=nan"], "'nan': must be a number > 0, in mrad"),
+        (PAPER, ["--stroke=5 deg", "--torsion=2"], "in mm"),
+        (PAPER, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: must be >= 1e-06"),
+        (PAPER, ["--trade-off=3:1:5"], "--trade-off: '3:1:5': must be LOW:HIGH:N"),
+        (PAPER, ["--stroke-limit=5"], "--stroke-limit: must be given without --first-contact"),
+        (DESIGN, ["--confidence=0.9"], "--confidence: must be given with --under"),
+        (DESIGN, ["--under=missing.yaml"], "missing.yaml: cannot be read"),
+        (DESIGN, ["--limit=max_torsion"], "must be LOAD=VALUE"),
+        (DESIGN, ["--limit=max_torsion=5 N"], "limit max_torsion = '5 N': must be a number in rad"),
+        (DESIGN, ["--peak-force=5", "--limit=max_normal_force=5"], "must be given once"),
+        (SWEEP, ["--vary=gravity=8,9", "--correlate=a=1"], "must be NAME,NAME=R"),
+        (SWEEP, [], "--vary: must be given at least once, or --under, or --from"),
         (SWEEP, ["--vary=buffer.c_A"], "--vary buffer.c_A: must be NAME=VALUES"),
         (SWEEP, ["--vary=buffer.c_A=1:2"], "buffer.c_A = '1:2': must be a number in N s/m"),
         (SWEEP, ["--vary=gravity=9", "--vary=gravity=8"], "each name once"),
@@ -156,6 +165,26 @@ def test_bad_input_is_said_in_a_line_before_anything_runs(
     assert seen.err.count("\n") == 1
     assert seen.out == ""
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize(
+    "arguments, meant",
+    [
+        (["rum", "tilt_0"], "run"),
+        (["--verison"], "--version"),
+        (["run", "tilt_0", "--no-recrod"], "--no-record"),
+        (["swep"], "sweep"),
+    ],
+)
+def test_a_mistyped_word_gets_the_nearest_one(arguments, meant, capsys):
+    assert main(arguments) == BAD_INPUT
+    assert f"did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_help_is_a_word_too(capsys):
+    for words, usage in ((["help", "run"], "capture-sim run"), (["help"], "capture-sim [-h]")):
+        assert main(words) == 0
+        assert capsys.readouterr().out.startswith(f"usage: {usage}")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -236,13 +265,3 @@ def test_help_loads_no_library():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.endswith("[]\n"), done.stdout[-200:]
-
-
-def test_results_without_recordings_do_not_lie_beside_older_ones(tmp_path, capsys):
-    command = ["run", "paper_designed", "--out", str(tmp_path)]
-    assert main(command) == 0
-    made = {path.name for path in tmp_path.iterdir()}
-    assert {"paper_designed.mcap", "paper_designed.png"} <= made
-    assert main([*command, "--no-record", "--set", "buffer.c_A=30"]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"results.json", "results.txt"}
-    assert "removed" in capsys.readouterr().out

@@ -9,8 +9,8 @@ from bags import of_a_bench
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.read import read_run
 
 
 def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
@@ -25,6 +25,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
         "name",
         "verdict",
         "left_again",
+        "not_used",
         "problems",
         "impact_speed",
         "first_contact_time",
@@ -37,6 +38,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
         "energy_residual",
         "wall_time",
         "real_time_factor",
+        "made_by",
     }
     assert (tmp_path / "results.txt").read_text(encoding="utf-8").strip() in out
 
@@ -44,19 +46,45 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
 def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
     assert main(["run", "tilt_p10", "--set", "buffer.c_A=14", "--out", str(first)]) == 0
-    recording = first / "tilt_p10.mcap"
+    recording = first / "tilt_p10_c_A_14.mcap"
     assert recording.is_file()
-    assert (first / "tilt_p10.png").stat().st_size > 20_000
+    assert (first / "tilt_p10_c_A_14.png").stat().st_size > 20_000
     if find_spec("rerun"):
         assert (first / "runs.rrd").stat().st_size > 10_000
     assert main(["run", str(recording), "--no-record", "--out", str(second)]) == 0
 
     def numbers(folder):
         row = json.loads((folder / "results.json").read_text(encoding="utf-8"))[0]
+        assert row.pop("made_by")["overrides"] == ["buffer.c_A=14"]
         return {k: v for k, v in row.items() if k not in ("wall_time", "real_time_factor")}
 
     assert numbers(first) == numbers(second)
     capsys.readouterr()
+
+
+def test_no_run_is_lost_unless_overwriting_is_asked_for(tmp_path, capsys):
+    """Runs of other scenes in one folder; the same run made again is one file."""
+    command = ["run", "paper_designed", "--out", str(tmp_path), "--set", "run.t_end=0.02"]
+
+    def recordings():
+        return sorted(path.name for path in tmp_path.glob("*.mcap"))
+
+    for damping in ("20", "5", "20"):
+        assert main([*command, "--set", f"buffer.c_A={damping}"]) == 0
+    names = [f"paper_designed_t_end_0.02_c_A_{c_A}.mcap" for c_A in (20, 5)]
+    assert recordings() == names
+    named = [*command, "--set", "name=mine", "--set"]
+    for rest, files in (
+        (["buffer.c_A=20"], ["mine.mcap"]),
+        (["buffer.c_A=5"], ["mine.mcap", "mine_2.mcap"]),
+        (["buffer.c_A=7", "--overwrite"], ["mine.mcap", "mine_2.mcap"]),
+        (["buffer.c_A=8", "--no-record"], ["mine.mcap", "mine_2.mcap"]),
+    ):
+        assert main([*named, *rest]) == 0
+        assert recordings() == sorted([*files, *names])
+    assert read_bag(tmp_path / "mine.mcap").scene.buffer.c_A == 7.0
+    text = (tmp_path / "results.txt").read_text()
+    assert "with run.t_end=0.02, name=mine, buffer.c_A=8; capture_sim " in text
 
 
 def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys):
@@ -92,10 +120,10 @@ def test_a_failed_run_says_why_and_keeps_what_was_computed(tmp_path, capsys):
     status = main(["run", "paper_designed", "--set", "run.max_steps=300", "--out", str(tmp_path)])
     seen = capsys.readouterr()
     assert status == 1
-    assert "paper_designed: stopped at t = 0." in seen.err
+    assert "paper_designed_max_steps_300: stopped at t = 0." in seen.err
     assert "phase contact" in seen.err or "phase free" in seen.err
     assert "run.max_steps" in seen.err
-    kept = read_run(tmp_path / "paper_designed.mcap")
+    kept = read_bag(tmp_path / "paper_designed_max_steps_300.mcap")
     assert kept.samples.size > 5
     assert not kept.complete
 

@@ -14,6 +14,7 @@ from capture_sim.cli import main
 from capture_sim.commands import output, view
 from capture_sim.commands.inputs import load
 from capture_sim.recording.offline import write_run
+from capture_sim.viewing.figures import pictures_of
 from capture_sim.viewing.source import distinct_names
 
 
@@ -26,13 +27,13 @@ def recorded(tmp_path_factory):
     ]
 
 
-def test_pictures_are_of_the_runs_given_last(recorded, tmp_path, capsys):
+def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun")
     path = str(recorded[0])
     (tmp_path / "overview.png").write_text("of earlier runs")
     assert main(["view", path, "--out", str(tmp_path)]) == 0
-    assert {file.name for file in tmp_path.iterdir()} == {"tilt_0.png", "runs.rrd"}
-    assert "overview.png: from earlier runs" in capsys.readouterr().out
+    assert {file.name for file in tmp_path.iterdir()} == {"tilt_0.png", "runs.rrd", "overview.png"}
+    assert (tmp_path / "overview.png").read_text() == "of earlier runs"
 
 
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):
@@ -60,7 +61,7 @@ def test_no_number_makes_one_name_anothers():
     assert distinct[1::2] == names[1::2]
 
 
-def test_figures_of_the_paper_are_written_as_svg_and_png(recorded, tmp_path):
+def test_a_plot_of_each_quantity_is_written_as_svg_and_png(recorded, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun")
     options = ["--figures", "--save", str(tmp_path / "x" / "window.rrd"), "--out", str(tmp_path)]
     window = ["--window", "2.7", "2.9"]
@@ -151,12 +152,12 @@ def test_window_that_cannot_be_is_refused_in_one_line(recorded, tmp_path, capsys
 def test_figures_and_report_show_how_far_they_are(recorded, tmp_path, capsys, monkeypatch):
     pytest.importorskip("rerun", reason="needs rerun")
     monkeypatch.setattr(output, "_PAUSE", 0.0)
-    monkeypatch.setattr(view, "FIGURES", dict(list(view.FIGURES.items())[:2]))
+    monkeypatch.setattr(view, "pictures_of", lambda *given: pictures_of(*given)[:2])
     monkeypatch.setattr(view, "draw", lambda *_, **__: None)
     path = str(recorded[0])
     assert main(["view", path, "--figures", "--out", str(tmp_path)]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("figures:")]
-    assert lines[-1].startswith("figures: 2 of 3 figures, ")
+    assert lines[-1].startswith("figures: 1 of 2 figures, ")
     assert lines[-1].endswith(" s left")
     assert main(["report", path, "--out", str(tmp_path / "r.html")]) == 0
-    assert capsys.readouterr().err.splitlines()[-1].startswith("report: 3 of 3 steps, ")
+    assert capsys.readouterr().err.splitlines()[-1].startswith("report: 11 of 11 steps, ")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from matplotlib.text import Annotation
+import pytest
 from PIL import Image
 
 from capture_sim.launch.scenes import load_scene
-from capture_sim.messages.urdf import chaser_box
+from capture_sim.messages.topics import TOPICS
+from tools.diagrams import draw_nodes, draw_touch
 from tools.explain import draw_geometry, save_capture_gif
 
 
@@ -18,34 +19,12 @@ def test_every_symbol_of_the_geometry_is_named():
     texts = [text for axes in figure.axes for text in axes.texts]
     texts += figure.axes[1].get_legend().get_texts()
     named = "\n".join(text.get_text() for text in texts)
-    symbols = ("$L_T$", "$R_c$", "$L_c$", "$h_0$", r"$\beta$", "$R_t$", "BE", "+y wall", "-y wall")
+    symbols = ("$L_T$", "$R_c$", "$L_c$", "$L_C$", "$h_0$", r"$\beta$", "$R_t$", "BE", "offset")
+    symbols += ("theta > 0", "torsion > 0", "stroke < 0", "+y wall", "-y wall")
     parts = ("chaser", "target", "rail", "string", "pulley", "mass", "probe", "cone", "ball wheel")
-    for name in ("a", *symbols, *parts):
+    for name in (*symbols, *parts):
         assert name in named, name
-    assert "stroke < 0: compression" in named
-    assert "torsion > 0" in named
-
-
-def test_no_line_of_the_geometry_crosses_another():
-    """Neither names' lines nor measures; and the hinge lies in the chaser's body."""
-    scene = load_scene("tilt_0")
-    for axes in draw_geometry(scene).axes:
-        lines = [
-            np.array([note.xy, note.xyann])
-            for note in axes.texts
-            if isinstance(note, Annotation) and note.arrow_patch is not None
-        ]
-        assert len(lines) >= 4
-        for (a, b), (c, d) in itertools.combinations(lines, 2):
-            if not {tuple(a), tuple(b)} & {tuple(c), tuple(d)}:
-                assert not crossing(a, b, c, d)
-    assert chaser_box(scene).front > scene.buffer.hinge_offset
-
-
-def crossing(a, b, c, d):
-    """Return whether two segments cross."""
-    side = np.linalg.det(np.array([[b - a, c - a], [b - a, d - a], [d - c, a - c], [d - c, b - c]]))
-    return side[0] * side[1] < 0 and side[2] * side[3] < 0
+    assert {"a", "b"} <= set(named.splitlines())
 
 
 def test_moving_picture_ends_with_the_verdict(runs, tmp_path):
@@ -58,4 +37,20 @@ def test_moving_picture_ends_with_the_verdict(runs, tmp_path):
             image.seek(i)
             shown.append(np.asarray(image.convert("L"), float))
         assert image.info["duration"] == 2500
-    assert all(np.abs(one - other).max() > 100 for one, other in itertools.pairwise(shown))
+    assert all(np.abs(a - b).max() > 100 for a, b in itertools.pairwise(shown))
+
+
+def test_the_diagram_of_nodes_has_every_topic():
+    texts = "\n".join(text.get_text() for text in draw_nodes().axes[0].texts).splitlines()
+    for topic in TOPICS:
+        assert texts.count(f"/{topic.name}") >= len(topic.publishers)
+
+
+def test_the_close_up_of_a_touch_ends_where_the_touch_ends(runs):
+    force, _ = draw_touch(runs[1]).axes
+    touch = runs[1].touches[0]
+    t, values = force.get_lines()[0].get_data()
+    assert values.max() == pytest.approx(touch["peak_force"], rel=1e-3)
+    contact = t[values > 0.0] * 1e-3
+    lasted = touch["end"] - touch["start"]
+    assert (contact.min(), contact.max()) == pytest.approx((0.0, lasted), abs=1e-6)

@@ -12,12 +12,12 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from capture_sim.errors import CaptureSimError
-from capture_sim.recording.measured_run import AlignedMeasurements, samples_of
+from capture_sim.measured import measured_samples
 from capture_sim.samples import Phase
+from capture_sim.series import Series, series_in
 from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")
@@ -45,24 +45,15 @@ def live():
 
 def measurements(scene, samples):
     """Return samples as a bench without the simulator's knowledge would give them."""
-    q, v = samples["q"], samples["v"]
-    string = [samples["phase"], samples["string_tension"], samples["mass_height"]]
-    measured = AlignedMeasurements(
-        t=samples["t"],
-        chaser=q[:, :3],
-        chaser_rate=v[:, :3],
-        target=q[:, 5:],
-        target_rate=v[:, 5:],
-        buffer=np.stack([samples["axial_stroke"], samples["torsion"]], axis=-1),
-        buffer_rate=np.stack([v[:, 4], v[:, 3] - v[:, 2]], axis=-1),
-        normal_force=samples["normal_force"],
-        walls=samples["walls"],
-        string=np.stack([*string, samples["mass_speed"]], axis=-1),
-    )
-    return samples_of(scene, measured)
+    t, series = samples["t"], series_in(samples)
+    series |= {name: Series(t, samples[name]) for name in ("normal_force", "walls")}
+    series["string_phase"] = Series(t, samples["phase"])
+    for name in ("string_tension", "mass_height", "mass_speed"):
+        series[name] = Series(t, samples[name])
+    return measured_samples(scene, t, series)
 
 
-def test_who_connects_late_sees_the_run_so_far(live, run, tmp_path):
+def test_a_viewer_that_connects_late_has_the_run_so_far(live, run, tmp_path):
     every = run.samples[::20]
     live.begin("trial", run.scene)
     for i in range(len(every)):
@@ -95,9 +86,12 @@ def test_who_connects_late_sees_the_run_so_far(live, run, tmp_path):
     seen(live.address, tmp_path / "late.rrd", check)
 
 
-def test_phases_that_no_sensor_tells_come_from_the_events(live, run, tmp_path):
+def test_phases_that_no_sensor_measures_come_from_the_events_of_a_run_joined_late(
+    live, run, tmp_path
+):
     every = run.samples[::10]
     live.begin("trial", run.scene, measured=True)
+    every = every[every["t"] > 1.0]
     events = iter(run.events)
     event = next(events)
     for i in range(len(every)):
@@ -114,21 +108,11 @@ def test_phases_that_no_sensor_tells_come_from_the_events(live, run, tmp_path):
         truth = [Phase(p).name.lower() for p in every["phase"]]
         changes = [i for i in range(len(truth)) if i == 0 or truth[i] != truth[i - 1]]
         assert dict.fromkeys(names) == dict.fromkeys(truth[i] for i in changes)
+        _, notes = column(found, "/events/trial", "text")
+        assert any("joined 1.01 s after the release, not shown before" in note for note in notes)
         # a batch late at most
         latched = times[names.tolist().index("latched")] * 1e-9
         assert latched == pytest.approx(every["t"][truth.index("latched")], abs=0.51)
-
-    seen(live.address, tmp_path / "x.rrd", check)
-
-
-def test_who_joins_late_is_told_what_is_not_shown(live, run, tmp_path):
-    live.begin("trial", run.scene)
-    live.take(run.samples[1500:1501])
-    live.end()
-
-    def check(found):
-        _, notes = column(found, "/events/trial", "text")
-        assert any("joined 1.50 s after the release, not shown before" in note for note in notes)
 
     seen(live.address, tmp_path / "x.rrd", check)
 
@@ -176,15 +160,12 @@ def test_port_that_is_taken_is_refused_in_one_line():
             LiveView(port)
 
 
-def test_server_ends_with_the_view():
+def test_server_ends_with_the_view_and_the_view_closes_without_its_server(run):
     live = LiveView(free_port())
     pid = live.server_pid
-    assert Path(f"/proc/{pid}").exists()
     live.close()
     assert not Path(f"/proc/{pid}").exists()
-
-
-def test_view_closes_also_where_ctrl_c_has_ended_the_server(run):
+    # Ctrl-C reaches both
     live = LiveView(free_port())
     live.begin("trial", run.scene)
     os.kill(live.server_pid, signal.SIGKILL)
