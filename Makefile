@@ -4,16 +4,19 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+NUMERICAL := tests/test_accuracy.py tests/test_second_formulation.py tests/engine/test_extremes.py \
+	$(addprefix tests/hard_cases/test_,edges_and_throat.py finding_events.py impacts.py symmetries.py)
 
 # A sourced ROS, or another environment, must not mix with the one in .venv.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup develop lock run test test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
+.PHONY: help setup develop lock run test test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests"
+	@echo "make test-generic run the numerical tests as compiled for any processor of this kind"
 	@echo "make test-numpy1 run the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
 	@echo "make setup       only set up .venv for runs; leaves .venv/bin/capture-sim"
@@ -41,8 +44,15 @@ run: setup
 # Tests that compile run before those of the nodes, which wait for each other; a file of those shares
 # its nodes, so one process runs it.
 test: lint
-	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto
-	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile
+	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
+	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
+
+# Rounding differs from one processor to the next, most of all without fused multiply and add, and
+# tests must not depend on it. These are the tests that are most sensitive to it.
+test-generic: develop
+	mkdir -p build/generic
+	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= CAPTURE_SIM_CACHE=$(CURDIR)/build/generic \
+		$(BIN)/python -m pytest $(NUMERICAL) -n auto --durations=20
 
 # The committed files, in a clone with an environment of its own
 test-numpy1:
@@ -83,6 +93,7 @@ faults: develop
 picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	$(BIN)/python -m tools.explain docs
+	$(BIN)/python -m tools.diagrams docs
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 lock: develop

@@ -1,9 +1,19 @@
 """Simulation of a ground test bench for spacecraft docking: chaser, buffer, probe, cone, target.
 
 >>> import capture_sim
->>> result = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
->>> result.verdict
+>>> run = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})
+>>> run.verdict
 'captured'
+
+- ``simulate(scene, overrides)`` returns a ``Run``; ``read_run(path)`` returns one of a recording.
+- ``load_scene(name, overrides)`` returns a ``Scene``; ``scene_names()`` lists the packaged ones.
+- ``plot(run, ...)`` draws runs; ``sweep(scene, vary)`` returns a pandas table of many runs.
+- ``Bench`` and ``drive`` advance a run step by step.
+- ``Phase``, ``EventKind`` and ``CaptureState`` name the constants of samples, events and statuses.
+- ``SceneError``, ``SimulationError``, ``RecordingError`` and ``MissingPackageError`` are
+  ``CaptureSimError``.
+
+``help(capture_sim.simulate)`` and the like have the details.
 """
 
 from __future__ import annotations
@@ -13,52 +23,34 @@ from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from capture_sim.bench import Bench, drive
-    from capture_sim.detection.exact import CaptureState
-    from capture_sim.errors import (
-        CaptureSimError,
-        MissingPackageError,
-        RecordingError,
-        SceneError,
-        SimulationError,
-    )
-    from capture_sim.launch.scenes import load_scene
-    from capture_sim.samples import EventKind, Phase
-    from capture_sim.scene.files import scene_names
-    from capture_sim.scene.parts import Scene
-    from capture_sim.simulation import Result, simulate
-    from capture_sim.studies.sweep import sweep
-    from capture_sim.viewing.plots import plot
+    from capture_sim.bench import Bench as Bench
+    from capture_sim.bench import drive as drive
+    from capture_sim.detection.criteria import CaptureState as CaptureState
+    from capture_sim.errors import CaptureSimError as CaptureSimError
+    from capture_sim.errors import MissingPackageError as MissingPackageError
+    from capture_sim.errors import RecordingError as RecordingError
+    from capture_sim.errors import SceneError as SceneError
+    from capture_sim.errors import SimulationError as SimulationError
+    from capture_sim.launch.scenes import load_scene as load_scene
+    from capture_sim.recording.read import read_run as read_run
+    from capture_sim.run import Run as Run
+    from capture_sim.samples import EventKind as EventKind
+    from capture_sim.samples import Phase as Phase
+    from capture_sim.scene.files import scene_names as scene_names
+    from capture_sim.scene.parts import Scene as Scene
+    from capture_sim.simulation import simulate as simulate
+    from capture_sim.studies.sweep import sweep as sweep
+    from capture_sim.viewing.plots import plot as plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Bench",
-    "CaptureSimError",
-    "CaptureState",
-    "EventKind",
-    "MissingPackageError",
-    "Phase",
-    "RecordingError",
-    "Result",
-    "Scene",
-    "SceneError",
-    "SimulationError",
-    "drive",
-    "load_scene",
-    "plot",
-    "scene_names",
-    "simulate",
-    "sweep",
-]
-
 # loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {
     "bench": ("Bench", "drive"),
-    "detection.exact": ("CaptureState",),
+    "detection.criteria": ("CaptureState",),
     "errors": (
         "CaptureSimError",
         "MissingPackageError",
@@ -67,10 +59,12 @@ _MODULES = {
         "SimulationError",
     ),
     "launch.scenes": ("load_scene",),
+    "recording.read": ("read_run",),
+    "run": ("Run",),
     "samples": ("EventKind", "Phase"),
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
-    "simulation": ("Result", "simulate"),
+    "simulation": ("simulate",),
     "studies.sweep": ("sweep",),
     "viewing.plots": ("plot",),
 }
@@ -87,10 +81,10 @@ def __getattr__(name: str) -> Any:
             raise
         errors = importlib.import_module(f"{__name__}.errors")
         raise errors.MissingPackageError(
-            f"{name}() needs matplotlib: pip install 'capture_sim[view]'"
+            f"{name}() needs matplotlib: pip install matplotlib"
         ) from None
     return getattr(module, name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+    return sorted({*_HOMES, *(name for name in globals() if name.startswith("__"))})

@@ -24,6 +24,7 @@ from capture_sim.interrupts import in_worker
 from capture_sim.kernels import is_compiled, records
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
+from capture_sim.model.contact import FRICTION_LAWS
 from capture_sim.model.parameters import pack
 from capture_sim.model.stiffness import stiffest_part
 from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Event, EventKind, Extremes, Phase
@@ -37,7 +38,8 @@ _TRACE_ROOM = 1024
 _FIRST_STEP = 1e-6  # s; the step control adjusts it
 _FIRST_ERROR = 1e-4  # for the step control, as there is no earlier step
 
-_CAUSES = {
+#: Why the engine cannot continue, by its status.
+CAUSES = {
     Status.NOT_FINITE: "the state is no longer finite",
     Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
     Status.TOO_MANY_STEPS: "run.max_steps integrator steps, with those rejected, are used up",
@@ -47,8 +49,12 @@ _CAUSES = {
     "or a stiffer buffer",
     Status.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
     "or the contact is not resolved",
+    Status.ENERGY_LOST: "run.step is too long: the energy ledger is off by more than 2 %",
     Status.PILE_UP: "more than 100 events fell on one instant",
 }
+
+#: The workspace up to the log, which each call begins again.
+_STATE_BYTES = WORKSPACE.fields["log"][1]  # type: ignore[index]
 
 _AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
 
@@ -84,6 +90,14 @@ class Statistics(NamedTuple):
     steps: int
     rejected: int
     evaluations: int
+
+
+class Checkpoint(NamedTuple):
+    """State of a bench, for :meth:`Bench.restore`."""
+
+    record: np.ndarray
+    n_unread: int
+    last_time: float
 
 
 class Bench:
@@ -151,6 +165,13 @@ class Bench:
             mode["rest_T"] = int(is_at_rest and par["balls_T"][:, 2].sum() > 0.0)
             is_at_rest = not y[8:11].any() and not rail["on"]
             mode["rest_S"] = int(is_at_rest and par["balls_S"][:, 2].sum() > 0.0)
+
+    def initial_workspace(self) -> np.ndarray:
+        """Return a copy of the engine's record, (1,) of dtype WORKSPACE.
+
+        It is the state at the release if the run has not advanced yet, for programs without Python.
+        """
+        return self._workspace.copy()
 
     @property
     def done(self) -> bool:
@@ -249,7 +270,8 @@ class Bench:
             raise SimulationError(self._fatal, np.zeros(0, SAMPLE))
         if times.size:
             self._last_time = float(times[-1])
-        if not self.done and (times.size == 0 or times[-1] >= self.scene.run.t_end):
+        t_stop = float(self._record["progress"]["t_stop"])
+        if not self.done and (times.size == 0 or times[-1] >= t_stop):
             # no sample lies beyond the end: a time that is never reached runs to it
             times = np.append(times, np.inf)
         samples = np.empty(times.shape[0], SAMPLE)  # only samples[:served] are returned
@@ -269,9 +291,57 @@ class Bench:
             if progress["status"] != Status.INTERRUPTED:
                 raise self._failure(Status(int(progress["status"])), samples[:served])
 
+    def start_at(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Begin at rates ``v`` (8,) in coordinates ``q`` (8,), free of rail and string.
+
+        Call this before the first :meth:`advance`.
+        """
+        par, rail = self._system["par"], self._record["rail"]
+        self._record["stepper"]["y"][:16] = *q, *v
+        par["m_hanging"] = par["drop_height"] = 0.0
+        rail["on"] = rail["taut"] = 0
+        rail["speed"] = 0.0
+
+    def drive_tip(self, wrench: Sequence[float], until: float) -> None:
+        """Apply a wrench to the tip, about its centre, and pause the run at a time (s).
+
+        ``wrench``: force (N) in the target's axes and torque (N m).  It acts until the latch
+        closes.  ``advance([until])`` goes up to the pause; then call this method again.
+        """
+        mode, step = self._system["mode"], self._record["step"]
+        mode["driven"], mode["wrench"] = 1, wrench
+        step["equations_changed"] = 1
+        self._record["progress"]["t_stop"] = until
+
+    def set_contact(
+        self, stiffness: float, exponent: float, chi: float, offset: float, mu: float, v_eps: float
+    ) -> None:
+        """Replace the contact of both walls by F = delta^exponent (stiffness + chi delta').
+
+        ``offset`` (m) moves the walls towards the tip, which must not touch them now.  ``mu`` and
+        ``v_eps`` (m/s) are those of the friction law "tanh".  Without stiffness nothing acts.
+        """
+        par = self._system["par"]
+        par["K"], par["exponent"], par["chi"], par["hysteresis"] = stiffness, exponent, chi, 0.0
+        par["R_t"] = self.scene.probe.tip_radius + offset  # the same gap
+        par["mu"], par["inverse_v_eps"] = mu, 1.0 / v_eps
+        par["friction_law"] = FRICTION_LAWS["tanh"]
+        self._record["step"]["start_measured"] = 0
+
+    def saved(self) -> Checkpoint:
+        """Return the state, for :meth:`restore` of this bench or of another one of this scene."""
+        record = self._workspace.view(np.uint8)[:_STATE_BYTES].copy()
+        return Checkpoint(record, len(self._unread), self._last_time)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go back to a saved state; events since then that were not read are forgotten."""
+        self._workspace.view(np.uint8)[:_STATE_BYTES] = checkpoint.record
+        del self._unread[checkpoint.n_unread :]
+        self._last_time, self._fatal = checkpoint.last_time, None
+
     def _failure(self, status: Status, partial: np.ndarray) -> SimulationError:
         phase = Phase(int(self._record["sample"]["phase"])).name.lower()
-        cause = _CAUSES[status]
+        cause = CAUSES[status]
         if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
             step, touch = self._record["step"], self._system["mode"]["touch"]
             stiffest = stiffest_part(
@@ -292,15 +362,15 @@ class Bench:
         """Convert the raw events of the engine to Python objects."""
         unread, self._unread = self._unread, []
         for batch in unread:
-            columns = (batch[name].tolist() for name in ("kind", "t", "wall", "value"))
-            for number, (code, t, wall, value) in enumerate(zip(*columns, strict=True)):
+            columns = (batch[name].tolist() for name in ("kind", "t", "which", "value"))
+            for number, (code, t, which, value) in enumerate(zip(*columns, strict=True)):
                 kind, touch = EventKind(code), None
                 if kind is EventKind.LIFT_OFF:
                     touch = batch["touch"][number]
                     self._touches.append(touch)
                 q, v = batch["q"][number], batch["v"][number]
-                side, detail = wall if kind in _AT_WALL else 0, _detail(kind, wall, value)
-                self._events.append(Event(kind, t, q, v, side, detail, touch))
+                wall, detail = which if kind in _AT_WALL else 0, _detail(kind, which, value)
+                self._events.append(Event(kind, t, q, v, wall, detail, touch))
 
 
 def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -400,27 +470,30 @@ def drive(
             return
 
 
-def _detail(kind: EventKind, wall: int, value: float) -> str:
+def _detail(kind: EventKind, which: int, value: float) -> str:
+    """Return an event in words; ``which`` is its wall, vehicle or stop."""
+    wall = "+y wall" if which > 0 else "-y wall"
+    stop = "compressed" if which < 0 else "extended"
     if kind is EventKind.LANDED:
         return f"hanging mass down, chaser at {value:.6g} m/s"
     if kind is EventKind.RAIL_END:
         return f"chaser free at {value:.6g} m/s"
     if kind is EventKind.TOUCH:
-        return f"{'+y' if wall > 0 else '-y'} wall at {value:.6g} m/s"
+        return f"{wall} at {value:.6g} m/s"
     if kind is EventKind.LIFT_OFF:
-        return f"{'+y' if wall > 0 else '-y'} wall after a peak of {value:.6g} N"
+        return f"{wall} after a peak of {value:.6g} N"
     if kind in (EventKind.AT_REST, EventKind.MOVING):
-        return "chaser" if wall == 1 else "target"
+        return "chaser" if which == 1 else "target"
     if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
-        return f"{'compressed' if wall < 0 else 'extended'} at {value:.6g} m/s"
+        return f"{stop} at {value:.6g} m/s"
     if kind is EventKind.SEATED:
         return f"probe back on its seat at {value:.6g} m/s"
     if kind is EventKind.UNSEATED:
         return f"probe leaves its seat at {value:.6g} N"
     if kind is EventKind.SLIP and math.isinf(value):
-        return f"{'+y' if wall > 0 else '-y'} wall, after the impact on the seat"
+        return f"{wall}, after the impact on the seat"
     if kind in (EventKind.STICK, EventKind.SLIP):
-        return f"{'+y' if wall > 0 else '-y'} wall, friction {value:.6g} N to hold"
+        return f"{wall}, friction {value:.6g} N to hold"
     if kind is EventKind.LATCHED:
         return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
     return ""

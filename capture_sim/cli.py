@@ -9,7 +9,8 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from itertools import takewhile
 from typing import Any, NoReturn
@@ -96,7 +97,10 @@ def _run(arguments: Sequence[str]) -> int:
             # argparse of Python 3.11 would hand on an empty list
             if option.startswith("-") and equals and value == "--":
                 parser.error(f"argument {option}: expected one argument, not '--'")
-        options = parser.parse_args(arguments[1:])
+        # an optional positional argument may follow options
+        is_intermixed = parser.get_default("intermixed")
+        parse = parser.parse_intermixed_args if is_intermixed else parser.parse_args
+        options = parse(arguments[1:])
         return int(options.run(options))
     parser = _Parser(
         prog="capture-sim",
@@ -107,8 +111,20 @@ def _run(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--version", action="version", version=f"capture_sim {__version__}")
     parser.add_argument("command", metavar="COMMAND", choices=COMMANDS, help=argparse.SUPPRESS)
+    first = arguments[0] if arguments else ""
+    known = (*COMMANDS, "-h", "--help", "--version")
+    if first == "help" and arguments[1:2] != ["help"]:
+        return _run([*arguments[1:2], "--help"])
+    if first and first not in known:
+        parser.error(f"{first!r}: not a command or option{_hint(first, known)}")
     parser.parse_args(arguments)
     return OK
+
+
+def _hint(word: str, known: Iterable[str]) -> str:
+    """Return a question that names the nearest known word, or nothing."""
+    nearest = get_close_matches(word, known, 1)
+    return f"; did you mean {nearest[0]}?" if nearest else ""
 
 
 def _overview() -> str:
@@ -129,6 +145,10 @@ class _Parser(argparse.ArgumentParser):
         (file or sys.stderr).write(message)
 
     def error(self, message: str) -> NoReturn:
+        _, _, unknown = message.partition("unrecognized arguments: ")
+        if unknown:
+            option = unknown.split()[0].partition("=")[0]
+            message += _hint(option, [o for action in self._actions for o in action.option_strings])
         self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)}; see {self.prog} --help\n")
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from capture_sim.simulation import Result
+    from capture_sim.run import Run
 
 
 class CaptureSimError(Exception):
@@ -34,7 +34,7 @@ class SimulationError(CaptureSimError):
         Run up to the stop, if :func:`capture_sim.simulate` raised the error.
     """
 
-    result: Result | None = None
+    result: Run | None = None
 
     def __init__(self, message: str, partial: np.ndarray) -> None:
         super().__init__(message)
@@ -55,7 +55,7 @@ class MissingPackageError(CaptureSimError):
 
 #: Packages that each extra of pyproject.toml installs, by the name they are imported under.
 _EXTRAS = {
-    "view": ("plotly", "rerun"),
+    "view": ("rerun",),
     "study": ("SALib", "pandas", "pyarrow"),
     "cluster": ("dask", "distributed"),
 }
@@ -65,7 +65,7 @@ _ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtim
 def explain_import_error(error: ImportError) -> str:
     """Return one line that says which package is missing and how to install it."""
     package = (error.name or "").partition(".")[0]
-    if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv")):
+    if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv", "capture_sim.action")):
         return (
             "the ROS messages are not compiled: run 'make setup' in a clone of capture_sim, "
             "or build it with colcon"
@@ -77,8 +77,13 @@ def explain_import_error(error: ImportError) -> str:
         )
     for extra, packages in _EXTRAS.items():
         if package in packages:
-            return f"{package} is not installed: pip install 'capture_sim[{extra}]'"
+            return f"{package} is not installed: {install_hint(extra)}"
     return one_line(str(error))
+
+
+def install_hint(extra: str) -> str:
+    """Return how to install an extra of this package, which is on no index."""
+    return f"pip install '.[{extra}]' in a clone of capture_sim"
 
 
 def one_line(text: str) -> str:

@@ -17,8 +17,8 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -59,6 +59,22 @@ def watch_signals(
         writer.shutdown(socket.SHUT_WR)  # ends the thread
 
     return restore
+
+
+@contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM, which batch queues send, as on Ctrl-C.
+
+    Outside the main thread, where Python does not allow handlers, nothing is done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    earlier = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, earlier)
 
 
 def wait_for(event: threading.Event) -> None:

@@ -9,8 +9,10 @@ With ``NUMBA_DISABLE_JIT=1`` all kernels run as plain Python, slowly, for a debu
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Callable
@@ -21,6 +23,8 @@ from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numpy as np
+
+from capture_sim.errors import CaptureSimError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,6 +40,7 @@ _SOURCES = sorted(
         "compiler.py",
         "numba_internals.py",
         "samples.py",
+        "detection/criteria.py",
         "detection/exact.py",
     )
 ]
@@ -56,7 +61,14 @@ def cache_folder() -> Path:
     """Return the folder of this version's compiled kernels, and make it.
 
     It is in ``CAPTURE_SIM_CACHE``, ``XDG_CACHE_HOME`` or ``~/.cache``, or, if that is not writable,
-    in the system's folder for temporary files; a line on stderr reports it.
+    in the system's folder for temporary files; a line on stderr reports it.  Compiled kernels are
+    pickles, and loading one may run any code: in the temporary folder, which all users share, the
+    folder must belong to this user alone.
+
+    Raises
+    ------
+    CaptureSimError
+        The folder in the temporary folder belongs to another user, or others can write to it.
     """
     root = os.environ.get("CAPTURE_SIM_CACHE") or os.environ.get("XDG_CACHE_HOME")
     base = Path(root) if root else Path.home() / ".cache"
@@ -68,7 +80,16 @@ def cache_folder() -> Path:
             return folder
     except OSError:
         pass
-    fallback = Path(tempfile.gettempdir()) / f"capture_sim-{os.getuid()}" / name
+    own = Path(tempfile.gettempdir()) / f"capture_sim-{os.getuid()}"
+    with contextlib.suppress(FileExistsError):
+        own.mkdir(mode=0o700)
+    found = own.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise CaptureSimError(
+            f"{own}: must be a folder of this user to which nobody else can write; "
+            "remove it, or set CAPTURE_SIM_CACHE to a folder for compiled kernels"
+        )
+    fallback = own / name
     print(
         f"capture-sim: {base} cannot be written to; compiled kernels go to {fallback}",
         file=sys.stderr,

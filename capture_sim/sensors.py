@@ -16,6 +16,7 @@ from capture_sim.kernels import plain
 from capture_sim.model.parameters import pack
 from capture_sim.model.supports import rolling_wrench
 from capture_sim.scene.parts import LoadCell, MotionCapture, Scene
+from capture_sim.series import Series
 
 Pose = tuple[float, float, float]  # m, m, rad, in the world
 Wrench = tuple[float, float, float]  # N, N, N m
@@ -188,3 +189,22 @@ def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float
         return output
 
     return second
+
+
+def sensor_series(scene: Scene, samples: np.ndarray) -> dict[str, Series]:
+    """Return what the scene's sensors read in samples at ``run.state_rate``, by quantity.
+
+    ``chaser`` and ``target`` are poses by motion capture, (n, 3); ``cone_force`` is the force on
+    the tip by the load cell, (n, 2), N, in the cone's axes.
+    """
+    sensors = SimulatedSensors(scene)
+    rows: dict[str, list[tuple[float, ...]]] = {"chaser": [], "target": [], "cone_force": []}
+    for sample in samples:
+        t, reading = float(sample["t"]), sensors.read(sample)
+        if reading.chaser is not None and reading.target is not None:
+            rows["chaser"].append((t, *reading.chaser))
+            rows["target"].append((t, *reading.target))
+        if reading.wrench is not None:
+            rows["cone_force"].append((t, -reading.wrench[0], -reading.wrench[1]))
+    tables = {name: np.array(of_name) for name, of_name in rows.items() if of_name}
+    return {name: Series(table[:, 0], table[:, 1:]) for name, table in tables.items()}

@@ -38,7 +38,7 @@ hypothesis.settings.load_profile("untimed")
 
 #: Files of a few long tests: begun last, one runs on while the other workers have nothing left.
 LONG = ("test_other_numba.py", "test_install.py", "test_nodes.py")
-LONG += ("test_rig_flows.py", "test_rig_disturbances.py")
+LONG += ("test_trials.py",)
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()

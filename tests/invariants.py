@@ -1,17 +1,20 @@
 """What must hold between the groups of the engine's record, checked between its segments.
 
 Only where the kernels run as plain Python (``NUMBA_DISABLE_JIT=1``): ``install`` puts the checks
-round the functions that plan and close a segment.
+round the functions that plan and close a segment.  It also fills scratch with NaN whenever its
+owner returns, and checks that a function described by 'Return ...' writes nothing but scratch.
 """
 
 import functools
+import inspect
 import math
 
 import numpy as np
 
-from capture_sim.engine import loop
-from capture_sim.engine.state import NO_EVENT, Segment, Status
+from capture_sim.engine import consequences, events, extremes, loop, rail, segment, steps
+from capture_sim.engine.state import NO_EVENT, SCRATCH, STEP, Segment, Status
 from capture_sim.engine.steps import distance_to_edge
+from capture_sim.kernels import Kernel
 from capture_sim.model.contact import COULOMB
 from capture_sim.model.equations import (
     N_TOTAL,
@@ -105,13 +108,79 @@ def check_ended(w):
     assert not any(touch.on for touch in w.system.mode.touch)
 
 
+#: Scratch of each function, which no other may read after it returns.
+OWNED = {
+    "value_inside": ("sought",),
+    "seat_left_by": ("sought",),
+    "bisect_condition": ("sought",),
+    "slip_changed_by": ("sought",),
+    "measure_seat": ("moved",),
+    "value_at": ("watched",),
+    "watch_loads": ("near_start", "near_end"),
+    "may_rest": ("halted",),
+    "close_rail": ("on_rail",),
+    "sample_at": ("sampled",),
+}
+assert {name for names in OWNED.values() for name in names} == set(SCRATCH.names)
+ENGINE = (consequences, events, extremes, loop, rail, segment, steps)
+
+
+def poison(w, names):
+    for name in names:
+        w.scratch[name][...] = np.nan
+    w.stepper.y_stage[...] = np.nan
+    w.system.spare[...] = np.nan
+
+
+def kept(w):
+    """What only functions that are not described by 'Return ...' may change."""
+    parts = [w.system.mode, w.stepper.y, w.stepper.y_new, w.y_end]
+    parts += [w.progress, w.rail, w.totals, w.event]
+    # the dense output is computed where it is first needed
+    parts += [w.step[name] for name in STEP.names if name != "dense_ready"]
+    return [part.tobytes() for part in parts]
+
+
+def guarded(kernel):
+    """Return a kernel that poisons its scratch, and is checked against what it says.
+
+    Its numbers must not come from poisoned scratch; one that returns something writes nothing.
+    """
+    name = kernel.py_func.__name__
+    returns = (kernel.py_func.__doc__ or "").startswith("Return")
+
+    @functools.wraps(kernel.py_func)
+    def checked(w, *rest):
+        assert not any(isinstance(x, float) and math.isnan(x) for x in rest), f"NaN into {name}"
+        before = kept(w) if returns else None
+        result = kernel(w, *rest)
+        assert before is None or kept(w) == before, f"{name} writes"
+        poison(w, OWNED.get(name, ()))
+        return result
+
+    return checked
+
+
+def guard_scratch():
+    """Guard every kernel of the engine that has the whole record, in all modules that call it."""
+    wrapped = {}
+    for module in ENGINE:
+        for name, kernel in list(vars(module).items()):
+            if not isinstance(kernel, Kernel) or name in ("dense", "advance"):
+                continue
+            if next(iter(inspect.signature(kernel.py_func).parameters)) != "w":
+                continue
+            setattr(module, name, wrapped.setdefault(kernel, guarded(kernel)))
+
+
 def install():
     """Put the checks into the loop, for the whole process."""
+    guard_scratch()
 
     def followed_by(check, name):
         function = getattr(loop, name)
 
-        @functools.wraps(function.py_func)
+        @functools.wraps(function)
         def checked(w, *rest):
             result = function(w, *rest)
             if result is None or result == Status.SERVED:

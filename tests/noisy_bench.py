@@ -10,10 +10,11 @@ import numpy as np
 from capture_sim.bench import Bench
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
-from capture_sim.studies.measurements import Measurements, Series, measured_in
-from capture_sim.studies.touches import Touches, located
+from capture_sim.series import Series, series_in
+from capture_sim.touches import Touches, located
 
 #: What is fitted.
 NAMES = ("c_rr", "e", "mu", "c_A")
@@ -36,18 +37,15 @@ class NoisyRun:
     ----------
     scene
         Where a search may begin: its parameters are not the true ones.
-    plan
-        The launch, planned for the scene.
     true : ndarray (4,)
         Of :data:`NAMES`.
-    measured, touches
-        With noise.
+    run, touches
+        With noise; the launch is planned for the scene.
     """
 
     scene: Scene
-    plan: LaunchPlan
     true: np.ndarray
-    measured: Measurements
+    run: Run
     touches: Touches
 
 
@@ -55,29 +53,38 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
     """Run an experiment with parameters drawn at random, or given, and measure it."""
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(LOW, HIGH)
-    values = drawn if true is None else np.array(true)
+    parameters = drawn if true is None else np.array(true)
     scene = load_scene(name)
     plan = plan_launch(scene)
-    bench = Bench(with_parameters(scene, plan, *values.tolist()))
+    bench = Bench(with_parameters(scene, plan, *parameters.tolist()))
     samples = bench.advance(np.arange(0.0, scene.run.t_end, 1.0 / RATE))
-    exact = measured_in(samples)
-
-    def noisy(series: Series, sigma: float | tuple[float, ...]) -> Series:
-        return Series(series.t, series.values + rng.normal(size=series.values.shape) * sigma)
-
-    measured = Measurements(
-        chaser=noisy(exact.chaser, POSE_NOISE),
-        target=noisy(exact.target, POSE_NOISE),
-        stroke=noisy(exact.stroke, STROKE_NOISE),
-        torsion=noisy(exact.torsion, TORSION_NOISE),
-    )
+    exact = series_in(samples)
+    measured = {}
+    for quantity, sigma in (
+        ("chaser", POSE_NOISE),
+        ("target", POSE_NOISE),
+        ("stroke", STROKE_NOISE),
+        ("torsion", TORSION_NOISE),
+    ):
+        t, values, _ = exact[quantity]
+        noisy = Series(t, values + rng.normal(size=values.shape) * sigma)
+        measured[quantity] = {"a sensor": noisy}
     met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][:TOUCHES]
     touches = dataclasses.replace(
         located(met).with_noise(START_NOISE, PEAK_NOISE),
         start=met["start"] + rng.normal(size=met.size) * START_NOISE,
         peak=met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
     )
-    return NoisyRun(scene, plan, values, measured, touches)
+    return NoisyRun(scene, parameters, Run(name, series=measured, plan=plan), touches)
+
+
+def later(run: Run, by: float) -> Run:
+    """Return a run whose measurements are all later, s."""
+    series = {
+        quantity: {name: each._replace(t=each.t + by) for name, each in sources.items()}
+        for quantity, sources in run.series.items()
+    }
+    return run.replaced(series=series)
 
 
 def with_parameters(

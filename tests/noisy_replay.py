@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.detection.align import Source
-from capture_sim.detection.exact import CaptureStatus
-from capture_sim.detection.noisy import NoisyDetector
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.detector import CaptureDetector
+from capture_sim.detection.measurements import Source
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import Result
 
 Measurement = tuple[Source, float, tuple[float, ...]]
 
@@ -43,7 +43,7 @@ class Disturbance:
 
 
 def disturbed(
-    result: Result, how: Disturbance, rng: np.random.Generator, rate: float = 100.0
+    result: Run, how: Disturbance, rng: np.random.Generator, rate: float = 100.0
 ) -> Iterator[Measurement]:
     """Yield a run's poses and buffer states as they would arrive.
 
@@ -84,10 +84,10 @@ def disturbed(
 
 def judge(scene: Scene, measurements: Iterator[Measurement]) -> tuple[CaptureStatus, float]:
     """Return the verdict on measurements in the order of their arrival, and its time, s."""
-    detector = NoisyDetector(scene)
+    detector = CaptureDetector(scene)
     verdict: CaptureStatus | None = None
-    for measurement in measurements:
-        for status in detector.measure(*measurement):
+    for source, t, values in measurements:
+        for status in detector.measure(source, round(t * 1e9), values):
             if status.final and verdict is None:
                 verdict = status
     last = detector.finish()[-1]

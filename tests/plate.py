@@ -4,8 +4,8 @@ import cmath
 import math
 
 from capture_sim import load_scene
+from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import NO_LAW, WallLaw
-from capture_sim.hardware.limits import Limits
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Rig, Transport
 from capture_sim.hardware.stage import LoopStage
@@ -14,7 +14,9 @@ from capture_sim.model.contact import exact_factor
 STEP = 1e-3  # s
 SPEED = 0.1  # m/s
 #: Limits that none of these contacts reaches.
-WIDE = Limits(1e3, 1e6, 1e6, speed=100.0, acceleration=1e6, latency=1.0, angular_speed=1e3)
+WIDE = Limits(
+    1e3, 1e6, 1e6, speed=100.0, acceleration=1e6, latency=1.0, angular_speed=1e3, depth=1.0
+)
 
 
 def plate_scene(*overrides):
@@ -40,10 +42,31 @@ SCENE = plate_scene()
 MASS = plate_mass(SCENE)
 
 
-def close(scene, rig, method="none", law=NO_LAW, limits=WIDE, t_end=1.0, mass=None, step=STEP):
+def vehicles_restitution(stage):
+    """Return how the vehicles part over how they met, by their momentum.
+
+    Head on, beside the target's axis.  Nothing pushes the chaser sideways: its speed follows from
+    the target's.
+    """
+    scene, v = stage.scene, stage.v
+    momentum = scene.chaser_total_mass * SPEED
+    chaser = (momentum - scene.target.mass * v[5]) / scene.chaser_total_mass
+    off = scene.initial.target.y - scene.initial.chaser.y
+    return (v[5] + v[7] * off - chaser) / SPEED
+
+
+def restitution_on(law, t_end=1.0, scene=None):
+    """Return the restitution of the vehicles on walls of a law, without a rig."""
+    stage = LoopStage(scene or SCENE, STEP)
+    stage.set_law(law)
+    while stage.t < t_end:
+        stage.go()
+    return vehicles_restitution(stage)
+
+
+def close(scene, rig, method="none", law=NO_LAW, limits=WIDE, t_end=1.0, step=STEP):
     """Close a loop in one process; return it and why it stopped."""
-    mass = mass or plate_mass(scene)
-    loop = Loop(LoopStage(scene, step, max(1, round(step / 2.5e-5))), method, law, limits, mass)
+    loop = Loop(LoopStage(scene, step), method, law, limits)
     return loop, run_in_process(loop, rig, t_end)
 
 
@@ -54,7 +77,7 @@ def close_often(n, guess, rig_of, t_end, limits=WIDE):
     """
     loops = []
     for number in range(n):
-        loop, why = close(SCENE, rig_of(number), "model", guess, limits, t_end, MASS)
+        loop, why = close(SCENE, rig_of(number), "model", guess, limits, t_end)
         loops.append((loop, why))
         guess = loop.estimate.law
     return loops

@@ -13,9 +13,9 @@ import numpy as np
 from maximal_model import MaximalBench, MaximalRun
 
 from capture_sim import SimulationError, simulate
+from capture_sim.run import Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import Result
 
 DEFAULT, TIGHT = 1e-8, 1e-12
 #: s after the first touch at which errors are looked at; estimates look at all times before.
@@ -33,19 +33,19 @@ def arms(scene: Scene) -> np.ndarray:
 
 def run(
     scene: Scene, times: np.ndarray, rtol: float, method: str = "dop853", check: bool = False
-) -> Result:
+) -> Run:
     settings = replace(scene.run, rtol=rtol, method=method, t_end=float(times[-1]) + 1e-3)
     return simulate(replace(scene, run=settings), t_eval=times, check=check)
 
 
-def difference(one: Result, other: Result | MaximalRun) -> np.ndarray:
+def difference(one: Run, other: Run | MaximalRun) -> np.ndarray:
     """Largest difference of two runs at each time (n,), m."""
     return (np.abs(one.q - other.q) * arms(one.scene)).max(axis=1)
 
 
-def sequence(result: Result | MaximalRun, end: float = np.inf) -> list[tuple[bool, int]]:
+def sequence(result: Run | MaximalRun, end: float = np.inf) -> list[tuple[bool, int]]:
     """Whether it is a touch and its wall, of every touch and lift-off before ``end``, in order."""
-    if isinstance(result, Result):
+    if isinstance(result, Run):
         touches = [
             (event.t, event.kind is EventKind.TOUCH, event.wall)
             for event in result.events
@@ -57,7 +57,7 @@ def sequence(result: Result | MaximalRun, end: float = np.inf) -> list[tuple[boo
     return [(begins, wall) for t, begins, wall in sorted(touches) if t < end]
 
 
-def residual(result: Result) -> float:
+def residual(result: Run) -> float:
     """Largest energy residual of a run, of its largest kinetic energy."""
     energy = result.energy
     return float(np.abs(energy["energy_residual"]).max() / energy["kinetic"].max())
@@ -75,10 +75,10 @@ class Measured:
     on_floor: bool = False
 
 
-def measure(found: Result, exact: Result | MaximalRun) -> Measured:
+def measure(found: Run, exact: Run | MaximalRun) -> Measured:
     """Measure a run at ``first_touch + GRID[1:]`` against a more exact one."""
     end = float(found.t[-1])
-    if isinstance(exact, Result):
+    if isinstance(exact, Run):
         largest = exact.touches["peak_force"].max()
     else:
         largest = max(touch.peak for touch in exact.touches)

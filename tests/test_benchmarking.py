@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from benchmarks import costs, work_precision
+from benchmarks.engines import own, textbook
 from benchmarks.machine import OthersAtWork
 from benchmarks.page import measured
 from benchmarks.pages import DOCS
 from benchmarks.reference import load_reference
 from benchmarks.references.generate import REFERENCES
 from benchmarks.speed import measure, save
-from benchmarks.trial import Progress
+from benchmarks.trial import Progress, errors
 from capture_sim import load_scene, simulate
 
 
@@ -36,6 +37,15 @@ def test_the_bench_agrees_with_the_references(name, method):
     begun = [e.t for e in result.events if e.kind.label == "touch" and e.t <= 0.35]
     starts = reference.touches["start"]
     assert begun == pytest.approx(starts[starts <= 0.35], abs=1e-9)
+
+
+def test_the_textbook_integrator_finds_the_touches_of_the_reference():
+    scene = own.with_run(load_scene("paper_designed"), t_end=0.35, rtol=1e-9)
+    job, read = textbook.prepare(scene)
+    found = errors(read(job()), load_reference("paper_designed").at(0.35))
+    assert found.touches == 7
+    assert found.position < 1e-8
+    assert found.event_time < 1e-6
 
 
 @pytest.fixture(scope="module")

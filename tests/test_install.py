@@ -28,7 +28,7 @@ def environment():
 def wheel(tmp_path_factory):
     """Return the wheel that pip builds of a clean copy where there is no ROS."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    for name in ("capture_sim", "config", "launch", "msg", "srv"):
+    for name in ("capture_sim", "config", "launch", "msg", "srv", "action"):
         subprocess.run(["cp", "-r", ROOT / name, source / name], check=True)
     for name in ("LICENSE", "README.md", "pyproject.toml", "setup.py"):
         subprocess.run(["cp", ROOT / name, source / name], check=True)
@@ -96,10 +96,11 @@ def test_commands_that_need_more_name_it(installed, tmp_path):
     status, _, errors = call(installed, "capture-sim-recorder", folder=tmp_path)
     assert (status, errors.count("\n")) == (1, 1), errors
     assert errors.startswith(f"error: {lacking}")
-    if installed[1] != "[view]":
-        status, _, errors = call(installed, "capture-sim", "report", "tilt_0", folder=tmp_path)
-        assert (status, errors.count("\n")) == (1, 1)
-        assert re.search(r"pip install 'capture_sim\[view\]'", errors)
+    if installed[1] not in ("[study]", "[cluster]"):
+        sweep = ("sweep", "tilt_0", "--vary", "buffer.c_A=10,20")
+        status, _, errors = call(installed, "capture-sim", *sweep, folder=tmp_path)
+        assert (status, errors.count("\n")) == (2, 1)
+        assert "pip install '.[study]' in a clone of capture_sim" in errors
 
 
 CLUSTER = """
@@ -122,7 +123,8 @@ except ExecutorError as error:
 
 def test_a_cluster_works_where_its_extra_is_installed_and_is_named_elsewhere(installed, tmp_path):
     status, printed, _ = call(installed, "python", "-c", CLUSTER, folder=tmp_path)
-    expected = "--scheduler: Dask is not installed; pip install 'capture_sim[cluster]'"
+    hint = "pip install '.[cluster]' in a clone of capture_sim"
+    expected = f"--scheduler: Dask is not installed; {hint}"
     if installed[1] == SETS["cluster"]:
         expected = "[2.0, 3.0]"
     assert (status, printed.strip()) == (0, expected)

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 MANIFEST = ET.parse(ROOT / "package.xml").getroot()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CMAKE = (ROOT / "CMakeLists.txt").read_text()
-INTERFACES = sorted([*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")])
+INTERFACES = sorted(f for kind in ("msg", "srv", "action") for f in ROOT.glob(f"{kind}/*.{kind}"))
 
 
 def cmake_list(name):

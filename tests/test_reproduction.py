@@ -23,7 +23,7 @@ from benchmarks.paper import (
 from benchmarks.paper_figures import FIGURES
 from benchmarks.reproduction import page, terminal_table
 from capture_sim import load_scene, simulate
-from capture_sim.studies.approach import placed
+from capture_sim.launch.approach import Approach, placed
 from capture_sim.studies.executors import InProcess
 
 RADIUS = Assumption("radius", "detector.capture_radius", "mm", 1e3, (3e-3, 5e-3, 8e-3), "", 5e-3)
@@ -108,7 +108,7 @@ def test_the_first_touch_is_at_b():
     scene = load_scene("paper_designed", ["initial.target.x=2.0"])
     cone = scene.cone
     offset = -(cone.R_c + (0.045 - scene.probe.tip_radius) * math.sin(cone.half_angle))
-    near = placed(scene, 0.0, offset, 0.1, 1e-4)
+    near = placed(scene, Approach(0.0, offset, 0.1), 1e-4)
     given = load_scene("paper_designed").initial
     assert near.initial.chaser.y - near.initial.target.y == pytest.approx(
         given.chaser.y - given.target.y, abs=1e-12
@@ -149,3 +149,14 @@ def test_one_figure_by_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", arguments)
     reproduction.main()
     assert (tmp_path / "reproduction" / "figure_12.png").stat().st_size > 10_000
+
+
+def test_the_second_engine_is_drawn_as_points_of_its_curves(evidence):
+    engine = evidence.engine
+    figure = FIGURES["figure_10"].draw(evidence)
+    assert "Exudyn" in [text.get_text() for text in figure.legends[0].get_texts()]
+    for axes, index in zip(figure.axes, (0, 5, 1, 6, 2, 7), strict=True):
+        [points] = [line.get_xydata() for line in axes.get_lines() if line.get_label() == "Exudyn"]
+        assert 20 <= len(points) <= 30
+        expected = np.interp(points[:, 0], engine.t, engine.v[:, index] * 1e3)
+        assert points[:, 1] == pytest.approx(expected, abs=1e-9)

@@ -72,7 +72,8 @@ def agree(found, other, times, exact):
     for k in range(len(times)):
         assert np.abs(found.q[k] - other.q[k]).max() < exact
         assert np.abs(found.v[k] - other.v[k]).max() < 100 * exact
-        assert found.samples["impulse"][k] == pytest.approx(other.impulse[k], abs=exact)
+        # a normal impulse is a change of rates times a mass, of some kilograms at the most
+        assert found.samples["impulse"][k] == pytest.approx(other.impulse[k], abs=100 * exact)
     starts = [e for e in found.events if e.kind is EventKind.TOUCH and e.t < times[-1]]
     assert [e.wall for e in starts] == [touch.side for touch in other.touches]
     assert [e.t for e in starts] == pytest.approx([t.start for t in other.touches], abs=10 * exact)

@@ -44,6 +44,7 @@ def project(tmp_path, setup_env, monkeypatch):
         ("msg/BenchState.msg", "\nbool more  # or not\n", "package"),
         ("msg/Another.msg", "bool more  # or not\n", "package"),
         ("srv/Reset.srv", "---\n", "package"),
+        ("action/Wait.action", "---\n---\n", "package"),
         ("CMakeLists.txt", "\n", "package"),
         ("setup.py", "\n", "package"),
         ("requirements/lock.txt", "\n", "requirements"),
@@ -150,6 +151,8 @@ def test_every_requirement_is_pinned(setup_env):
         project = tomllib.load(file)["project"]
     wanted = setup_env.requirements(project, (*setup_env.RUN_EXTRAS, *setup_env.DEVELOP_EXTRAS))
     assert {"ros-rclpy[fastrtps]==7.1.6", "pytest>=8,<9"} <= set(wanted)
+    for_runs = setup_env.requirements(project, setup_env.RUN_EXTRAS)
+    assert {"pandas>=2.1", "pyarrow>=15", "SALib>=1.5"} <= set(for_runs)
     for extra in (*project["optional-dependencies"].values(), wanted):
         for requirement in extra:
             name = re.match(r"[\w.-]+", requirement).group().lower()

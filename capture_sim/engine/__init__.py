@@ -9,5 +9,5 @@ bit-identical results.
 ``state`` is the record of a run; ``steps`` takes a step; ``events`` locates the first event in it;
 ``extremes`` finds peak forces, strokes and penetrations inside it; ``consequences`` applies an
 event; ``segment`` and ``rail`` are the two kinds of segment; ``loop`` has the entries that Python
-calls; ``held_wrench`` steps the bench for hardware in the loop.
+calls.
 """

@@ -43,12 +43,12 @@ _LATE_SLIP = 2.0
 
 @kernel
 def log_event(w, kind):
-    """Append an event at the present time and state; return its record, for wall and value."""
+    """Append an event at the present time and state; return its record, for which and value."""
     progress, y = w.progress, w.stepper.y
     e = w.log[progress.n_log]
     e.kind = kind
     e.t = w.step.t0
-    e.wall = 0
+    e.which = 0
     e.value = 0.0
     for i in range(8):
         e.q[i] = y[i]
@@ -63,7 +63,7 @@ def end_touch(w, i):
     step, mode, y = w.step, w.system.mode, w.stepper.y
     touch = mode.touch[i]
     e = log_event(w, EventKind.LIFT_OFF)
-    e.wall = 1 - 2 * i
+    e.which = 1 - 2 * i
     e.value = touch.peak_force
     logged = e.touch
     logged.start = touch.start
@@ -91,7 +91,9 @@ def begin_touch(w, i):
     mode.touch[i] = NO_TOUCH[0]
     touch = mode.touch[i]
     touch.on = 1
-    touch.chi = par.hysteresis * par.K / max(speed, par.v_0_floor)
+    touch.chi = par.chi
+    if par.chi == 0.0:
+        touch.chi = par.hysteresis * par.K / max(speed, par.v_0_floor)
     touch.direction = 1.0 if slip_of(y, par, i) >= 0.0 else -1.0
     touch.start = step.t0
     touch.approach_speed = speed
@@ -101,11 +103,11 @@ def begin_touch(w, i):
     touch.dissipated_0 = y[HYSTERESIS + i]
     w.totals.touches += 1
     e = log_event(w, EventKind.TOUCH)
-    e.wall = 1 - 2 * i
+    e.which = 1 - 2 * i
     e.value = speed
-    # a Hertz impact at this speed of the probe alone lasts about as long as this touch
-    v = max(speed, par.v_0_floor)
-    penetration = (1.25 * par.m_P * v * v / par.K) ** 0.4
+    # an elastic impact at this speed of the probe alone lasts about as long as this touch
+    v, power = max(speed, par.v_0_floor), par.exponent + 1.0
+    penetration = (0.5 * power * par.m_P * v * v / par.K) ** (1.0 / power)
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
     touch.depth = penetration
     step.h_before_touch = step.h_next
@@ -133,20 +135,21 @@ def change_slip(w, i):
         forward = slip > 0.0 if slides else needed < 0.0
         touch.direction = 1.0 if forward else -1.0
         e = log_event(w, EventKind.SLIP)
-    e.wall = 1 - 2 * i
+    e.which = 1 - 2 * i
     e.value = needed
 
 
 @kernel
 def may_rest(w, which):
     """Return True if the supports could hold a vehicle at rest in the present position."""
+    y = w.scratch.halted
     for i in range(N_STATE):
-        w.y_x[i] = w.stepper.y[i]
+        y[i] = w.stepper.y[i]
     first = 8 if which == 0 else 13
     for i in range(first, first + 3):
-        w.y_x[i] = 0.0
-    solve_accelerations(w.y_x, w.system.spare[0], w.system)
-    return ratio_of_limit(w.y_x, w.system.par, w.system.out.hold, which) < _REST_SHARE
+        y[i] = 0.0
+    solve_accelerations(y, w.system.spare[0], w.system)
+    return ratio_of_limit(y, w.system.par, w.system.out.hold, which) < _REST_SHARE
 
 
 @kernel
@@ -166,7 +169,7 @@ def stop_vehicle(w, which):
         mode.rest_T = 1
     w.step.equations_changed = 1
     w.step.start_measured = 0
-    log_event(w, EventKind.AT_REST).wall = which + 1
+    log_event(w, EventKind.AT_REST).which = which + 1
 
 
 @kernel
@@ -177,7 +180,7 @@ def latch_tip(w):
     for i in range(2):
         if mode.touch[i].on:
             gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            w.totals.lost_latch += elastic_contact_energy(gap, par.K)
+            w.totals.lost_latch += elastic_contact_energy(gap, par.K, par.exponent)
             end_touch(w, i)
     mode.latched = 1
     w.step.start_measured = 0
@@ -198,7 +201,7 @@ def follow_jump(w, i):
     px, py, wx, wy = tip_in_cone(y, par)
     gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
     touch.largest_rate = max(touch.largest_rate, -rate)
-    force, _ = normal_force(-gap, -rate, par.K, touch.chi)
+    force, _ = normal_force(-gap, -rate, par.K, par.exponent, touch.chi)
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t0
@@ -209,7 +212,7 @@ def follow_jump(w, i):
         touch.sticking = 0
         touch.direction = 1.0 if slip > 0.0 else -1.0
         e = log_event(w, EventKind.SLIP)
-        e.wall = 1 - 2 * i
+        e.which = 1 - 2 * i
         e.value = math.inf
 
 
@@ -235,7 +238,7 @@ def seat_probe(w):
             follow_jump(w, i)
     if mode.rest_S:
         mode.rest_S = 0
-        log_event(w, EventKind.MOVING).wall = 1
+        log_event(w, EventKind.MOVING).which = 1
 
 
 @kernel
@@ -267,13 +270,13 @@ def apply_event(w):
             mode.rest_S = 0
         else:
             mode.rest_T = 0
-        log_event(w, EventKind.MOVING).wall = which + 1
+        log_event(w, EventKind.MOVING).which = which + 1
     elif kind == EventKind.LATCHED:
         latch_tip(w)
     elif kind == EventKind.STOP_HIT or kind == EventKind.STOP_LEFT:
         e = log_event(w, EventKind.STOP_HIT)
         e.kind = kind
-        e.wall = which
+        e.which = which
         e.value = y[12]
         mode.stop = which if kind == EventKind.STOP_HIT else 0
     elif kind == EventKind.SEATED:

@@ -48,6 +48,8 @@ SLIP_FLOOR = 1e-10
 _REST_SPEED = 5.0
 #: In a repeated step, the event is sought this many times its distance before the end.
 _BRACKET_FACTOR = 3.0
+#: Share of the step: a function that rises from zero is sought above zero down to this fraction.
+_SHORTEST_RISE = 1e-15
 _NO_CROSSING = 2.0  # beyond the end of the step
 
 
@@ -88,8 +90,9 @@ def event_value(y, par, kind, which):
 @kernel
 def value_inside(w, x, kind, which):
     """Return an event's function and its rate at the fraction ``x`` of the present step."""
-    state_inside(w, x)
-    return event_value(w.y_x, w.system.par, kind, which)
+    y = w.scratch.sought
+    state_inside(w, x, y)
+    return event_value(y, w.system.par, kind, which)
 
 
 @kernel
@@ -97,6 +100,7 @@ def refine(w, kind, which, x_a, x_b, x):
     """Return where an event's function passes zero between fractions x_a (>= 0) and x_b (< 0).
 
     Newton's method from ``x``, with bisection where it would leave the bracket; to round-off.
+    2 if the function is below zero by round-off only, as it rises.
     """
     for _ in range(80):
         g, d = value_inside(w, x, kind, which)
@@ -117,17 +121,42 @@ def refine(w, kind, which, x_a, x_b, x):
             x = trial
             break
         x = trial
-    # the function must be negative there, or the same event would be found again at once
+    # the function must be negative there and fall, or this event or its opposite follows at once
     nudge = 0.5 * _ROUNDING * x
-    for _ in range(40):
+    for _ in range(60):
         g, d = value_inside(w, x, kind, which)
         if d < 0.0:
+            if g < 0.0:
+                return x
             nudge = max(nudge, -(g + _DISTANCE_ROUNDING) / (d * w.step.h))
-        if g < 0.0 or x + nudge >= x_b:
-            return x
+        if x + nudge >= x_b:
+            break
         x += nudge
         nudge *= 2.0
-    return x
+    g, d = value_inside(w, x_b, kind, which)
+    return x_b if d < 0.0 else _NO_CROSSING
+
+
+@kernel
+def leave_zero(w, kind, which, low, g_low, high, g_high, d_high):
+    """Return where an event's function that rises from zero at ``low`` is above zero.
+
+    Just after an event the opposite one has such a function.  At the fraction ``high`` it is below
+    zero.  Returns that fraction, the value there and a later fraction at which the function is
+    below zero.  Where it rises by less than round-off, the value is 0 and both fractions are the
+    first one found at which it falls again; 2 if it never falls, and is below zero by round-off.
+    """
+    falls = high if d_high < 0.0 or g_high < g_low else _NO_CROSSING
+    trial = high
+    while trial - low > _SHORTEST_RISE:
+        later = trial
+        trial = low + 0.5 * (trial - low)
+        g, d = value_inside(w, trial, kind, which)
+        if g > 0.0:
+            return trial, g, later
+        if d < 0.0:
+            falls = trial
+    return falls, 0.0, falls
 
 
 @kernel
@@ -140,9 +169,9 @@ def first_crossing(w, kind, which):
     h, par = w.step.h, w.system.par
     x_a = 0.0
     g_a, d_a = event_value(w.stepper.y, par, kind, which)
-    if g_a <= 0.0 and d_a < 0.0:
+    is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts there, at rest or leaving
+    if (g_a <= 0.0 and d_a < 0.0) or is_inside:
         return 0.0
-    g_a = max(g_a, 0.0)
     g_b, d_b = event_value(w.stepper.y_new, par, kind, which)
     fall = (g_a - g_b) / h
     low, high = _STRAIGHT_SLOPES
@@ -151,7 +180,8 @@ def first_crossing(w, kind, which):
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
         g_b, d_b = value_inside(w, x_b, kind, which)
-        low_a, low_g, low_d = x_a, g_a, d_a
+        # after an event the function rises from zero, and may be below it by round-off
+        low_a, low_g, low_d = x_a, max(g_a, 0.0), d_a
         high_b, high_g, high_d = x_b, g_b, d_b
         for _ in range(6):
             if high_g < 0.0:
@@ -168,22 +198,20 @@ def first_crossing(w, kind, which):
             else:
                 high_b, high_g, high_d = x_m, g_m, d_m
         if high_g < 0.0:
-            # the bracket must start above zero; just after an event the function is zero and rises
+            # the bracket must start above zero
+            x = _NO_CROSSING
             if low_g == 0.0:
-                trial = low_a + 0.5 * (high_b - low_a)
-                for _ in range(60):
-                    g_t, _ = value_inside(w, trial, kind, which)
-                    if g_t > 0.0:
-                        break
-                    high_b = trial
-                    trial = low_a + 0.5 * (trial - low_a)
-                if trial - low_a < 1e-15:
-                    return low_a
-                low_a, low_g = trial, g_t
-            start = 0.5 * (low_a + high_b)
-            if low_d < 0.0:
-                start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
-            return refine(w, kind, which, low_a, high_b, start)
+                low_a, low_g, high_b = leave_zero(
+                    w, kind, which, low_a, min(g_a, 0.0), high_b, high_g, high_d
+                )
+                x = low_a
+            if low_g > 0.0:
+                start = 0.5 * (low_a + high_b)
+                if low_d < 0.0:
+                    start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
+                x = refine(w, kind, which, low_a, high_b, start)
+            if x <= 1.0:
+                return x
         x_a, g_a, d_a = x_b, g_b, d_b
     return _NO_CROSSING
 
@@ -216,16 +244,26 @@ def ratio_of_limit(y, par, hold, which):
 
 
 @kernel
-def slip_margin(y, system, i):
-    """Return the margin of the tip on wall ``i`` against a change between sticking and sliding.
+def forward_slip(y, system, i):
+    """Return the slip of a sliding tip on wall ``i`` in its direction, above the floor, m/s."""
+    par = system.par
+    return slip_of(y, par, i) * system.mode.touch[i].direction + SLIP_FLOOR * par.speed_scale
 
-    While sliding, the slip in its direction, m/s; while sticking, the unused friction force, N.
-    """
-    par, mode, out = system.par, system.mode, system.out
-    if not mode.touch[i].sticking:
-        return slip_of(y, par, i) * mode.touch[i].direction + SLIP_FLOOR * par.speed_scale
+
+@kernel
+def unused_friction(y, system, i):
+    """Return the friction force that a sticking tip on wall ``i`` does not need, N."""
+    out = system.out
     solve_sticking(y, system.spare[0], system)
-    return par.mu_s * out.normal[i] - abs(out.friction_force[i])
+    return system.par.mu_s * out.normal[i] - abs(out.friction_force[i])
+
+
+@kernel
+def slip_changes(y, system, i):
+    """Return True if the tip on wall ``i`` slides no more in its direction, or sticks no more."""
+    if system.mode.touch[i].sticking:
+        return unused_friction(y, system, i) <= 0.0
+    return forward_slip(y, system, i) <= 0.0
 
 
 @kernel
@@ -243,7 +281,7 @@ def measure_seat(w):
     load[0] = seat_load(stepper.y, system)
     load[1] = seat_load(stepper.y_new, system)
     if mode.touch[0].on or mode.touch[1].on or mode.latched:
-        small, moved = SMALL_MOVE * step.h, stepper.y_stage
+        small, moved = SMALL_MOVE * step.h, w.scratch.moved
         move_along(stepper.y, stepper.K[0], small, 0, moved)
         rate[0] = (seat_load(moved, system) - load[0]) / small
         move_along(stepper.y_new, stepper.K[stepper.stages], -small, 0, moved)
@@ -265,11 +303,12 @@ def seat_left_by(w):
         return _NO_CROSSING
     x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
     earliest = 1.0 if end <= 0.0 else _NO_CROSSING
+    y = w.scratch.sought
     for k in range(4):
         x = 0.25 * (k + 1) if k < 3 else x_dip
         if 0.0 < x < earliest:
-            state_inside(w, x)
-            if seat_load(w.y_x, w.system) >= preload:
+            state_inside(w, x, y)
+            if seat_load(y, w.system) >= preload:
                 earliest = x
     return earliest
 
@@ -284,7 +323,7 @@ def condition_holds(y, system, kind, which):
         return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
     if kind == EventKind.AT_REST:
         return is_slow(y, system.par, which, 1.0)
-    return slip_margin(y, system, which) <= 0.0
+    return slip_changes(y, system, which)
 
 
 @kernel
@@ -293,11 +332,11 @@ def bisect_condition(w, kind, which, x_b):
 
     Newton's method would fail: the margin is often zero at the start as well (slip after a change).
     """
-    x_a = 0.0
+    x_a, y = 0.0, w.scratch.sought
     while x_b - x_a > 1e-15:
         x = 0.5 * (x_a + x_b)
-        state_inside(w, x)
-        if condition_holds(w.y_x, w.system, kind, which):
+        state_inside(w, x, y)
+        if condition_holds(y, w.system, kind, which):
             x_b = x
         else:
             x_a = x
@@ -306,30 +345,30 @@ def bisect_condition(w, kind, which, x_b):
 
 @kernel
 def slip_changed_by(w, i):
-    """Return a fraction (0..1) of the step by which wall ``i`` has no slip margin left; 2 if none.
+    """Return a fraction (0..1) of the step by which slip has changed on wall ``i``; 2 if none.
 
-    Slip may reverse twice within a step, and the holding force may oscillate, so the margin is
-    also checked inside the step; while sliding, only if the cubic of the slip may cross zero.
+    Slip may reverse twice within a step, and the holding force may oscillate, so both are also
+    checked inside the step; while sliding, only if the cubic of the slip may cross zero.
     """
     system, stepper = w.system, w.stepper
-    end = slip_margin(stepper.y_new, system, i)
-    if end <= 0.0:
+    if slip_changes(stepper.y_new, system, i):
         return 1.0
     x_dip = -1.0
     if not system.mode.touch[i].sticking:
         width = system.mode.touch[i].direction * w.step.h
-        start = max(slip_margin(stepper.y, system, i), 0.0)
+        start = max(forward_slip(stepper.y, system, i), 0.0)
+        end = forward_slip(stepper.y_new, system, i)
         rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system.par, i)
         rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system.par, i)
         if not may_cross(start, rate_a, end, rate_b, _CUBIC_ERROR):
             return _NO_CROSSING
         x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
-    earliest = _NO_CROSSING
+    earliest, y = _NO_CROSSING, w.scratch.sought
     for k in range(4):
         x = 0.25 * (k + 1) if k < 3 else x_dip
         if 0.0 < x < earliest:
-            state_inside(w, x)
-            if slip_margin(w.y_x, system, i) <= 0.0:
+            state_inside(w, x, y)
+            if slip_changes(y, system, i):
                 earliest = x
     return earliest
 
@@ -353,7 +392,7 @@ def search_step(w):
     h = step.h
     event.x = _NO_CROSSING
     event.kind = NO_EVENT
-    if not mode.latched:
+    if not mode.latched and par.K > 0.0:
         for i in range(2):
             kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
             sign = -1.0 if mode.touch[i].on else 1.0
@@ -361,11 +400,6 @@ def search_step(w):
             g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
             if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
                 keep_earliest(w, first_crossing(w, kind, i), kind, i)
-        if par.has_latch and may_cross(
-            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_ERROR
-        ):
-            x = first_crossing(w, EventKind.LATCHED, NO_WALL)
-            keep_earliest(w, x, EventKind.LATCHED, NO_WALL)
         if par.friction_law == COULOMB:
             for i in range(2):
                 if mode.touch[i].on:
@@ -373,6 +407,15 @@ def search_step(w):
                     if x <= 1.0:
                         x = bisect_condition(w, EventKind.STICK, i, x)
                         keep_earliest(w, x, EventKind.STICK, i)
+    if (
+        par.has_latch
+        and not mode.latched
+        and may_cross(
+            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_ERROR
+        )
+    ):
+        x = first_crossing(w, EventKind.LATCHED, NO_WALL)
+        keep_earliest(w, x, EventKind.LATCHED, NO_WALL)
     if par.has_stops:
         for side in (-1, 1):
             if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
@@ -420,8 +463,10 @@ def search_again(w, kind, which, x):
         if g_b < 0.0:
             g_a, _ = value_inside(w, x_a, kind, which)
             if g_a > 0.0:
-                event.x = refine(w, kind, which, x_a, 1.0, x)
-                event.kind = kind
-                event.which = which
-                return
+                x = refine(w, kind, which, x_a, 1.0, x)
+                if x <= 1.0:
+                    event.x = x
+                    event.kind = kind
+                    event.which = which
+                    return
     search_step(w)

@@ -15,7 +15,7 @@ import numpy as np
 from capture_sim.engine.events import seat_load
 from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
 from capture_sim.kernels import inline_kernel, kernel
-from capture_sim.model.contact import normal_force
+from capture_sim.model.contact import normal_force, raised_depth
 from capture_sim.model.equations import (
     axial_force,
     axial_force_rate,
@@ -106,8 +106,8 @@ def latch_force_at(y, system):
 @kernel
 def value_at(w, x, quantity, side):
     """Return a quantity at the fraction ``x`` of the present step."""
-    state_inside(w, x)
-    y, par = w.y_x, w.system.par
+    y, par = w.scratch.watched, w.system.par
+    state_inside(w, x, y)
     if quantity == Watched.BUFFER_FORCE:
         return side * buffer_force_at(y, w.system)
     if quantity == Watched.BUFFER_TORQUE:
@@ -126,7 +126,9 @@ def value_at(w, x, quantity, side):
         return -gap
     if quantity == Watched.PENETRATION_RATE:
         return -rate
-    force, _ = normal_force(-gap, -rate, par.K, w.system.mode.touch[0 if side > 0 else 1].chi)
+    force, _ = normal_force(
+        -gap, -rate, par.K, par.exponent, w.system.mode.touch[0 if side > 0 else 1].chi
+    )
     return force
 
 
@@ -289,19 +291,20 @@ def watch_extremes(w):
 
 
 @kernel
-def force_and_rate(depth, rate, acceleration, K, chi):
+def force_and_rate(depth, rate, acceleration, K, exponent, chi):
     """Return the normal force (N) and its rate (N/s) for a penetration and its derivatives."""
-    force, _ = normal_force(depth, rate, K, chi)
+    force, _ = normal_force(depth, rate, K, exponent, chi)
     if force <= 0.0:
         return 0.0, 0.0
-    root = math.sqrt(depth)
-    return force, root * (1.5 * rate * (K + chi * rate) + chi * depth * acceleration)
+    slope = exponent * rate * (K + chi * rate) + chi * depth * acceleration
+    return force, raised_depth(depth, exponent) / depth * slope
 
 
 @kernel
 def watch_touch(w, i):
     """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
-    step, stepper, K = w.step, w.stepper, w.system.par.K
+    step, stepper, par = w.step, w.stepper, w.system.par
+    K, exponent = par.K, par.exponent
     start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
     width = step.x_end * step.h
@@ -311,7 +314,7 @@ def watch_touch(w, i):
     if may_exceed(largest, width, p_a, r_a, p_b, r_b):
         watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
     touch.largest_rate = max(touch.largest_rate, r_b)
-    force, _ = normal_force(p_b, r_b, K, touch.chi)
+    force, _ = normal_force(p_b, r_b, K, exponent, touch.chi)
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t1
@@ -320,7 +323,7 @@ def watch_touch(w, i):
     swing = abs(r_a) + abs(r_b) + abs(r_m)
     rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
     depth = max(p_a, p_b) + _CUBIC_RISE * width * swing
-    force, _ = normal_force(depth, rate, K, touch.chi)
+    force, _ = normal_force(depth, rate, K, exponent, touch.chi)
     if rate > touch.largest_rate or force > touch.peak_force:
         a_a = -gap_acceleration(stepper.y, stepper.K[0], w.system.par, i)
         if step.x_end == 1.0:
@@ -331,8 +334,8 @@ def watch_touch(w, i):
         _, touch.largest_rate = rise_inside(
             w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
         )
-        f_a, d_a = force_and_rate(p_a, r_a, a_a, K, touch.chi)
-        f_b, d_b = force_and_rate(p_b, r_b, a_b, K, touch.chi)
+        f_a, d_a = force_and_rate(p_a, r_a, a_a, K, exponent, touch.chi)
+        f_b, d_b = force_and_rate(p_b, r_b, a_b, K, exponent, touch.chi)
         if step.x_end < 1.0 and step.t0 == touch.start:
             # the whole touch may lie in this segment, with the force zero at both ends
             x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end, 0.0, -1.0)
@@ -365,11 +368,12 @@ def watch_loads(w):
     mode, par, y_a, y_b = system.mode, system.par, stepper.y, w.y_end
     f_a, f_b = stepper.K[0], stepper.K[stepper.stages]
     axial_b, turning_b = f_b[12], f_b[11] - f_b[10]
+    near_end, small = w.scratch.near_end, SMALL_MOVE * step.h
     if step.x_end < 1.0:
         # the rates only select where to search
-        state_inside(w, step.x_end - SMALL_MOVE)
-        axial_b = (y_b[12] - w.y_x[12]) / (SMALL_MOVE * step.h)
-        turning_b = (y_b[11] - y_b[10] - w.y_x[11] + w.y_x[10]) / (SMALL_MOVE * step.h)
+        state_inside(w, step.x_end - SMALL_MOVE, near_end)
+        axial_b = (y_b[12] - near_end[12]) / small
+        turning_b = (y_b[11] - y_b[10] - near_end[11] + near_end[10]) / small
     torsion_a, torsion_b = y_a[3] - y_a[2], y_b[3] - y_b[2]
     twist_a, twist_b = y_a[11] - y_a[10], y_b[11] - y_b[10]
     watch_magnitude(
@@ -386,7 +390,7 @@ def watch_loads(w):
         force_b, force_rate_b = step.seat_load[1], step.seat_load_rate[1]
         if step.x_end < 1.0:
             force_b = buffer_force_at(y_b, system)
-            force_rate_b = (force_b - buffer_force_at(w.y_x, system)) / (SMALL_MOVE * step.h)
+            force_rate_b = (force_b - buffer_force_at(near_end, system)) / small
     else:
         force_a, force_b = buffer_force_at(y_a, system), buffer_force_at(y_b, system)
         force_rate_a = buffer_force_rate(y_a, f_a[12], system)
@@ -400,7 +404,10 @@ def watch_loads(w):
 
 @kernel
 def watch_latch(w):
-    """Keep the latch's force over the segment that ends."""
+    """Keep the latch's force over the segment that ends.
+
+    In a segment that an event has cut, ``w.scratch.near_end`` is known.
+    """
     step, stepper, system = w.step, w.stepper, w.system
     tip_a, tip_b, k, c = step.start.tip, step.end.tip, system.par.k_L, system.par.c_L
     latch_a, latch_b = latch_force_of(tip_a, system), latch_force_of(tip_b, system)
@@ -412,15 +419,12 @@ def watch_latch(w):
     largest = w.totals.extreme[system.mode.latched, LATCH_FORCE]
     if not may_exceed(largest, width, latch_a, rate_a, latch_b, rate_b):
         return
-    moved, small = stepper.y_stage, SMALL_MOVE * step.h
-    move_along(stepper.y, stepper.K[0], small, 0, moved)
-    rate_a = (latch_force_at(moved, system) - latch_a) / small
+    near_start, near_end, small = w.scratch.near_start, w.scratch.near_end, SMALL_MOVE * step.h
+    move_along(stepper.y, stepper.K[0], small, 0, near_start)
     if step.x_end == 1.0:
-        move_along(w.y_end, stepper.K[stepper.stages], -small, 0, moved)
-    else:
-        moved = w.y_x
-        state_inside(w, step.x_end - SMALL_MOVE)
-    rate_b = (latch_b - latch_force_at(moved, system)) / small
+        move_along(w.y_end, stepper.K[stepper.stages], -small, 0, near_end)
+    rate_a = (latch_force_at(near_start, system) - latch_a) / small
+    rate_b = (latch_b - latch_force_at(near_end, system)) / small
     watch(w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, rate_a, latch_b, rate_b)
 
 

@@ -47,18 +47,18 @@ def plan_rail(w):
 
 
 @kernel
-def rail_state(w, t):
-    """Write the state on the rail at ``t`` into ``w.y_x``: the buffer rides along at rest."""
-    rail, par, y, y_x = w.rail, w.system.par, w.stepper.y, w.y_x
+def rail_state(w, t, y_t):
+    """Write the state on the rail at ``t`` (s) into ``y_t``: the buffer rides along at rest."""
+    rail, par, y = w.rail, w.system.par, w.stepper.y
     along = rail_travel(w, t)
     speed = rail.speed + rail.acceleration * (t - w.step.t0)
     for i in range(N_TOTAL):
-        y_x[i] = y[i]
-    y_x[0] = y[0] + along * par.rail_x
-    y_x[1] = y[1] + along * par.rail_y
-    y_x[8] = speed * par.rail_x
-    y_x[9] = speed * par.rail_y
-    y_x[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
+        y_t[i] = y[i]
+    y_t[0] = y[0] + along * par.rail_x
+    y_t[1] = y[1] + along * par.rail_y
+    y_t[8] = speed * par.rail_x
+    y_t[9] = speed * par.rail_y
+    y_t[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
 
 
 @kernel
@@ -67,12 +67,13 @@ def close_rail(w):
     step, rail, event = w.step, w.rail, w.event
     par, mode, y = w.system.par, w.system.mode, w.stepper.y
     t = step.t1
-    rail_state(w, t)
-    watch_rail(w, w.y_x)
+    y_t = w.scratch.on_rail
+    rail_state(w, t, y_t)
+    watch_rail(w, y_t)
     rail.travel += rail_travel(w, t)
     rail.speed += rail.acceleration * (t - step.t0)
     for i in range(N_TOTAL):
-        y[i] = w.y_x[i]
+        y[i] = y_t[i]
     step.t0 = t
     if event.kind == EventKind.LANDED:
         rail.travel = par.drop_height
@@ -88,4 +89,4 @@ def close_rail(w):
         y[8] = 0.0
         y[9] = 0.0
         mode.rest_S = 1
-        log_event(w, EventKind.AT_REST).wall = 1
+        log_event(w, EventKind.AT_REST).which = 1

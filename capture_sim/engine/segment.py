@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from capture_sim.engine.consequences import apply_event
 from capture_sim.engine.events import (
     event_value,
@@ -23,6 +21,7 @@ from capture_sim.engine.steps import (
     take_step,
 )
 from capture_sim.kernels import kernel
+from capture_sim.model.contact import raised_depth
 from capture_sim.model.equations import N_TOTAL, rate_of_change
 from capture_sim.model.observe import observe
 from capture_sim.samples import EventKind
@@ -30,8 +29,9 @@ from capture_sim.solver.runge_kutta import dense
 
 #: Share of R_t: in a deeper penetration the tip's centre might pass the wall within a step.
 _MAX_DEPTH_SHARE = 0.75
-#: Longest fixed step in contact, rad of the contact's oscillation.
-_FIXED_ANGLE = 1.5
+#: Longest fixed step in contact, rad of the contact's oscillation, and time constants of its
+#: damping; at 2.78 of the latter the fourth-order method is unstable.
+_FIXED_ANGLE, _FIXED_DECAY = 1.5, 2.5
 #: Largest number of events located within one fixed step, to limit its cost.
 _MAX_SUBSTEPS = 8
 #: Shares of the path to the next event: limit for a step in which the tip accelerates, and target
@@ -99,8 +99,14 @@ def is_resolved(w):
     """Return True if a fixed step resolves the contacts at its end."""
     par, mode = w.system.par, w.system.mode
     for i in range(2):
-        stiffness = 1.5 * par.K * math.sqrt(max(-w.step.end.gap[i], 0.0))
-        if mode.touch[i].on and par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
+        depth = -w.step.end.gap[i]
+        if not mode.touch[i].on or depth <= 0.0:
+            continue
+        shape = raised_depth(depth, par.exponent)
+        stiffness = par.exponent * par.K * shape / depth
+        if par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
+            return False
+        if par.fixed_step * mode.touch[i].chi * shape > _FIXED_DECAY * par.m_P:
             return False
     return True
 
@@ -137,7 +143,8 @@ def end_segment(w):
     if event.kind != NO_EVENT:
         measure_distances(w, w.y_end)
     if (
-        not w.system.mode.latched
+        par.K > 0.0
+        and not w.system.mode.latched
         and min(step.end.gap[0], step.end.gap[1]) < -_MAX_DEPTH_SHARE * par.R_t
     ):
         return Status.TIP_THROUGH_WALL

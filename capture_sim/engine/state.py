@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from capture_sim.model.equations import N_TOTAL, STOP, SYSTEM
+from capture_sim.model.equations import N_STATE, N_TOTAL, STOP, SYSTEM
 from capture_sim.samples import EXTREME_NAMES, SAMPLE, TOUCH
 from capture_sim.solver.runge_kutta import stepper_type
 
@@ -27,6 +27,7 @@ class Status(IntEnum):
     TIP_THROUGH_WALL = 6
     PROBE_IN_HINGE = 7
     STEP_TOO_LONG = 8
+    ENERGY_LOST = 9
 
 
 class Segment(IntEnum):
@@ -139,11 +140,27 @@ EVENT = np.dtype(
     [
         ("kind", "i8"),
         ("t", "f8"),
-        ("wall", "i8"),
+        ("which", "i8"),  # its wall, vehicle or stop
         ("value", "f8"),
         ("q", "f8", (8,)),
         ("v", "f8", (8,)),
         ("touch", TOUCH),
+    ],
+    align=True,
+)
+
+#: States for use at once: each has one owner, which writes it before it reads it.  The tests put
+#: NaN into all of them between the owners' calls.
+SCRATCH = np.dtype(
+    [
+        ("sought", "f8", (N_STATE,)),  # events: where an event is sought
+        ("moved", "f8", (N_STATE,)),  # events.measure_seat: shortly after or before an end
+        ("watched", "f8", (N_STATE,)),  # extremes.value_at: where a maximum is sought
+        ("near_start", "f8", (N_STATE,)),  # extremes.watch_latch: shortly after the start
+        ("near_end", "f8", (N_STATE,)),  # extremes.watch_loads: shortly before the end
+        ("halted", "f8", (N_STATE,)),  # consequences.may_rest: with a vehicle at rest
+        ("on_rail", "f8", (N_TOTAL,)),  # rail.close_rail: at the end of the segment
+        ("sampled", "f8", (N_TOTAL,)),  # loop.sample_at: at a sample
     ],
     align=True,
 )
@@ -159,7 +176,7 @@ WORKSPACE = np.dtype(
         ("totals", TOTALS),
         ("progress", PROGRESS),
         ("y_end", "f8", (N_TOTAL,)),  # state at the end of the present segment
-        ("y_x", "f8", (N_TOTAL,)),  # inside it
+        ("scratch", SCRATCH),
         ("log", EVENT, (LOG_ROOM,)),
         ("sample", SAMPLE),  # at the release, and where the run stopped early
     ],

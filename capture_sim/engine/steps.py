@@ -6,6 +6,7 @@ import math
 
 from capture_sim.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, Status
 from capture_sim.kernels import inline_kernel, kernel
+from capture_sim.model.contact import raised_depth
 from capture_sim.model.equations import (
     N_STATE,
     N_TOTAL,
@@ -42,10 +43,10 @@ try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCH
 
 
 @kernel
-def state_inside(w, x):
-    """Write the state (16,) at the fraction ``x`` of the present step into ``w.y_x``."""
+def state_inside(w, x, y):
+    """Write the state (16,) at the fraction ``x`` of the present step into ``y``."""
     make_dense(w)
-    dense(w.stepper, x, w.y_x, N_STATE)
+    dense(w.stepper, x, y, N_STATE)
 
 
 @kernel
@@ -172,17 +173,27 @@ def step_length(w):
     for i in range(2):
         touch, depth = w.system.mode.touch[i], -step.start.gap[i]
         if touch.on and depth > 0.0:
-            root = math.sqrt(depth)
-            rate = max(math.sqrt(1.5 * par.K * root / par.m_P), touch.chi * depth * root / par.m_P)
+            shape = raised_depth(depth, par.exponent)
+            stiffness = par.exponent * par.K * shape / depth
+            rate = max(math.sqrt(stiffness / par.m_P), touch.chi * shape / par.m_P)
             h = min(h, _CONTACT_ANGLE / rate)
             opening = step.start.gap_rate[i]
             if opening * h > _NEARLY * depth:
                 # F ~ t^1.5 at the end of a touch: a step across it errs by about F t^2 / m_P
                 left = depth / opening
                 allowed = min(par.rtol * par.length_scale, _DEPTH_SHARE * touch.depth)
-                is_small = par.K * depth * root * left * left < _END_ERROR * allowed * par.m_P
+                is_small = par.K * shape * left * left < _END_ERROR * allowed * par.m_P
                 h = min(h, (_PAST_END if is_small else _TOWARDS_END) * left)
     return h
+
+
+@kernel
+def update_depths(w):
+    """Keep the largest penetration of each touch at the start of a step, for the error scale."""
+    for i in range(2):
+        touch = w.system.mode.touch[i]
+        if touch.on:
+            touch.depth = max(touch.depth, -w.step.start.gap[i])
 
 
 @kernel
@@ -192,7 +203,6 @@ def contact_share(w):
     for i in range(2):
         touch = w.system.mode.touch[i]
         if touch.on:
-            touch.depth = max(touch.depth, -w.step.start.gap[i])
             share = max(share, par.rtol * par.length_scale / (_DEPTH_SHARE * touch.depth))
     return share
 
@@ -206,6 +216,7 @@ def take_step(w, h):
     par, step, stepper, totals = w.system.par, w.step, w.stepper, w.totals
     step.dense_ready = 0
     w.event.kind = NO_EVENT
+    update_depths(w)
     while True:
         if h < SMALLEST_STEP:
             if w.progress.t_stop - step.t0 >= SMALLEST_STEP and par.fixed_step == 0.0:

@@ -59,7 +59,7 @@ MODE = np.dtype(
         ("seated", "i8"),  # the preloaded probe is on its seat: h = h_0, moves with the cylinder
         ("rest_S", "i8"),  # chaser at rest on its supports
         ("rest_T", "i8"),  # target at rest on its supports
-        ("driven", "i8"),  # an external wrench acts on the tip
+        ("driven", "i8"),  # an external wrench acts on the tip until the latch closes
         ("wrench", "f8", (3,)),  # target's axes, at the tip's centre: N, N, N m
     ],
     align=True,
@@ -173,7 +173,7 @@ def tip_forces(y, system, px, py, wx, wy):
     fy = 0.0
     tip = 0.0
     target = 0.0
-    if mode.driven:
+    if mode.driven and not mode.latched:
         fx, fy, tip = mode.wrench[0], mode.wrench[1], mode.wrench[2]
         target = -(px * fy - py * fx) - tip
     if mode.latched:
@@ -186,7 +186,7 @@ def tip_forces(y, system, px, py, wx, wy):
         touch = mode.touch[i]
         if touch.on:
             gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            force, elastic = normal_force(-gap, -rate, par.K, touch.chi)
+            force, elastic = normal_force(-gap, -rate, par.K, par.exponent, touch.chi)
             slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
             if par.friction_law == COULOMB:
                 sliding = -par.mu * force * touch.direction
@@ -211,7 +211,7 @@ def tip_forces(y, system, px, py, wx, wy):
 
 
 @inline_kernel
-def chaser_accelerations(r_u, r_w, r_S, sD, cD, coupled, seated, par):
+def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, seated, par):
     """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
 
     For right-hand sides in which theta_P, and h unless ``seated``, are eliminated; ``coupled`` is
@@ -230,8 +230,8 @@ def chaser_accelerations(r_u, r_w, r_S, sD, cD, coupled, seated, par):
     e_w = S_wS * inverse_w
     # the reciprocal does not wait for the forces
     inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
-    alpha = (r_S - e_u * r_u - e_w * r_w) * inverse_S
-    return r_u * inverse_u - e_u * alpha, r_w * inverse_w - e_w * alpha, alpha
+    alpha = (reduced_S - e_u * reduced_u - e_w * reduced_w) * inverse_S
+    return reduced_u * inverse_u - e_u * alpha, reduced_w * inverse_w - e_w * alpha, alpha
 
 
 @kernel
@@ -340,12 +340,12 @@ def accelerate(y, f, system):
         R_h = 0.0
 
     ratio = moment * inverse_P
-    r_u = R_u - R_h
-    r_w = R_w - ratio * R_P
-    r_S = R_S - a * (cD * ratio * R_P + sD * R_h)
-    hold_x = r_u * cP - r_w * sP
-    hold_y = r_u * sP + r_w * cP
-    hold_m = r_S
+    reduced_u = R_u - R_h
+    reduced_w = R_w - ratio * R_P
+    reduced_S = R_S - a * (cD * ratio * R_P + sD * R_h)
+    hold_x = reduced_u * cP - reduced_w * sP
+    hold_y = reduced_u * sP + reduced_w * cP
+    hold_m = reduced_S
 
     if mode.rest_S:
         f[8] = 0.0
@@ -358,12 +358,12 @@ def accelerate(y, f, system):
             qx, qy, qm, lost = rolling_wrench(
                 y[8], y[9], omega, cS, sS, par.balls_S, par.v_eps_ball
             )
-            r_u += qx * cP + qy * sP
-            r_w += qy * cP - qx * sP
-            r_S += qm
+            reduced_u += qx * cP + qy * sP
+            reduced_w += qy * cP - qx * sP
+            reduced_S += qm
             out.rolling += lost
         acc_u, acc_w, alpha = chaser_accelerations(
-            r_u, r_w, r_S, sD, cD, moment * ratio, mode.seated, par
+            reduced_u, reduced_w, reduced_S, sD, cD, moment * ratio, mode.seated, par
         )
         f[8] = acc_u * cP - acc_w * sP
         f[9] = acc_u * sP + acc_w * cP

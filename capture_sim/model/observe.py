@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from capture_sim.kernels import kernel
+from capture_sim.model.contact import raised_depth
 from capture_sim.model.equations import (
     AXIAL,
     FRICTION,
@@ -51,11 +52,11 @@ def kinetic_energy(y, par):
 
 
 @kernel
-def elastic_contact_energy(gap, K):
-    """Return the elastic energy of a contact, J: 2/5 K delta^2.5 for a penetration of -gap."""
+def elastic_contact_energy(gap, K, exponent):
+    """Return the elastic energy of a contact, J: K delta^(p + 1) / (p + 1), of a depth -gap."""
     if gap >= 0.0:
         return 0.0
-    return 0.4 * K * gap * gap * math.sqrt(-gap)
+    return -K * gap * raised_depth(-gap, exponent) / (exponent + 1.0)
 
 
 @kernel
@@ -70,7 +71,7 @@ def mechanical_energy(y, system):
     for i in range(2):
         if mode.touch[i].on:
             gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            energy += elastic_contact_energy(gap, par.K)
+            energy += elastic_contact_energy(gap, par.K, par.exponent)
     return energy
 
 
@@ -132,7 +133,7 @@ def observe(t, y, w, sample):
         sample.friction_force[i] = out.friction_force[i] if mode.touch[i].on else 0.0
         sample.impulse[i] = y[IMPULSE + i]
         if mode.touch[i].on:
-            contact += elastic_contact_energy(gap, par.K)
+            contact += elastic_contact_energy(gap, par.K, par.exponent)
     sample.contact_force[0] = 0.0 if mode.latched else gx
     sample.contact_force[1] = 0.0 if mode.latched else gy
     sample.contact_torque = 0.0 if mode.latched else tip

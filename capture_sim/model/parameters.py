@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.model.contact import FRICTION_LAWS, HYSTERESIS_FACTOR
+from capture_sim.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
 from capture_sim.model.supports import ball_loads
 from capture_sim.scene.parts import Scene
 
@@ -49,7 +49,9 @@ PARAMETERS = np.dtype(
         ("L_c", "f8"),
         ("cos_b", "f8"),
         ("sin_b", "f8"),
-        ("K", "f8"),
+        ("K", "f8"),  # N/m^exponent; 0: the walls do not act
+        ("exponent", "f8"),  # of the penetration
+        ("chi", "f8"),  # hysteresis damping of every touch, N s/m^(exponent + 1); 0: from a(e)
         ("hysteresis", "f8"),  # a(e)
         ("v_0_floor", "f8"),
         ("mu", "f8"),
@@ -157,7 +159,7 @@ def pack(
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"] = scene.cone.L_T
     p["R_c"], p["L_c"], p["cos_b"], p["sin_b"] = scene.cone.wall
-    p["K"] = scene.contact_stiffness
+    p["K"], p["exponent"] = scene.contact_stiffness, HERTZ
     p["hysteresis"] = scene.contact.hysteresis_factor
     if scene.contact.hysteresis_factor is None:
         p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)

@@ -30,7 +30,7 @@ def stiffest_part(
     springs = {
         "contact (probe.density, contact.tip.E, contact.wall.E)": (
             m,
-            1.5 * par["K"] * math.sqrt(penetration),
+            par["exponent"] * par["K"] * penetration ** (par["exponent"] - 1.0),
         ),
         "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
         "progressive axial spring (probe.density, buffer.k_A3)": (m, 3.0 * par["k_A3"] * stroke**2),
@@ -43,7 +43,10 @@ def stiffest_part(
         "latch (probe.density, latch.stiffness)": (m, par["k_L"]),
     }
     dampers = {
-        "contact's damping (contact.law, contact.restitution)": (m, chi * penetration**1.5),
+        "contact's damping (contact.law, contact.restitution)": (
+            m,
+            chi * penetration ** par["exponent"],
+        ),
         "axial damper (probe.density, buffer.c_A)": (m, par["c_A"]),
         "axial damper outwards (probe.density, buffer.c_A_rebound)": (m, par["c_A_rebound"]),
         "axial orifice (probe.density, buffer.c_A2)": (m, 2.0 * par["c_A2"] * rate),

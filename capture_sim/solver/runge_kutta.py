@@ -85,18 +85,18 @@ def next_factor(error, previous, order):
 
 
 @inline_kernel
-def dense(step, x, y_x, n):
-    """Write the first ``n`` entries of y at the fraction ``x`` (0..1) of the step into ``y_x``."""
+def dense(step, x, y_inside, n):
+    """Write the first ``n`` entries of y inside a step, at its fraction ``x`` (0..1)."""
     y, F, rows = step.y, step.F, step.rows
     for i in range(n):
-        y_x[i] = 0.0
+        y_inside[i] = 0.0
     for k in range(rows):
         r = rows - 1 - k
         factor = x if r % 2 == 0 else 1.0 - x
         for i in range(n):
-            y_x[i] = (y_x[i] + F[r, i]) * factor
+            y_inside[i] = (y_inside[i] + F[r, i]) * factor
     for i in range(n):
-        y_x[i] += y[i]
+        y_inside[i] += y[i]
 
 
 class Stepper(NamedTuple):

@@ -29,6 +29,12 @@ STOPS = "stops={compression: 1.0e-3, extension: 0.01, stiffness: 1.0e+5, damping
         ("paper_designed", ["run.t_end=0.08", STOPS], {"stop_hit"}),
         ("paper_designed", ["run.t_end=0.02", "buffer.preload=20"], {"unseated", "seated"}),
         ("tilt_0", ["run.t_end=3"], {"landed", "rail_end", "moving", "touch", "latched"}),
+        # seated in segments that events cut: the rate of the seat's load is read after extremes
+        (
+            "paper_designed",
+            ["run.t_end=0.02", "buffer.preload=200", "friction.law=coulomb", "friction.mu=1.5"],
+            {"stick", "lift_off"},
+        ),
     ],
 )
 def test_groups_of_the_record_agree_between_all_segments(scene, overrides, expected):

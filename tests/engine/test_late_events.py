@@ -78,3 +78,25 @@ def test_a_tip_that_has_reversed_before_its_event_slides_the_other_way():
     assert result["failure"] == ""
     assert max(map(abs, result["slips"])) > 1e-6
     assert not late("stick", *overrides)["slips"]
+
+
+def test_a_pile_up_is_reported_in_its_own_phase():
+    code = (
+        "from capture_sim import Bench, SimulationError, load_scene\n"
+        "from capture_sim.engine import loop\n"
+        "bench = Bench(load_scene('paper_designed', ['run.rtol=1e-4']))\n"
+        "bench.advance([1.2e-3])\n"
+        "loop._MAX_EVENTS_AT_T0 = -1\n"
+        "try:\n"
+        "    bench.advance([])\n"
+        "except SimulationError as error:\n"
+        "    print(error)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "in phase contact: more than 100 events fell on one instant" in run.stdout

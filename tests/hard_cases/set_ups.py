@@ -10,9 +10,9 @@ import numpy as np
 from four_bodies import momentum
 
 from capture_sim import SimulationError, load_scene, simulate
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
-from capture_sim.simulation import Result
 
 ADAPTIVE = ("dop853", "dopri5")
 METHODS = (*ADAPTIVE, "rk4")
@@ -140,7 +140,7 @@ def slowed(scene: Scene, pull: float, speed: float, rigid: bool = False) -> Scen
     )
 
 
-def run(scene: Scene, **options: Any) -> Result:
+def run(scene: Scene, **options: Any) -> Run:
     """Simulate; a run that had to stop gives what it has until there, with ``failure`` set."""
     try:
         return simulate(scene, **options)
@@ -150,22 +150,22 @@ def run(scene: Scene, **options: Any) -> Result:
         return error.result
 
 
-def times(result: Result, label: str) -> np.ndarray:
+def times(result: Run, label: str) -> np.ndarray:
     """When something happened, s."""
     return np.array([e.t for e in result.events if e.kind.label == label])
 
 
-def first(result: Result, label: str) -> Any:
+def first(result: Run, label: str) -> Any:
     """The first event of a kind."""
     return next(e for e in result.events if e.kind.label == label)
 
 
-def residual(result: Result) -> float:
+def residual(result: Run) -> float:
     """Largest residual of the energy ledger, J."""
     return float(np.abs(result.samples["energy_residual"]).max(initial=0.0))
 
 
-def assert_conserved(result: Result, allowed: float) -> None:
+def assert_conserved(result: Run, allowed: float) -> None:
     """Momentum of all four bodies to ``allowed``, energy to 1e-9 of that at the start."""
     before, after = (momentum(result.scene, result.q[k], result.v[k]) for k in (0, -1))
     assert np.abs(after - before).max() <= allowed

@@ -1,6 +1,7 @@
 """Where the contact's geometry is hardest: lip, inner edge, throat, both walls at once."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from four_bodies import jacobian, mass_matrix, momentum, probe_masses, tip
 from set_ups import METHODS, altered, assert_conserved, first, outer_lip, run, turned
 
 from capture_sim import load_scene
+from capture_sim.scene.parts import Initial, PlanarState
 
 
 def nearest_of_wall(scene, q, side):
@@ -155,6 +157,36 @@ def test_centred_tip_passes_the_throat_it_fits_exactly(method):
     assert depths[:, 0] == pytest.approx(depths[:, 1], abs=1e-17)
     assert depths.max() <= 0.0
     assert result.verdict == "captured"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_tip_that_fits_the_throat_passes_it_in_any_direction(method):
+    """Rounding lets it touch, and lift off again at the same instant.
+
+    Exact bounds: those of a path that rounding and the tolerance move by 1e-12 m, which meets
+    an edge at sqrt(2 1e-12 / R_c) of its speed.  In the first case touches piled up.
+    """
+    paper = load_scene("paper_designed", [f"run.method={method}"])
+    rng = np.random.default_rng(38)
+    cases = [
+        (0.0, 0.0, 0.3, 0.2, 0.4293658809742014, 0.13281843133089133),
+        (0.0, 0.0, 0.0, 0.1, 0.5, 0.0),
+    ]
+    for _ in range(40):
+        x, y, heading, distance = *rng.uniform(-1, 1, 2), rng.uniform(-3.1, 3.1), 0.46
+        ahead = x + distance * math.cos(heading), y + distance * math.sin(heading)
+        cases.append((x, y, heading, float(rng.uniform(0.05, 0.3)), *ahead))
+    for x, y, heading, speed, target_x, target_y in cases:
+        vx, vy = speed * math.cos(heading), speed * math.sin(heading)
+        chaser = PlanarState(x=x, y=y, theta=heading, vx=vx, vy=vy)
+        target = PlanarState(x=target_x, y=target_y, theta=heading)
+        scene = replace(paper, initial=Initial(chaser, target))
+        result = run(scene, t_end=0.3 / speed, t_eval=[0.0, 0.2 / speed])
+        assert result.failure == ""
+        assert len(result.events) < 30
+        hardest = scene.contact_stiffness * 1e-12**1.5
+        assert result.touches["peak_force"].max(initial=0.0) <= hardest
+        assert result.v[-1] == pytest.approx(result.v[0], abs=3e-5 * speed)
 
 
 @pytest.mark.parametrize("offset", [1e-18, 1e-15, 1e-12, 1e-9])

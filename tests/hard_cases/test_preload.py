@@ -13,6 +13,7 @@ from scipy.integrate import quad
 from set_ups import METHODS, ON_THE_FLOOR, altered, anvil, first, in_a_row, residual, run, times
 
 from capture_sim import SceneError, load_scene, simulate
+from capture_sim.hardware.law import Wrench
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.urdf import urdf
 from capture_sim.samples import EventKind
@@ -24,12 +25,12 @@ def pushed(force, preload):
     """A stage under a constant force on the tip, inwards along the probe: strokes every ms."""
     changes = {"buffer.preload": preload, "buffer.k_A": 500.0, "buffer.c_A": 0.0}
     scene = in_a_row(0.5, changes | {"initial.chaser.vx": 0.0})
-    stage = LoopStage(scene, 1e-3, 10)
+    stage = LoopStage(scene)
     heading = scene.initial.target.theta
-    inwards = (-force * math.cos(heading), force * math.sin(heading), 0.0)
+    inwards = Wrench(-force * math.cos(heading), force * math.sin(heading))
     strokes = []
     for _ in range(500):
-        stage.go(*inwards)
+        stage.go(inwards)
         strokes.append(stage.q[4] - scene.rest_length)
     return scene, stage, np.array(strokes)
 
@@ -45,7 +46,7 @@ def test_a_force_below_the_preload_moves_the_chaser_as_one_body():
     assert stage.v[0] == pytest.approx(-force / (body + probe) * stage.t, rel=1e-9)
 
 
-@pytest.mark.parametrize("factor", [1.0001, 1.5, 10.0])
+@pytest.mark.parametrize("factor", [1.0001, 1.5, 3.0])
 def test_a_force_above_the_preload_swings_the_probe_about_its_balance(factor):
     """Back to the seat after each period, without impact: A (1 - cos wt) with w^2 = k / mu."""
     scene = load_scene("paper_designed")
@@ -214,7 +215,8 @@ def test_hard_cases_close_the_ledger_whatever_the_method(name, preload):
     base = load_scene("paper_designed", [*HARD[name], speed, f"buffer.preload={preload}"])
     ends = []
     for method in METHODS:
-        changes = {"run.method": method, "run.step": 2e-6, "run.rtol": 1e-11}
+        step = 5e-7 if name == "dead contact" else 2e-6  # its damping is fast
+        changes = {"run.method": method, "run.step": step, "run.rtol": 1e-11}
         result = run(altered(base, changes), t_end=0.04)
         assert result.failure == ""
         allowed = 1e-5 if method == "rk4" else 1e-9
