@@ -17,6 +17,8 @@ FENCE = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<![\\$\w])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![$\w])")
 MARK = re.compile(r"formula([bi])((?:[0-9a-f]{2})+)end")
+#: docutils reads all digits as one argument, TeX only the first.
+UNBRACED = re.compile(r"(?:\\frac|\\sqrt|[\^_])\s*\d{2,}")
 HEAD = """# Scenes
 
 A scene is a YAML file that describes a bench. This page lists every field; it is made from the
@@ -119,7 +121,15 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def mathml(formula: str, is_block: bool) -> str:
-    """Return a formula of LaTeX as MathML."""
+    """Return a formula of LaTeX as MathML.
+
+    Raises
+    ------
+    ValueError
+        If an argument of several digits has no braces, e.g. in ``x^12``.
+    """
+    if found := UNBRACED.search(formula):
+        raise ValueError(f"formula {formula.strip()!r}: write {found[0]!r} with braces")
     text = tex2mathml(formula, as_block=is_block)
     applied = "<mo>&ApplyFunction;</mo>"
     text = text.replace(applied, f'{applied}<mspace width="0.17em"></mspace>')  # as in "sin x"

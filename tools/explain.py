@@ -21,6 +21,7 @@ from PIL import Image
 
 from capture_sim.files import whole_file
 from capture_sim.launch.scenes import load_scene
+from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing import style
@@ -30,23 +31,30 @@ from capture_sim.viewing.drawing import draw_path
 from capture_sim.viewing.figures import state_at
 from capture_sim.viewing.shapes import (
     CHASER,
+    TARGET,
     THETA_P,
     H,
     Shape,
     circle,
     cone_shapes,
     hinge_in_world,
+    placed,
     rail_shapes,
     state_shapes,
     tip_in_cone,
     tip_in_world,
     wall,
 )
-from capture_sim.viewing.source import ViewableRun, decided_at, first_touch, verdict
+from capture_sim.viewing.source import decided_at, first_touch, verdict
 
 # of the drawing, so that small motions are seen
 _STROKE, _TORSION = -0.035, 0.14  # m, rad
-_STRING_Y = -0.15  # m, beside the bodies
+_THETA, _OFFSET = 0.17, 0.035  # rad, m
+_STRING_Y = -0.175  # m, beside the bodies
+_CENTRE: Any = {
+    **{"marker": "o", "ms": 7, "color": style.BLACK, "mfc": "white", "mew": 2.0},
+    **{"ls": "", "zorder": 9},
+}
 _FPS, _SLOWER = 12, 8  # pictures a second, times slower than real time
 
 
@@ -64,10 +72,15 @@ def draw_geometry(scene: Scene) -> Figure:
 
 def _draw_launch(axes: Axes, scene: Scene) -> None:
     q = scene.initial_coordinates()[0]
+    q[TARGET[1]], q[TARGET[2]] = q[CHASER[1]] - _OFFSET, _THETA
     chaser, target = q[:2], q[5:7]
     pulley = np.array([target[0] + 0.2, chaser[1] + _STRING_Y])
-    axes.set_title("At the release: the falling mass pulls the chaser along the rail", fontsize=15)
-    bridle = np.array([chaser[0] + 0.1, chaser[1] - 0.11])
+    axes.set_title(
+        "At the release: the falling mass pulls the chaser along the rail "
+        f"(offset {1e3 * _OFFSET:.0f} mm, theta {np.rad2deg(_THETA):.0f}°, for the drawing)",
+        fontsize=15,
+    )
+    bridle = np.array([chaser[0] + 0.1, chaser[1] - 0.105])
     draw_shapes(
         axes,
         [
@@ -87,23 +100,25 @@ def _draw_launch(axes: Axes, scene: Scene) -> None:
     )
     for text, x, y in (
         ("chaser", chaser[0] - 0.01, chaser[1] + 0.06),
-        ("target", target[0] + 0.04, target[1] + 0.04),
+        ("target", target[0] + 0.06, target[1] - 0.06),
         ("rail", chaser[0] + 0.2, chaser[1] - 0.05),
-        ("string", target[0] - 0.15, pulley[1] + 0.015),
+        ("string", target[0] - 0.3, pulley[1] + 0.015),
         ("pulley", pulley[0], pulley[1] + 0.03),
         ("mass (hangs)", pulley[0] + 0.07, pulley[1] + 0.035),
         ("buffer", chaser[0] + 0.2, chaser[1] + 0.05),
         ("probe", chaser[0] + 0.31, chaser[1] + 0.03),
-        ("cone", target[0] - 0.16, target[1] + 0.085),
+        ("cone", target[0] - 0.17, target[1] - 0.05),
     ):
         _say(axes, text, (x, y), ha="left" if "mass" in text else "center")
     assert scene.supports is not None
-    for vehicle, balls, share in (
-        (chaser, scene.supports.chaser.balls, -0.5),
-        (target, scene.supports.target.balls, 0.5),
+    for body, balls, share in (
+        (CHASER, scene.supports.chaser.balls, -0.5),
+        (TARGET, scene.supports.target.balls, 0.5),
     ):
-        x, y = vehicle + np.array(max(balls, key=lambda ball: ball[1]))
-        _point_to(axes, "ball wheel", (x + 0.14 * share, y + 0.03), (x + 0.01 * share, y + 0.008))
+        highest = np.array([max(balls, key=lambda ball: ball[1])])
+        x, y = placed(highest, *q[list(body)])[0]
+        _point_to(axes, "ball wheel", (x + 0.14 * share, y + 0.045), (x + 0.01 * share, y + 0.008))
+    _draw_approach(axes, chaser, target)
     axes.set_xlim(chaser[0] - 0.2, pulley[0] + 0.17)
     axes.set_ylim(pulley[1] - 0.04, chaser[1] + 0.15)
     corner = np.array([chaser[0] - 0.18, pulley[1] - 0.02])
@@ -114,8 +129,33 @@ def _draw_launch(axes: Axes, scene: Scene) -> None:
         _say(axes, name, corner + np.array(end) * 1.25)
 
 
+def _draw_approach(axes: Axes, chaser: np.ndarray, target: np.ndarray) -> None:
+    """Draw the chaser's path, its offset from the target's centre, and the target's turn."""
+    behind = target[0] + 0.16
+    dotted: Any = {"color": style.GREY, "lw": 1.0, "ls": ":", "zorder": 8}
+    axes.plot([chaser[0] + 0.34, behind], [chaser[1]] * 2, **dotted)
+    axes.plot([target[0], behind], [target[1]] * 2, **dotted)
+    heading = 0.16 * np.array([np.cos(_THETA), np.sin(_THETA)])
+    axes.plot(*np.stack([target, target + heading]).T, color=style.VERMILION, lw=1.2, zorder=8)
+    axes.add_patch(
+        Arc(
+            tuple(target),
+            *(0.26, 0.26),
+            theta1=0,
+            theta2=np.rad2deg(_THETA),
+            color=style.VERMILION,
+            lw=2.0,
+            zorder=8,
+        )
+    )
+    _say(axes, "theta > 0", (behind + 0.005, target[1] + 0.012), style.VERMILION, ha="left")
+    _measure(axes, (target[0], target[1]), (target[0], chaser[1]), "offset", (-0.034, 0.0))
+    axes.plot(*target, **_CENTRE)
+
+
 def _draw_symbols(axes: Axes, scene: Scene) -> None:
     cone, probe, beta = scene.cone, scene.probe, scene.cone.half_angle
+    cylinder = scene.cylinder.length
     h = scene.rest_length + _STROKE
     # the tip at the +y wall, the chaser straight
     along = np.array([np.cos(_TORSION), np.sin(_TORSION)])
@@ -146,7 +186,13 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
     _measure(axes, (be[0], low), (0.0, low), "$L_T$")
     _measure(axes, be + (0.022, 0), be + (0.022, cone.R_c), "$R_c$", (0.012, 0.0))
     behind = -0.012 * inwards * (1.0, -1.0)
-    _measure(axes, other[0] + behind, other[1] + behind, "$L_c$", (0.009, -0.009))
+    _measure(axes, other[0] + behind, other[1] + behind, "$L_c$, wall", (0.006, -0.036))
+    outside = (0.011, 0.005)
+    _measure(axes, edge[0] + outside, face - (cone.L_T, 0.0) + outside, "b", (0.001, 0.013))
+    below = -0.03 * side
+    _measure(
+        axes, hinge - cylinder * along + below, hinge + below, "$L_C$, cylinder", (0.0, -0.014)
+    )
     # strokes and torsion with their signs
     _measure(axes, hinge + 0.062 * side, tip + 0.062 * side, "h = $h_0$ + stroke", 0.013 * side)
     arrow = {"arrowstyle": "->", "lw": 2.0, "color": style.VERMILION}
@@ -171,14 +217,11 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
             hinge + (0.068, -0.07),
             hinge + 0.04 * along - 0.009 * side,
         ),
-        ("cylinder, length $L_C$", hinge + (-0.075, -0.07), hinge - 0.07 * along - 0.01 * side),
         ("+y wall", edge[1] + (0.038, 0.03), edge[1] + (0.004, 0.004)),
         ("-y wall", other[1] + (-0.008, -0.024), other[1]),
     ):
         _point_to(axes, text, place, to)
-    centre: Any = {"marker": "o", "ms": 7, "color": style.BLACK, "mfc": "white", "mew": 2.0}
-    centre |= {"ls": "", "zorder": 8}
-    axes.plot(*np.array([[q[0], q[1]], [0.0, 0.0]]).T, label="centre of mass", **centre)
+    axes.plot(*np.array([[q[0], q[1]], [0.0, 0.0]]).T, label="centre of mass", **_CENTRE)
     ball: Any = {"marker": "o", "ms": 15, "color": style.GREY, "mfc": "white", "ls": ""}
     axes.plot([], [], label="ball wheel", **ball)
     target: Any = {"ms": 11, "mew": 2.0, "color": style.GREEN, "ls": "", "zorder": 8}
@@ -215,7 +258,7 @@ def _say(axes: Axes, text: str, at: Any, colour: str = style.BLACK, ha: str = "c
     axes.text(at[0], at[1], text, color=colour, fontsize=14, ha=ha, va="center", zorder=9)
 
 
-def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = None) -> Path:
+def save_capture_gif(run: Run, path: Path | str, pictures: int | None = None) -> Path:
     """Save a capture as a moving picture: the bench, the buffer, and the tip in the cone.
 
     Parameters
@@ -247,7 +290,7 @@ def save_capture_gif(run: ViewableRun, path: Path | str, pictures: int | None = 
 
 def _draw_frame(plotted: PlottedRun, t: float, end: float) -> Image.Image:
     """Draw the bench, the buffer and the tip in the cone at one instant."""
-    run, scene = plotted.run, plotted.run.scene
+    run, scene = plotted.run, plotted.scene
     figure = new_figure(9.6, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.7, 1.0], height_ratios=[1.25, 1.0])
     bench, buffer, cone = (figure.add_subplot(at) for at in (grid[0, 0], grid[1, 0], grid[:, 1]))

@@ -33,7 +33,7 @@ VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 LOG = VENV / "setup.log"
 STAMP = VENV / "setup.json"
-RUN_EXTRAS = ("ros", "view")
+RUN_EXTRAS = ("ros", "view", "study")
 DEVELOP_EXTRAS = ("test",)
 LOCK = Path("requirements", "lock.txt")
 
@@ -115,7 +115,7 @@ def wanted_state(develop=False):
     with (ROOT / "pyproject.toml").open("rb") as file:
         pyproject = tomllib.load(file)
     project, lock = pyproject["project"], digest([ROOT / LOCK])
-    interfaces = [*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")]
+    interfaces = [f for kind in ("msg", "srv", "action") for f in ROOT.glob(f"{kind}/*.{kind}")]
     build = [ROOT / name for name in ("CMakeLists.txt", "package.xml", "setup.py")]
     # what setuptools reads: requirements have steps of their own, linters' settings need none
     metadata = {key: project[key] for key in ("name", "dynamic", "scripts")}

@@ -5,6 +5,7 @@ A block of code is a fence, and runs in a folder that has `.venv` and the record
 - `sh`: its lines; `console`: its lines behind `$`.  Lines beneath a command are what it prints,
   `...` for what differs from run to run.
 - `python`: behind the blocks before it on the page; `# ->` is what it prints.
+- `c` is compiled and run by tests/fmu.
 - `yaml` with a title is a file of that name; without, it is laid over tilt_0.
 - What cannot run here bears a class, and is counted: `{.ros2}` needs ROS's command-line tools,
   `{.terminals}` several terminals, `{.minutes}` takes long and is parsed only, `{.make}` is what
@@ -25,6 +26,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -42,7 +44,7 @@ FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`(?:\.venv/bin/)?capture-sim ([a-z][^`\n]*)`")
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 #: Blocks that are not run, by why.
-LEFT_OUT = {"ros2": 10, "terminals": 5, "minutes": 5, "make": 3}
+LEFT_OUT = {"ros2": 10, "terminals": 6, "minutes": 5, "make": 3}
 
 
 class Block(NamedTuple):
@@ -132,7 +134,7 @@ def test_what_is_left_out_is_counted():
 def test_every_block_is_a_fence_of_a_known_language(page):
     text = (ROOT / page).read_text()
     assert text.count("\n```") + text.startswith("```") == 2 * len(blocks(page))
-    known = {"sh", "console", "python", "yaml", "text", "math"}
+    known = {"c", "sh", "console", "python", "yaml", "text", "math"}
     assert {block.language for block in blocks(page)} <= known
     outside = FENCE.sub("", text)
     assert not re.search(r"\n\n    [^ ]", outside), "indented code"
@@ -170,7 +172,7 @@ def commands_of(block):
 def test_blocks_run_and_print_what_they_say(page, folder, run, capfd):
     names = {}
     for block in blocks(page):
-        if block.left_out or block.language in ("text", "math"):
+        if block.left_out or block.language in ("c", "text", "math"):
             continue
         if block.language == "yaml":
             title = re.search(r'title="([^"]+)"', block.head)
@@ -305,8 +307,8 @@ def test_steps_after_a_block_keep_their_numbers(site):
 def test_the_python_page_has_every_public_name_in_the_order_one_meets_it(site):
     source = (ROOT / "docs" / "api.md").read_text()
     named = re.findall(r"^::: capture_sim\.[\w.]*\b(\w+)$", source, re.MULTILINE)
-    assert named[:3] == ["simulate", "Result", "plot"]
-    assert set(capture_sim.__all__) <= set(named)
+    assert named[:4] == ["simulate", "read_run", "Run", "plot"]
+    assert {name for name in dir(capture_sim) if name[0] != "_"} <= set(named)
     page = (site / "api" / "index.html").read_text()
     places = [page.index(f'id="{path}"') for path in re.findall(r"^::: (\S+)$", source, re.M)]
     assert places == sorted(places)
@@ -373,6 +375,60 @@ def test_formulas_are_typeset_when_the_site_is_built(site):
     assert not re.search(r"formula[bi][0-9a-f]{4}|\$|\\\\|\\frac", article)
     assert page.loaded
     assert not [place for place in page.loaded if "//" in place]
+
+
+def in_braces(text, start):
+    """Return the content of the pair of braces that opens at `start`, and the place after it."""
+    assert text[start] == "{", text
+    depth = 0
+    for end in range(start, len(text)):
+        depth += {"{": 1, "}": -1}.get(text[end], 0)
+        if depth == 0:
+            return text[start + 1 : end], end + 1
+    raise AssertionError(f"unbalanced braces: {text}")
+
+
+def letters(text):
+    """Return the plain letters and digits of a piece of LaTeX or MathML, without commands."""
+    return re.sub(r"[^A-Za-z0-9]", "", re.sub(r"\\[A-Za-z]+|<[^>]*>|&\w+;", "", text))
+
+
+def formulas():
+    """Return each formula of the pages with its page."""
+    hooks = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
+    return [
+        (page, bytes.fromhex(found[2]).decode())
+        for page in PAGES
+        for found in hooks.MARK.finditer(hooks.with_marks((ROOT / page).read_text()))
+    ]
+
+
+def test_every_formula_has_the_structure_of_its_source():
+    """Fractions have the numerator and denominator of the source; no index or power is lost."""
+    hooks = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
+    n_fractions = 0
+    for page, source in formulas():
+        tree = ElementTree.fromstring(re.sub(r"&\w+;", "", hooks.tex2mathml(source)))
+        tags = Counter(element.tag.rpartition("}")[2] for element in tree.iter())
+        scripts = len(re.findall(r"[_^]", source))
+        assert tags["msub"] + tags["msup"] + 2 * tags["msubsup"] == scripts, (page, source)
+        fractions = [element for element in tree.iter() if element.tag.endswith("mfrac")]
+        places = [found.end() for found in re.finditer(r"\\frac", source)]
+        assert len(fractions) == len(places), (page, source)
+        for element, place in zip(fractions, places, strict=True):
+            numerator, after = in_braces(source, place)
+            denominator, _ = in_braces(source, after)
+            parts = ["".join(child.itertext()) for child in element]
+            assert [letters(part) for part in parts] == [letters(numerator), letters(denominator)]
+        n_fractions += len(fractions)
+    assert n_fractions >= 7
+
+
+def test_a_formula_with_an_argument_that_docutils_misreads_is_rejected():
+    hooks = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
+    for formula in (r"\frac34 (1 - e^2)", "x^12", "h_10"):
+        with pytest.raises(ValueError, match="braces"):
+            hooks.mathml(formula, is_block=False)
 
 
 def test_a_dollar_in_code_is_no_formula():
