@@ -1,82 +1,70 @@
 """A bench that knows nothing of capture_sim: cameras, encoders and a load cell, in plain rclpy.
 
-launcher/hold, a Bool, lets the chaser go.  `--ros-args -p preset:=hard -p loss:=0.0` disturbs it.
+It shows what a driver of yours has to do: publish what it measures, and obey launcher/hold.
+disturbed_rig.py is the same bench with the faults of real sensors.
 """
 
 import contextlib
-import heapq
 import math
-from random import gauss, randint, random
-from types import SimpleNamespace
+import time
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from nav_msgs.msg import Odometry
-from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-PARAMETERS = {  # name: its default, or those of the presets clean, standard, hard
-    "rate": (100.0, 120.0, 100.0),  # Hz, cameras, encoders and the output of the load cell
-    "noise": (1e-5, 5e-5, 3e-4),  # m, white; of the yaw by a baseline of 0.15 m
-    "moving_noise": (0.0, 2e-3, 1e-2),  # s: m of noise per m/s
-    "slow_noise": (0.0, 1e-4, 3e-4),  # m, Gauss-Markov with a time constant of 10 s
-    "latency": (0.0, 0.007, 0.025),  # s, rounded up to whole frames; its jitter is a sixth
-    "stamp_at_receipt": (False, False, True),  # else at exposure
-    "loss": (0.01, 0.001, 0.001),  # share of single frames that are lost
-    "burst_loss": (0.0, 0.0, 0.02),  # share of frames that are lost in bursts of 5 to 20
-    "hidden": (0.0, 0.1, 0.5),  # s from the contact on in which the cameras lose both vehicles
-    "lost_as": ("silence", "silence", "frozen"),  # silence, void (NaN) or frozen
-    "repeated": (0.0, 0.0, 0.01),  # share of messages that come twice
-    "step_back": (0.0, 0.0, 0.02),  # s, of the cameras' clock for one frame, 1 s after a release
-    "best_effort": (False, False, True),  # with a deadline; else reliable
-    "cell_rate": (1e3, 1e3, 50.0),  # Hz; below `rate`, samples are repeated
-    "cell_noise": (0.0, 0.1, 0.5),  # N
-    "cell_bias": (0.0, 0.5, 2.0),  # N, and its drift in 50 s
-    "cell_bandwidth": (1e3, 200.0, 50.0),  # Hz, low-pass of first order
-    "outcomes": ["captured"],  # of the releases in turn: captured, rebound, missed
-    "odometry": False,  # nav_msgs/Odometry in chaser/odom in place of PoseStamped
-    "encoder_offset": 0.0,  # s, clock of the encoders less that of the cameras
-    "encoder_end": math.inf,  # s after a release, when the encoders fall silent for good
-    "pace": 1.0,  # s of the bench in a second: a fast bench saves waiting in tests
-}
 TARGET, STOP, SPEED, DROP = 0.66, 0.2125, 0.105, 0.1  # m, of the chaser at the cone; m/s after m
 BACK, ASIDE, RETURNED = 0.5, 0.12, 0.4  # m/s pulled back; m of a miss; speed after by before
-JOINTS, PRESETS = ["buffer_hinge", "buffer_slide"], ["clean", "standard", "hard"]
-CONTACT, STROKE, MASS, CLOCK = 0.1, 0.003, 22.0, 1.2e9  # s; m; kg; s, the bench's at its start
+CONTACT, STROKE, MASS = 0.1, 0.003, 22.0  # s, m and kg
+HOLD_TIMEOUT = 0.5  # s without launcher/hold, after which the chaser is held
+CLOCK = 1.2e9  # s, by the bench's clock at its start
 
 
 class FakeRig(Node):
     def __init__(self):
         super().__init__("fake_rig")
-        column = PRESETS.index(self.declare_parameter("preset", "clean").value)
-        rows = [(n, v[column] if isinstance(v, tuple) else v) for n, v in PARAMETERS.items()]
-        self.p = SimpleNamespace(**{d.name: d.value for d in self.declare_parameters("", rows)})
-        qos = QoSProfile(depth=10)
-        if self.p.best_effort:
-            qos.reliability, qos.deadline = ReliabilityPolicy.BEST_EFFORT, Duration(seconds=0.1)
-        self.kind = Odometry if self.p.odometry else PoseStamped
-        name, vehicles = "{}/odom" if self.p.odometry else "motion_capture/{}", ("chaser", "target")
-        self.cameras = [self.create_publisher(self.kind, name.format(v), qos) for v in vehicles]
-        self.encoders = self.create_publisher(JointState, "joint_states", qos)
-        self.cell = self.create_publisher(WrenchStamped, "load_cell/wrench", qos)
+        self.declare_parameter("outcomes", ["captured"])  # of the releases in turn: captured,
+        self.declare_parameter("rate", 100.0)  # ... rebound, missed; Hz
+        self.declare_parameter("pace", 1.0)  # s of the bench in a second: saves waiting in tests
+        self.pace, self.dt = (
+            self.get_parameter("pace").value,
+            1.0 / self.get_parameter("rate").value,
+        )
+        self.t = self.x = self.y = self.speed = 0.0
+        self.released, self.held, self.trial, self.last_hold = None, -1.0, 0, -math.inf
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(Bool, "launcher/hold", self.hold, latched)
-        self.dt, self.released, self.held, self.trial = 1.0 / self.p.rate, None, -1.0, 0
-        self.t = self.x = self.y = self.force = self.sample = self.burst = 0.0
-        self.slow, self.poses, self.under_way, self.end = [0.0, 0.0], [None, None], [], math.inf
-        self.create_timer(self.dt / self.p.pace, self.measure)
+        self.create_subscription(Bool, "launcher/hold", self.on_hold, latched)
+        self.open_sensors()
+        self.create_timer(self.dt / self.pace, self.step)
 
-    def hold(self, message):
-        if not message.data and self.released is None:
-            self.released, self.x, self.end = self.t, 0.0, self.t + self.p.encoder_end
-        elif message.data and self.released is not None:
+    def open_sensors(self):
+        vehicles = ("motion_capture/chaser", "motion_capture/target")
+        self.cameras = [self.create_publisher(PoseStamped, name, 10) for name in vehicles]
+        self.encoders = self.create_publisher(JointState, "joint_states", 10)
+        self.cell = self.create_publisher(WrenchStamped, "load_cell/wrench", 10)
+
+    def on_hold(self, message):
+        self.last_hold = time.monotonic()
+        self.set_hold(message.data)
+
+    def set_hold(self, hold):
+        if not hold and self.released is None:
+            self.released, self.x = self.t, 0.0
+        elif hold and self.released is not None:  # the brake stops a chaser that moves
             self.released, self.held, self.trial = None, self.t, self.trial + 1
 
+    def step(self):
+        if time.monotonic() - self.last_hold > HOLD_TIMEOUT:
+            self.set_hold(True)  # the launcher is gone, or the network is
+        self.t += self.dt
+        self.move()
+        self.measure()
+
     def move(self):
-        outcome = self.p.outcomes[self.trial % len(self.p.outcomes)]
+        outcomes = self.get_parameter("outcomes").value
+        outcome = outcomes[self.trial % len(outcomes)]
         self.speed, self.since_contact = 0.0, -1.0
         if self.released is not None:
             going, sinking = self.t - self.released, 2.0 * DROP / SPEED  # s, of the mass
@@ -86,55 +74,45 @@ class FakeRig(Node):
                 self.since_contact = (self.x - STOP) / SPEED
                 self.speed = -RETURNED * SPEED if outcome == "rebound" else 0.0
                 self.x = STOP + self.speed * self.since_contact
-        elif self.t > self.held + 0.5:
+        elif self.t > self.held + 0.5:  # somebody pulls it back
             self.x = max(0.0, self.x - BACK * self.dt)
             self.y = ASIDE if outcome == "missed" else 0.0
+        # of a half sine in the contact, 0 to 1
+        self.push = max(0.0, math.sin(math.pi * min(1.0, self.since_contact / CONTACT)))
 
     def measure(self):
-        p, self.t = self.p, self.t + self.dt
-        self.move()
-        pressed = max(0.0, math.sin(math.pi * min(1.0, self.since_contact / CONTACT)))
-        self.photograph((self.x + STROKE * pressed, TARGET), (self.y, 0.0))
-        if self.t < self.end:
-            joints = JointState(name=JOINTS, position=[0.0, -STROKE * pressed])
-            self.send(self.encoders, joints, p.encoder_offset)
-        share = 1.0 - math.exp(-math.tau * p.cell_bandwidth * self.dt)
-        self.force += share * (pressed * 0.5 * math.pi * MASS * SPEED / CONTACT - self.force)
-        if int(self.t * p.cell_rate) > int((self.t - self.dt) * p.cell_rate):
-            self.sample = gauss(self.force + p.cell_bias * (1.0 + self.t / 50.0), p.cell_noise)
+        vehicles = ((self.x + STROKE * self.push, self.y, 0.0), (TARGET, 0.0, 0.0))
+        for camera, pose in zip(self.cameras, vehicles, strict=True):
+            self.send(camera, pose_message(PoseStamped(), *pose))
+        joints = JointState(name=["buffer_hinge", "buffer_slide"])
+        joints.position = [0.0, -STROKE * self.push]
+        self.send(self.encoders, joints)
         wrench = WrenchStamped()
-        wrench.wrench.force.x = self.sample
+        wrench.wrench.force.x = self.push * 0.5 * math.pi * MASS * SPEED / CONTACT
         self.send(self.cell, wrench)
-        while self.under_way and self.under_way[0][0] <= self.t:
-            _, _, publisher, message = heapq.heappop(self.under_way)
-            publisher.publish(message)
 
-    def photograph(self, x, y):
-        p, dt = self.p, self.dt
-        self.burst = randint(5, 20) if random() < p.burst_loss / 12.5 else self.burst - 1
-        is_lost = self.burst > 0 or 0.0 <= self.since_contact < p.hidden or random() < p.loss
-        is_back = self.released is not None and 0.0 <= self.t - self.released - 1.0 < dt
-        for i, publisher in enumerate(self.cameras):
-            self.slow[i] += gauss(0.0, p.slow_noise * (dt / 5.0) ** 0.5) - self.slow[i] * dt / 10.0
-            sigma = math.hypot(p.noise, p.moving_noise * self.speed * (1 - i))
-            half_yaw = gauss(0.0, math.sqrt(0.5) * p.noise / 0.15)
-            pose = [gauss(x[i] + self.slow[i], sigma), gauss(y[i], sigma), half_yaw, 1.0]
-            if is_lost:
-                pose = {"silence": None, "void": [math.nan] * 4, "frozen": self.poses[i]}[p.lost_as]
-            if pose is not None:
-                self.poses[i], message = pose, self.kind()
-                at = message.pose.pose if p.odometry else message.pose
-                at.position.x, at.position.y, at.orientation.z, at.orientation.w = pose
-                self.send(publisher, message, -p.step_back if is_back else 0.0)
-
-    def send(self, publisher, message, offset=0.0):
-        delay = max(0.0, gauss(self.p.latency, self.p.latency / 6.0))
-        stamp = round((CLOCK + self.t + offset + self.p.stamp_at_receipt * delay) * 1e9)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        for _ in range(2 if random() < self.p.repeated else 1):
-            heapq.heappush(self.under_way, (self.t + delay, random(), publisher, message))
+    def send(self, publisher, message):
+        publisher.publish(stamped(message, self.t))
 
 
-with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-    rclpy.init()
-    rclpy.spin(FakeRig())
+def pose_message(message, x, y, yaw):
+    pose = message.pose if isinstance(message, PoseStamped) else message.pose.pose
+    pose.position.x, pose.position.y = x, y
+    pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    return message
+
+
+def stamped(message, t):
+    seconds, nanoseconds = divmod(round((CLOCK + t) * 1e9), 10**9)
+    message.header.stamp.sec, message.header.stamp.nanosec = seconds, nanoseconds
+    return message
+
+
+def run(rig):
+    with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        rclpy.init()
+        rclpy.spin(rig())
+
+
+if __name__ == "__main__":
+    run(FakeRig)

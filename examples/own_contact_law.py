@@ -12,7 +12,7 @@
 import math
 
 import capture_sim
-from capture_sim.hardware.law import Walls
+from capture_sim.hardware.law import Walls, Wrench
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.model.contact import returned_restitution
 
@@ -34,7 +34,7 @@ def lining(delta, rate):
 
 def first_peak(scene, law, step):
     """Return the largest force (N) of the first touch by a law, with steps of ``step`` s."""
-    stage, walls = LoopStage(scene, step, substeps=1), Walls(scene)
+    stage, walls = LoopStage(scene, step), Walls(scene)
     peak = 0.0
     while stage.t < scene.run.t_end:
         tip, fx, fy = stage.tip, 0.0, 0.0
@@ -44,7 +44,7 @@ def first_peak(scene, law, step):
         if peak > 0.0 and fx == fy == 0.0:
             break
         peak = max(peak, math.hypot(fx, fy))
-        stage.advance(fx, fy, 0.0)
+        stage.go(Wrench(fx, fy))
     return peak
 
 
