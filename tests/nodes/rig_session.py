@@ -11,7 +11,6 @@ from pathlib import Path
 from action_msgs.msg import GoalStatus
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import Bool
@@ -86,8 +85,7 @@ def actions_of(client):
     """Return an action client of launcher/run_trial."""
     actions = ActionClient(client.node, RunTrial, "/launcher/run_trial")
     assert actions.wait_for_server(60.0)
-    # nodes tell of their clients in turn: one that answers this knows where to answer a goal
-    client.ask(ListParameters, "/launcher/list_parameters")
+    client.await_answers_of("/launcher")
     return actions
 
 
