@@ -93,7 +93,16 @@ class Session:
     """Nodes that serve one trial after the other."""
 
     def __init__(
-        self, start, client, folder, *, actuator="output", poses=POSES, launcher=None, **options
+        self,
+        start,
+        client,
+        folder,
+        *,
+        actuator="output",
+        poses=POSES,
+        launcher=None,
+        launcher_change="",
+        **options,
     ):
         self.client, self.folder = client, folder
         streams = f"[{', '.join([*poses, *STREAMS])}]"
@@ -102,9 +111,8 @@ class Session:
         # a busy machine is no dead camera: 0.3 s is for the tests of this limit
         settings = {"scene": "tilt_0", "start_timeout": 5.0, "after_verdict": 0.3}
         settings |= {"max_pose_age": 1.0}
-        self.launcher = start(
-            "launcher", actuator=actuator, **settings | (launcher or {}) | options
-        )
+        settings |= launcher or {}
+        self.launcher = start("launcher", launcher_change, actuator=actuator, **settings | options)
         self.launcher.wait_for("ready for trials")
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
