@@ -64,12 +64,9 @@ class Points(NamedTuple):
     most: int
 
     def __str__(self) -> str:
-        count = (
-            f"{self.fewest} points"
-            if self.fewest == self.most
-            else (f"{self.fewest} to {self.most} points")
-        )
-        return f"{count} [{', '.join(self.names)}]"
+        fewest = {3: "three"}.get(self.fewest, self.fewest)
+        count = f"{fewest} to {self.most}" if self.most > self.fewest else f"{fewest}"
+        return f"{count} points [{', '.join(self.names)}]"
 
 
 def points(
