@@ -25,6 +25,7 @@ from capture_sim.kernels import is_compiled, records
 from capture_sim.launch.plan import LaunchPlan
 from capture_sim.launch.scenes import check_scene, load_scene
 from capture_sim.model.contact import FRICTION_LAWS
+from capture_sim.model.equations import hold_at_rest
 from capture_sim.model.parameters import pack
 from capture_sim.model.stiffness import stiffest_part
 from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Event, EventKind, Extremes, Phase
@@ -153,7 +154,7 @@ class Bench:
         step, rail, y = self._record["step"], self._record["rail"], self._record["stepper"]["y"]
         mode, par = self._system["mode"], self._system["par"]
         self._record["progress"]["t_stop"] = self.scene.run.t_end
-        mode["seated"] = par["preload"] > 0.0
+        mode["held"] = hold_at_rest(par)
         step["h_next"] = _FIRST_STEP
         step["error"] = _FIRST_ERROR
         step["equations_changed"] = 1
@@ -493,7 +494,8 @@ def _detail(kind: EventKind, which: int, value: float) -> str:
     if kind is EventKind.SLIP and math.isinf(value):
         return f"{wall}, after the impact on the seat"
     if kind in (EventKind.STICK, EventKind.SLIP):
-        return f"{wall}, friction {value:.6g} N to hold"
+        place = wall if which else "probe in its slide"
+        return f"{place}, friction {value:.6g} N to hold"
     if kind is EventKind.LATCHED:
         return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
     return ""

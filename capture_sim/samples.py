@@ -72,6 +72,7 @@ ENERGIES = (
     "dissipated_torsion",
     "dissipated_contact",
     "dissipated_friction",
+    "dissipated_slide",
     "dissipated_rolling",
     "dissipated_latch",
     "dissipated_stop",
@@ -110,6 +111,9 @@ SAMPLE = np.dtype(
         *((name, "f8") for name in ENERGIES),
     ]
 )
+
+#: Fields of SAMPLE that older recordings lack; 0 in these.
+SINCE_FIRST_RECORDINGS = ("dissipated_slide",)
 
 #: Names of the numbers of a field, by their count.
 _MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}

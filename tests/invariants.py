@@ -19,6 +19,7 @@ from capture_sim.model.contact import COULOMB
 from capture_sim.model.equations import (
     N_TOTAL,
     NO_TOUCH,
+    Hold,
     gap_and_rate,
     rate_of_change,
     tip_in_cone,
@@ -49,8 +50,10 @@ def check_between_segments(w):
     check_touches(w)
     assert np.all(totals.extreme_time <= step.t0)
     assert not (rail.taut and not rail.on)
-    assert not (mode.seated and par.preload == 0.0)
-    assert not (mode.seated and (stepper.y[4] != par.h_0 or stepper.y[12] != 0.0))
+    assert not (mode.held == Hold.SEAT and (par.preload == 0.0 or stepper.y[4] != par.h_0))
+    assert not (mode.held == Hold.FRICTION and par.slide_friction == 0.0)
+    assert not (mode.held and (stepper.y[12] != 0.0 or mode.slide_direction != 0.0))
+    assert mode.held or abs(mode.slide_direction) == (par.slide_friction > 0.0)
     assert not (mode.rest_S and np.any(stepper.y[8:11]))
     assert not (mode.rest_T and np.any(stepper.y[13:16]))
     if rail.on:
@@ -87,14 +90,15 @@ def check_planned(w):
     possible = {
         EventKind.TOUCH: lambda: not mode.touch[which].on and not mode.latched,
         EventKind.LIFT_OFF: lambda: mode.touch[which].on,
-        EventKind.STICK: lambda: mode.touch[which].on,
+        EventKind.STICK: lambda: mode.touch[which].on if which < 2 else not mode.held,
+        EventKind.SLIP: lambda: mode.held == Hold.FRICTION,
         EventKind.MOVING: lambda: resting[which],
         EventKind.AT_REST: lambda: w.rail.on or not resting[which],
         EventKind.LATCHED: lambda: not mode.latched,
         EventKind.STOP_HIT: lambda: mode.stop == 0,
         EventKind.STOP_LEFT: lambda: mode.stop == which,
-        EventKind.SEATED: lambda: not mode.seated and w.system.par.preload > 0.0,
-        EventKind.UNSEATED: lambda: mode.seated,
+        EventKind.SEATED: lambda: not mode.held and w.system.par.preload > 0.0,
+        EventKind.UNSEATED: lambda: mode.held == Hold.SEAT,
         EventKind.LANDED: lambda: w.rail.taut,
         EventKind.RAIL_END: lambda: w.rail.on and not w.rail.taut,
         EventKind.END: lambda: step.t1 == w.progress.t_stop,

@@ -19,6 +19,7 @@ contact.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -140,6 +141,7 @@ class Constants(NamedTuple):
     preload: float
     k_T3: float
     c_T2: float
+    slide_friction: float
     table: np.ndarray  # (n, 3) stroke inwards, force of the spring beyond the preload, slope there
     R_t: float
     inner: np.ndarray  # (2, 2) target's frame: inner ends of the +y and the -y wall
@@ -200,6 +202,7 @@ def constants(scene: Scene) -> Constants:
         preload=b.preload if b.force_table is None else b.force_table[0][1],
         k_T3=b.k_T3,
         c_T2=b.c_T2,
+        slide_friction=b.friction,
         table=np.zeros((0, 3)) if b.force_table is None else monotone_slopes(b.force_table),
         R_t=p.tip_radius,
         inner=np.column_stack([np.full(2, -cone.L_T), sides * cone.R_c]),
@@ -365,8 +368,8 @@ def spring_vector(z: np.ndarray, c: Constants) -> tuple[float, float, float, flo
 
 
 @compiled
-def seat(z: np.ndarray, c: Constants, J: np.ndarray) -> tuple[float, float]:
-    """A preloaded probe on its seat: value, and J' v, of the constraint of D's length."""
+def held(z: np.ndarray, c: Constants, length_held: float, J: np.ndarray) -> tuple[float, float]:
+    """A probe at rest in its slide: value, and J' v, of the constraint of D's length."""
     length, ex, ey, rate_x, rate_y = spring_vector(z, c)
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
@@ -377,16 +380,16 @@ def seat(z: np.ndarray, c: Constants, J: np.ndarray) -> tuple[float, float]:
     J[6], J[7], J[8] = ex, ey, r * (sP * ex - cP * ey)
     turning = (ex * rate_y - ey * rate_x) ** 2 / length
     turning += r * z[20] ** 2 * (ex * cP + ey * sP) + c.a * z[14] ** 2 * (ex * cS + ey * sS)
-    return length - c.l_0, turning - L * z[17] ** 2 * (ex * cC + ey * sC)
+    return length - length_held, turning - L * z[17] ** 2 * (ex * cC + ey * sC)
 
 
 @compiled
 def strike(z: np.ndarray, c: Constants) -> np.ndarray:
-    """The rates (12,) after a plastic impact of the probe on its seat."""
+    """The rates (12,) after an impulse that brings the probe to rest in its slide."""
     n, W = 5, c.inverse_mass
     b, J, M = np.zeros(n), np.zeros((n, 12)), np.zeros((n, n))
     constraints(z, c, np.zeros(n), np.zeros(n), J)
-    seat(z, c, J[4])
+    held(z, c, c.l_0, J[4])
     for k in range(n):
         for j in range(12):
             b[k] += J[k, j] * z[12 + j]
@@ -404,7 +407,10 @@ def strike(z: np.ndarray, c: Constants) -> np.ndarray:
 def applied(
     z: np.ndarray, c: Constants, touching: np.ndarray, chi: np.ndarray, sliding: np.ndarray
 ) -> np.ndarray:
-    """Forces and moments (12,) of the buffer and of the walls."""
+    """Forces and moments (12,) of the buffer and of the walls.
+
+    The third of ``sliding`` is the sign of the probe's rate in its slide.
+    """
     Q = np.zeros(12)
     cS, sS = math.cos(z[2]), math.sin(z[2])
     cC, sC = math.cos(z[5]), math.sin(z[5])
@@ -415,6 +421,7 @@ def applied(
     longer, lengthening = length - c.l_0, ex * rate_x + ey * rate_y
     damping = (c.c_A_rebound if lengthening > 0.0 else c.c_A) + c.c_A2 * abs(lengthening)
     pull = (c.k_A + c.k_A3 * longer**2) * longer + damping * lengthening - c.preload
+    pull += c.slide_friction * sliding[2]
     if c.table.shape[0] > 0:
         pull -= tabulated(c.table, -longer)
     turned, turning = z[5] - z[2], z[17] - z[14]
@@ -446,17 +453,19 @@ def accelerations(
     chi: np.ndarray,
     sliding: np.ndarray,
     resting: np.ndarray,
+    length_held: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Accelerations (12,) of the four bodies, and what holds them.
 
     That is the wrench on either vehicle without its supports, (2, 3), the force that holds a
-    sticking tip on either wall, (2,), and that of the seat on the probe, inwards, N.  A resting
-    vehicle is one of infinite mass; the third of ``resting`` is the probe on its seat.
+    sticking tip on either wall, (2,), and that which holds the probe in its slide, inwards, N.  A
+    resting vehicle is one of infinite mass; the third of ``resting`` is the held probe, with the
+    length of D.
     """
     Q, W = applied(z, c, touching, chi, sliding), c.inverse_mass.copy()
-    held = np.zeros((2, 3))
+    wrenches = np.zeros((2, 3))
     for j in range(3):
-        held[0, j], held[1, j] = Q[j], Q[9 + j]
+        wrenches[0, j], wrenches[1, j] = Q[j], Q[9 + j]
     for which in range(2):
         k = 9 * which
         if resting[which]:
@@ -482,7 +491,7 @@ def accelerations(
             n += 1
     seated = n
     if resting[2]:
-        phi[n], b[n] = seat(z, c, J[n])
+        phi[n], b[n] = held(z, c, length_held, J[n])
         n += 1
     for k in range(n):
         rate = 0.0
@@ -502,13 +511,13 @@ def accelerations(
             force += J[k, j] * b[k]
         acc[j] = W[j] * (Q[j] - force)
         if j < 3:
-            held[0, j] -= force
+            wrenches[0, j] -= force
         elif j >= 9:
-            held[1, j - 9] -= force
+            wrenches[1, j - 9] -= force
     for wall in range(2):
         if sticking[wall]:
             friction[wall] = -b[sticking[wall]]
-    return acc, held, friction, b[seated]
+    return acc, wrenches, friction, b[seated]
 
 
 @compiled
@@ -519,10 +528,11 @@ def motion(
     chi: np.ndarray,
     sliding: np.ndarray,
     resting: np.ndarray,
+    length_held: float,
 ) -> np.ndarray:
     """Rate of change of the state: 12 coordinates, 12 velocities, normal impulse of each wall."""
     rate = np.zeros(26)
-    acc = accelerations(z, c, touching, chi, sliding, resting)[0]
+    acc = accelerations(z, c, touching, chi, sliding, resting, length_held)[0]
     for j in range(12):
         rate[j], rate[12 + j] = z[12 + j], acc[j]
     for wall in range(2):
@@ -576,6 +586,7 @@ class MaximalRun:
     touches: list[Touch] = field(default_factory=list)
     moving: list[float] = field(default_factory=list)  # when the target left its rest
     seat: list[float] = field(default_factory=list)  # when the probe left its seat, came back, ...
+    slide: list[float] = field(default_factory=list)  # when it began or ceased to slide
     q: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)
     impulse: list[np.ndarray] = field(default_factory=list)
@@ -641,10 +652,14 @@ class MaximalBench:
         self.z = np.concatenate([*spread(scene, np.asarray(q), np.asarray(v)), np.zeros(2)])
         self.touching = np.zeros(2, dtype=bool)
         self.chi = np.zeros(2)
-        self.sliding = np.ones(2)  # Coulomb's law: sign of the slip, 0 where the tip sticks
-        # chaser, target, and the preloaded probe on its seat
+        # Coulomb's law: sign of the slip, 0 where the tip sticks; and of the probe in its slide
+        self.sliding = np.array([1.0, 1.0, 0.0])
+        # chaser, target, and the probe that its seat or friction holds
         at_rest = scene.supports is not None and not np.any(v[5:])
-        self.resting = np.array([False, at_rest, self.c.preload > 0.0])
+        is_held = self.c.preload > 0.0 or self.c.slide_friction > 0.0
+        self.resting = np.array([False, at_rest, is_held])
+        self.on_seat = self.c.preload > 0.0
+        self.length_held = self.c.l_0
         self.open: list[Touch | None] = [None, None]
         self.seat_length = self.c.l_0  # of the spring when the probe left its seat, m
         self.wanted: list[float] = []
@@ -652,12 +667,14 @@ class MaximalBench:
         self.run = MaximalRun()
 
     def _rate(self, t: float, z: np.ndarray) -> np.ndarray:
-        return motion(z, self.c, self.touching, self.chi, self.sliding, self.resting)
+        return motion(z, self.c, *self._state())
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        return self.touching, self.chi, self.sliding, self.resting, self.length_held
 
     def _reactions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Wrenches that hold the vehicles (2, 3), friction on the tip (2,), force of the seat."""
-        state = (self.touching, self.chi, self.sliding, self.resting)
-        return accelerations(z, self.c, *state)[1:]
+        return accelerations(z, self.c, *self._state())[1:]
 
     def _load(self, z: np.ndarray) -> float:
         """Share of the supports' limit that the resting target uses."""
@@ -670,45 +687,105 @@ class MaximalBench:
         normal, _ = contact_force(z, self.c, wall, self.chi[wall], 0.0)
         return self.c.mu_s * normal - abs(float(self._reactions(z)[1][wall]))
 
+    def _hold_margin(self, z: np.ndarray) -> float:
+        """What is left of the force that can hold the probe in its slide, N."""
+        force, friction = self._reactions(z)[2], self.c.slide_friction
+        return force + friction if self.on_seat else friction - abs(force)
+
     def _seat_margin(self, z: np.ndarray) -> float:
-        """Force of the seat, N, or the distance to it, m."""
-        if self.resting[2]:
-            return self._reactions(z)[2]
+        """Distance to the seat, m."""
         return self.seat_length - spring_vector(z, self.c)[0]
 
-    def _seat_change(self, dense: DenseWhenAsked, t_a: float, t_b: float) -> float | None:
-        """First time in a step when the probe leaves its seat or meets it."""
-        times = t_a + PLACES * (t_b - t_a)
-        margins = [self._seat_margin(dense(t)) for t in times]
-        for k in range(1, times.size):
-            if margins[k] < -(0.0 if self.resting[2] else SEAT_ROUNDING):
-                low, high = times[k - 1], times[k]
-                if margins[k - 1] <= 0.0:
-                    inside = low + (high - low) * np.logspace(-9, 0, 40)
-                    ahead = [t for t in inside if self._seat_margin(dense(t)) > 0.0]
-                    if not ahead:
-                        return float(low)
-                    low = ahead[-1]
-                how = {"xtol": 1e-17, "rtol": 1e-15}
-                return float(brentq(lambda t: self._seat_margin(dense(t)), low, high, **how))
-        return None
+    def _slide_margin(self, z: np.ndarray) -> float:
+        """Rate of a sliding probe in its direction, m/s."""
+        _, ex, ey, rate_x, rate_y = spring_vector(z, self.c)
+        return float(self.sliding[2]) * (ex * rate_x + ey * rate_y)
 
-    def _change_seat(self) -> None:
-        """Leave the seat, or strike it; a tip may slide the other way then."""
-        self.run.seat.append(self.t)
-        self.resting[2] = not self.resting[2]
-        if not self.resting[2]:
-            # not l_0: what the constraint has drifted would be a distance
+    def _margins(self) -> list[tuple[Callable[[np.ndarray], float], float]]:
+        """What ends the probe's present way of moving as it falls below a rounding."""
+        if self.resting[2]:
+            return [(self._hold_margin, 0.0)]
+        found: list[tuple[Callable[[np.ndarray], float], float]] = []
+        if self.c.preload > 0.0:
+            found.append((self._seat_margin, SEAT_ROUNDING))
+        if self.c.slide_friction > 0.0:
+            found.append((self._slide_margin, 0.0))
+        return found
+
+    def _buffer_change(
+        self, dense: DenseWhenAsked, t_a: float, t_b: float
+    ) -> tuple[float, int] | None:
+        """First time in a step when the probe's way of moving ends, and which of the margins."""
+        times = t_a + PLACES * (t_b - t_a)
+        first = None
+        for which, (margin, rounding) in enumerate(self._margins()):
+            margins = [margin(dense(t)) for t in times]
+            for k in range(1, times.size):
+                if margins[k] < -rounding:
+                    at = self._root(dense, margin, margins[k - 1], times[k - 1], times[k])
+                    if first is None or at < first[0]:
+                        first = at, which
+                    break
+        return first
+
+    def _root(
+        self,
+        dense: DenseWhenAsked,
+        margin: Callable[[np.ndarray], float],
+        before: float,
+        low: float,
+        high: float,
+    ) -> float:
+        if before <= 0.0:
+            # it has just changed: look for where it has gone the new way at all
+            inside = low + (high - low) * np.logspace(-9, 0, 40)
+            ahead = [t for t in inside if margin(dense(t)) > 0.0]
+            if not ahead:
+                return float(low)
+            low = ahead[-1]
+        return float(brentq(lambda t: margin(dense(t)), low, high, xtol=1e-17, rtol=1e-15))
+
+    def _change_buffer(self, which: int) -> None:
+        """Let the probe slide, hold it by friction, or let it strike its seat."""
+        if self.resting[2]:
+            self._let_slide()
+        elif which == 0 and self.c.preload > 0.0:
+            self._strike_seat()
+        else:
+            self._hold_by_friction()
+
+    def _let_slide(self) -> None:
+        """A held probe slides to the side to which its load exceeds what holds it."""
+        (self.run.seat if self.on_seat else self.run.slide).append(self.t)
+        inwards = self.on_seat or self._reactions(self.z)[2] < 0.0
+        self.resting[2] = self.on_seat = False
+        if self.c.slide_friction > 0.0:
+            self.sliding[2] = -1.0 if inwards else 1.0
+        # not l_0: what the constraint has drifted would be a distance
+        if inwards and self.length_held == self.c.l_0:
             self.seat_length = spring_vector(self.z, self.c)[0]
-            return
+
+    def _hold_by_friction(self) -> None:
+        self.length_held = spring_vector(self.z, self.c)[0]
+        self.sliding[2] = 0.0
+        self.resting[2] = True
+        self.run.slide.append(self.t)
+        if self._hold_margin(self.z) < 0.0:
+            self.run.slide.pop()
+            self._let_slide()
+
+    def _strike_seat(self) -> None:
+        """An impact on the seat; a tip may slide the other way then."""
+        self.run.seat.append(self.t)
+        self.resting[2] = self.on_seat = True
+        self.length_held, self.sliding[2] = self.c.l_0, 0.0
         self.z[12:24] = strike(self.z, self.c)
         for wall in range(2):
             moving = slip(self.z, self.c, wall)
             if self.touching[wall] and self.c.friction == FRICTION["coulomb"] and moving != 0.0:
                 self.sliding[wall] = math.copysign(1.0, moving)
-        if self._reactions(self.z)[2] <= 0.0:
-            self.run.seat.append(self.t)
-            self.resting[2] = False
+        if self._hold_margin(self.z) <= 0.0:
+            self._let_slide()
 
     def _friction_change(
         self, dense: DenseWhenAsked, t_a: float, t_b: float, wall: int
@@ -840,10 +917,10 @@ class MaximalBench:
                 at = self._friction_change(dense, t_a, t_b, wall)
                 if at is not None and (at < first or happening is None):
                     first, happening = at, 3 + wall
-        if self.c.preload > 0.0:
-            at = self._seat_change(dense, t_a, t_b)
-            if at is not None and (at < first or happening is None):
-                first, happening = at, 5
+        if self._margins():
+            change = self._buffer_change(dense, t_a, t_b)
+            if change is not None and (change[0] < first or happening is None):
+                first, happening = change[0], 5 + change[1]
         if self.resting[1] and self.touching.any() and self._load(dense(first)) > 1.0:
             first = brentq(lambda t: self._load(dense(t)) - 1.0, t_a, first, xtol=1e-16)
             happening = 2
@@ -864,8 +941,8 @@ class MaximalBench:
         if happening == 2:
             self.resting[1] = False
             self.run.moving.append(self.t)
-        elif happening == 5:
-            self._change_seat()
+        elif happening >= 5:
+            self._change_buffer(happening - 5)
         elif happening >= 3:
             self._change_friction(happening - 3)
         elif self.touching[happening]:

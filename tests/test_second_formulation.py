@@ -56,6 +56,16 @@ CASES = {
         ],
         (0.1, 0.3),
     ),
+    "friction in the slide": (
+        "paper_designed",
+        ["buffer.friction=2"],
+        (0.1, 0.35),
+    ),
+    "friction, preload and a sticking tip": (
+        "paper_designed",
+        ["buffer.friction=1", "buffer.preload=3", "friction.law=coulomb", "friction.mu=1.5"],
+        (0.02, 0.05),
+    ),
     # soft, fast and askew: the tip runs into the throat and hammers both inner edges
     "inner edges": (
         "paper_designed",
@@ -69,6 +79,7 @@ CASES = {
 }
 
 SEAT = (EventKind.SEATED, EventKind.UNSEATED)
+SLIDE = (EventKind.STICK, EventKind.SLIP)
 
 #: Random benches by their number: laws of contact and friction.
 LAWS = {
@@ -95,6 +106,8 @@ def agree(found, other, times, exact):
     assert [e.t for e in starts] == pytest.approx([t.start for t in other.touches], abs=10 * exact)
     seat = [e.t for e in found.events if e.kind in SEAT and e.t < times[-1]]
     assert seat == pytest.approx(other.seat, abs=1e3 * exact)
+    slide = [e.t for e in found.events if e.kind in SLIDE and e.wall == 0 and e.t < times[-1]]
+    assert slide == pytest.approx(other.slide, abs=1e3 * exact)
     over = found.touches[found.touches["end"] < times[-1]]
     ended = {(t.side, round(t.start, 8)): t for t in other.touches if np.isfinite(t.end)}
     assert len(over) == len(ended)

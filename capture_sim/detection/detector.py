@@ -45,6 +45,7 @@ from capture_sim.detection.noise import NoiseEstimate, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
+from capture_sim.model.trig import wrapped_angle
 from capture_sim.scene.parts import Scene
 
 #: Number of measurements of the buffer that are averaged if a single one is too noisy.
@@ -62,7 +63,7 @@ _EPOCH = 1_000_000_000_000
 
 # a few hundred measurements a second: not worth compiled functions of their own
 _tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
-_enter, _wall_gap = plain(enter), plain(wall_gap)
+_enter, _wall_gap, _wrapped_angle = plain(enter), plain(wall_gap), plain(wrapped_angle)
 
 
 class CaptureDetector:
@@ -458,7 +459,7 @@ class CaptureDetector:
             distance=math.hypot(*tip.place),
             axial_offset=tip.place[0],
             lateral_offset=tip.place[1],
-            relative_attitude=observation.chaser[2] - observation.target[2],
+            relative_attitude=_wrapped_angle(observation.chaser[2] - observation.target[2]),
             relative_speed=math.nan if rate is None else math.hypot(*rate),
             nearest_distance=float(memory.nearest),
             time_in_state=observation.t - float(memory.since),

@@ -26,6 +26,7 @@ from capture_sim.detection.criteria import (
 )
 from capture_sim.kernels import entry_kernel, records
 from capture_sim.model.equations import tip_in_cone
+from capture_sim.model.trig import wrapped_angle
 from capture_sim.scene.parts import Scene
 
 _STATES = tuple(CaptureState)
@@ -67,7 +68,7 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
         row.distance = sample.tip_distance
         row.axial_offset = axial
         row.lateral_offset = lateral
-        row.relative_attitude = y[2] - y[7]
+        row.relative_attitude = wrapped_angle(y[2] - y[7])
         row.relative_speed = memory.speed
         row.nearest_distance = memory.nearest
         row.time_in_state = t - memory.since

@@ -1,10 +1,17 @@
-"""Applies an event: touches, slip, rest, stops, seat and latch; and its entry in the log."""
+"""Applies an event: touches, slip, rest, stops, seat, slide and latch; and its log entry."""
 
 from __future__ import annotations
 
 import math
 
-from capture_sim.engine.events import SLIP_FLOOR, is_slow, ratio_of_limit
+from capture_sim.engine.events import (
+    SLIDE,
+    SLIP_FLOOR,
+    held_load,
+    hold_limits,
+    is_slow,
+    ratio_of_limit,
+)
 from capture_sim.engine.state import NO_EVENT
 from capture_sim.kernels import kernel
 from capture_sim.model.contact import COULOMB, normal_force
@@ -15,11 +22,12 @@ from capture_sim.model.equations import (
     NO_TOUCH,
     ROLLING,
     STOP,
+    Hold,
+    arrest_probe,
     gap_and_rate,
     slip_of,
     solve_accelerations,
     solve_sticking,
-    strike_seat,
     tip_in_cone,
 )
 from capture_sim.model.observe import elastic_contact_energy, kinetic_energy, mechanical_energy
@@ -217,10 +225,70 @@ def follow_jump(w, i):
 
 
 @kernel
+def end_slide(w):
+    """Count what friction in the slide has dissipated since the probe began to slide."""
+    mode, totals, y = w.system.mode, w.totals, w.stepper.y
+    slid = mode.slide_direction * (y[4] - totals.slide_from)
+    totals.lost_slide += w.system.par.slide_friction * slid
+    mode.slide_direction = 0.0
+
+
+@kernel
+def begin_slide(w, direction):
+    """Let the probe slide; friction acts against ``direction``, +1 outwards or -1 inwards."""
+    w.system.mode.held = Hold.NONE
+    w.totals.slide_from = w.stepper.y[4]
+    if w.system.par.slide_friction > 0.0:
+        w.system.mode.slide_direction = direction
+
+
+@kernel
+def turn_slide(w):
+    """Let the probe, at rest in its slide, stick if friction can hold it, else slide on."""
+    mode, par, y = w.system.mode, w.system.par, w.stepper.y
+    end_slide(w)
+    # a fixed step may apply the event late: the probe then slides the other way already
+    if par.fixed_step > 0.0 and abs(y[12]) > _LATE_SLIP * SLIP_FLOOR * par.speed_scale:
+        begin_slide(w, math.copysign(1.0, y[12]))
+        log_event(w, EventKind.SLIP).value = par.slide_friction
+        return
+    if mode.rest_S:
+        y[12] = 0.0
+    else:
+        w.totals.lost_slide += arrest_probe(y, par)
+    w.step.start_measured = 0
+    mode.held = Hold.FRICTION
+    load = held_load(y, w.system)
+    lower, upper = hold_limits(y, w.system)
+    needed = load - 0.5 * (lower + upper)
+    if lower < load < upper:
+        log_event(w, EventKind.STICK).value = needed
+    else:
+        begin_slide(w, 1.0 if needed < 0.0 else -1.0)
+        log_event(w, EventKind.SLIP).value = needed
+
+
+@kernel
+def release_probe(w):
+    """Let a held probe slide, to the side to which its load exceeds what holds it."""
+    y, kind = w.stepper.y, EventKind.UNSEATED
+    load = held_load(y, w.system)
+    lower, upper = hold_limits(y, w.system)
+    value, direction = upper, -1.0
+    if w.system.mode.held == Hold.FRICTION:
+        kind, value = EventKind.SLIP, load - 0.5 * (lower + upper)
+        direction = 1.0 if value < 0.0 else -1.0
+    begin_slide(w, direction)
+    w.progress.released_at_t0 = 1
+    log_event(w, kind).value = value
+
+
+@kernel
 def seat_probe(w):
     """Bring the probe to rest on its seat; the impact sets a chaser at rest in motion."""
     mode, par, y = w.system.mode, w.system.par, w.stepper.y
     log_event(w, EventKind.SEATED).value = y[12]
+    end_slide(w)
     if par.fixed_step > 0.0:
         # the event may be applied late, with the probe beyond its seat
         before = mechanical_energy(y, w.system)
@@ -228,10 +296,10 @@ def seat_probe(w):
         y[STOP] += before - mechanical_energy(y, w.system)
         w.step.start_measured = 0
     y[4] = par.h_0
-    mode.seated = 1
+    mode.held = Hold.SEAT
     if y[12] == 0.0:
         return
-    y[STOP] += strike_seat(y, par)
+    y[STOP] += arrest_probe(y, par)
     w.step.start_measured = 0
     for i in range(2):
         if mode.touch[i].on:
@@ -260,6 +328,8 @@ def apply_event(w):
         begin_touch(w, which)
     elif kind == EventKind.LIFT_OFF:
         end_touch(w, which)
+    elif kind == EventKind.STICK and which == SLIDE:
+        turn_slide(w)
     elif kind == EventKind.STICK:
         change_slip(w, which)
     elif kind == EventKind.AT_REST:
@@ -281,7 +351,5 @@ def apply_event(w):
         mode.stop = which if kind == EventKind.STOP_HIT else 0
     elif kind == EventKind.SEATED:
         seat_probe(w)
-    elif kind == EventKind.UNSEATED:
-        mode.seated = 0
-        w.progress.unseated_at_t0 = 1
-        log_event(w, EventKind.UNSEATED).value = w.system.par.preload
+    elif kind == EventKind.UNSEATED or kind == EventKind.SLIP:
+        release_probe(w)

@@ -4,25 +4,30 @@ Every touch, lift-off, latch and stop event is found, because each has a distanc
 near it the step is so short that the cubic through value and rate at both ends shows every dip.
 Conditions without a rate (stick and slip, a vehicle that starts to move or slows down) are checked
 at the quarters and the end of a step.  One that starts and ends within a quarter is missed; it
-changes the forces by less than the error control permits.  A preloaded probe leaves its seat where
-the load on the seat reaches the preload; the cubic through load and rate, a difference quotient
-along the motion, decides whether the step is searched.
+changes the forces by less than the error control permits.  A probe that its seat or friction holds
+begins to slide where the load reaches a limit; the cubic through load and rate, a difference
+quotient along the motion, decides whether the step is searched.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from capture_sim.engine.state import NO_EVENT, NO_WALL
 from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
 from capture_sim.kernels import inline_kernel, kernel
 from capture_sim.model.contact import COULOMB
 from capture_sim.model.equations import (
+    Hold,
+    axial_force,
     gap_and_rate,
     slip_acceleration,
     slip_of,
     solve_accelerations,
     solve_sticking,
+    stop_force,
     tip_in_cone,
 )
 from capture_sim.model.supports import fastest_ball, load_factor
@@ -44,6 +49,8 @@ _DISTANCE_ROUNDING = 3e-17
 _NEWTON_DONE = 1e-9
 #: Share of the scene's speed: a smaller slip is round-off and has no direction.
 SLIP_FLOOR = 1e-10
+#: Next to the walls 0 and 1, the third place where stick and slip change: the buffer's slide.
+SLIDE = np.int64(2)
 #: Multiple of v_eps: a slower vehicle may be put at rest; see docs/model.md, supports.
 _REST_SPEED = 5.0
 #: In a repeated step, the event is sought this many times its distance before the end.
@@ -64,7 +71,8 @@ def stop_distance(y, par, side):
 def has_distance(kind):
     """Return True if the event has a distance with a rate, see :func:`event_value`."""
     is_vehicle = kind == EventKind.MOVING or kind == EventKind.AT_REST
-    return not (is_vehicle or kind == EventKind.STICK or kind == EventKind.UNSEATED)
+    is_slip = kind == EventKind.STICK or kind == EventKind.SLIP
+    return not (is_vehicle or is_slip or kind == EventKind.UNSEATED)
 
 
 @kernel
@@ -245,9 +253,25 @@ def ratio_of_limit(y, par, hold, which):
 
 @kernel
 def forward_slip(y, system, i):
-    """Return the slip of a sliding tip on wall ``i`` in its direction, above the floor, m/s."""
-    par = system.par
-    return slip_of(y, par, i) * system.mode.touch[i].direction + SLIP_FLOOR * par.speed_scale
+    """Return the slip of a sliding tip or probe in its direction, above the floor, m/s.
+
+    Of the tip on wall ``i``, or of the probe in its SLIDE.
+    """
+    par, mode = system.par, system.mode
+    if i == SLIDE:
+        forward = y[12] * mode.slide_direction
+    else:
+        forward = slip_of(y, par, i) * mode.touch[i].direction
+    return forward + SLIP_FLOOR * par.speed_scale
+
+
+@kernel
+def forward_slip_rate(y, f, system, i):
+    """Return d/dt of :func:`forward_slip` for accelerations f[8:16], m/s^2."""
+    par, mode = system.par, system.mode
+    if i == SLIDE:
+        return f[12] * mode.slide_direction
+    return slip_acceleration(y, f, par, i) * mode.touch[i].direction
 
 
 @kernel
@@ -258,47 +282,73 @@ def unused_friction(y, system, i):
     return system.par.mu_s * out.normal[i] - abs(out.friction_force[i])
 
 
+@inline_kernel
+def is_sticking_tip(mode, i):
+    """Return True if the tip sticks on wall ``i``; a probe that sticks is held."""
+    return i != SLIDE and mode.touch[i].sticking == 1
+
+
 @kernel
 def slip_changes(y, system, i):
-    """Return True if the tip on wall ``i`` slides no more in its direction, or sticks no more."""
-    if system.mode.touch[i].sticking:
+    """Return True if tip or probe slides no more in its direction, or the tip sticks no more."""
+    if is_sticking_tip(system.mode, i):
         return unused_friction(y, system, i) <= 0.0
     return forward_slip(y, system, i) <= 0.0
 
 
 @kernel
-def seat_load(y, system):
-    """Return the axial force of a seated probe, N; above the preload the probe leaves its seat."""
+def held_load(y, system):
+    """Return the axial force of a held probe, N."""
     solve_accelerations(y, system.spare[0], system)
     return system.out.axial_force
 
 
 @kernel
-def measure_seat(w):
-    """Write a seated probe's load and its rate at both ends of the step."""
+def hold_limits(y, system):
+    """Return the axial forces between which seat and friction hold a probe, N.
+
+    Beyond the first it slides outwards, beyond the second inwards; a seat lets nothing out.
+    """
+    par, mode = system.par, system.mode
+    stroke = y[4] - par.h_0
+    load, _ = axial_force(stroke, 0.0, 0.0, par)
+    if mode.stop:
+        push, _ = stop_force(stroke, 0.0, mode.stop, par)
+        load += push
+    lower = -math.inf if mode.held == Hold.SEAT else load - par.slide_friction
+    return lower, load + par.slide_friction
+
+
+@kernel
+def measure_hold(w):
+    """Write a held probe's load and its rate at both ends of the step."""
     step, stepper, system = w.step, w.stepper, w.system
-    load, rate, mode = step.seat_load, step.seat_load_rate, system.mode
-    load[0] = seat_load(stepper.y, system)
-    load[1] = seat_load(stepper.y_new, system)
+    load, rate, mode = step.hold_load, step.hold_load_rate, system.mode
+    load[0] = held_load(stepper.y, system)
+    load[1] = held_load(stepper.y_new, system)
     if mode.touch[0].on or mode.touch[1].on or mode.latched:
         small, moved = SMALL_MOVE * step.h, w.scratch.moved
         move_along(stepper.y, stepper.K[0], small, 0, moved)
-        rate[0] = (seat_load(moved, system) - load[0]) / small
+        rate[0] = (held_load(moved, system) - load[0]) / small
         move_along(stepper.y_new, stepper.K[stepper.stages], -small, 0, moved)
-        rate[1] = (load[1] - seat_load(moved, system)) / small
+        rate[1] = (load[1] - held_load(moved, system)) / small
     else:
         rate[0] = rate[1] = (load[1] - load[0]) / step.h
 
 
 @kernel
-def seat_left_by(w):
-    """Return a fraction (0..1) of the step by which the probe has left its seat; 2 if none."""
-    step, preload = w.step, w.system.par.preload
-    start, end = preload - step.seat_load[0], preload - step.seat_load[1]
-    if start <= 0.0 and w.progress.unseated_at_t0:
-        # seated again at the same time: the excess load is round-off
+def limit_passed_by(w, side, limit):
+    """Return a fraction (0..1) of the step by which a held probe's load passes a limit; 2 if none.
+
+    ``side`` is +1 for the upper limit (N), -1 for the lower one, which is given as its negative.
+    """
+    step = w.step
+    start, end = limit - side * step.hold_load[0], limit - side * step.hold_load[1]
+    if start <= 0.0 and w.progress.released_at_t0:
+        # held again at the same time: the excess load is round-off
         return _NO_CROSSING
-    rate_a, rate_b = -step.h * step.seat_load_rate[0], -step.h * step.seat_load_rate[1]
+    rate_a = -side * step.h * step.hold_load_rate[0]
+    rate_b = -side * step.h * step.hold_load_rate[1]
     if end > 0.0 and not may_cross(max(start, 0.0), rate_a, end, rate_b, _CUBIC_ERROR):
         return _NO_CROSSING
     x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
@@ -308,16 +358,36 @@ def seat_left_by(w):
         x = 0.25 * (k + 1) if k < 3 else x_dip
         if 0.0 < x < earliest:
             state_inside(w, x, y)
-            if seat_load(y, w.system) >= preload:
+            if side * held_load(y, w.system) >= limit:
                 earliest = x
     return earliest
 
 
 @kernel
+def hold_lost_by(w):
+    """Return a fraction (0..1) of the step by which the probe is held no more; 2 if none."""
+    lower, upper = hold_limits(w.stepper.y, w.system)
+    x = limit_passed_by(w, 1.0, upper)
+    if w.system.mode.held == Hold.FRICTION:
+        x = min(x, limit_passed_by(w, -1.0, -lower))
+    return x
+
+
+@inline_kernel
+def release_of(mode):
+    """Return kind and place of the event by which a held probe begins to slide."""
+    if mode.held == Hold.SEAT:
+        return EventKind.UNSEATED, NO_WALL
+    return EventKind.SLIP, SLIDE
+
+
+@kernel
 def condition_holds(y, system, kind, which):
-    """Return True if the condition of MOVING, AT_REST, STICK or UNSEATED is met."""
-    if kind == EventKind.UNSEATED:
-        return seat_load(y, system) >= system.par.preload
+    """Return True if the condition of MOVING, AT_REST, STICK, UNSEATED or a probe's SLIP is met."""
+    if kind == EventKind.UNSEATED or kind == EventKind.SLIP:
+        load = held_load(y, system)
+        lower, upper = hold_limits(y, system)
+        return load >= upper or load <= lower
     if kind == EventKind.MOVING:
         solve_accelerations(y, system.spare[0], system)
         return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
@@ -345,7 +415,9 @@ def bisect_condition(w, kind, which, x_b):
 
 @kernel
 def slip_changed_by(w, i):
-    """Return a fraction (0..1) of the step by which slip has changed on wall ``i``; 2 if none.
+    """Return a fraction (0..1) of the step by which slip has changed; 2 if none.
+
+    Of the tip on wall ``i``, or of a sliding probe in its SLIDE.
 
     Slip may reverse twice within a step, and the holding force may oscillate, so both are also
     checked inside the step; while sliding, only if the cubic of the slip may cross zero.
@@ -354,12 +426,11 @@ def slip_changed_by(w, i):
     if slip_changes(stepper.y_new, system, i):
         return 1.0
     x_dip = -1.0
-    if not system.mode.touch[i].sticking:
-        width = system.mode.touch[i].direction * w.step.h
+    if not is_sticking_tip(system.mode, i):
         start = max(forward_slip(stepper.y, system, i), 0.0)
         end = forward_slip(stepper.y_new, system, i)
-        rate_a = width * slip_acceleration(stepper.y, stepper.K[0], system.par, i)
-        rate_b = width * slip_acceleration(stepper.y_new, stepper.K[stepper.stages], system.par, i)
+        rate_a = w.step.h * forward_slip_rate(stepper.y, stepper.K[0], system, i)
+        rate_b = w.step.h * forward_slip_rate(stepper.y_new, stepper.K[stepper.stages], system, i)
         if not may_cross(start, rate_a, end, rate_b, _CUBIC_ERROR):
             return _NO_CROSSING
         x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
@@ -425,13 +496,19 @@ def search_step(w):
             g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
             if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
                 keep_earliest(w, first_crossing(w, kind, side), kind, side)
-    if mode.seated:
-        measure_seat(w)
-        x = seat_left_by(w)
+    if mode.held:
+        measure_hold(w)
+        x = hold_lost_by(w)
         if x <= 1.0:
-            x = bisect_condition(w, EventKind.UNSEATED, NO_WALL, x)
-            keep_earliest(w, x, EventKind.UNSEATED, NO_WALL)
-    elif par.preload > 0.0:
+            kind, place = release_of(mode)
+            x = bisect_condition(w, kind, place, x)
+            keep_earliest(w, x, kind, place)
+    elif par.slide_friction > 0.0:
+        x = slip_changed_by(w, SLIDE)
+        if x <= 1.0:
+            x = bisect_condition(w, EventKind.STICK, SLIDE, x)
+            keep_earliest(w, x, EventKind.STICK, SLIDE)
+    if par.preload > 0.0 and not mode.held:
         kind = EventKind.SEATED
         g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
         g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)

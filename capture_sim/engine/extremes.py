@@ -12,7 +12,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from capture_sim.engine.events import seat_load
+from capture_sim.engine.events import held_load
 from capture_sim.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
 from capture_sim.kernels import inline_kernel, kernel
 from capture_sim.model.contact import normal_force, raised_depth
@@ -38,6 +38,10 @@ _BRACKET, _PARABOLAS, _MIN_PARABOLA = 0.25, 0.05, 1e-6
 _CUBIC_RISE, _CUBIC_ERROR = 0.25, 0.02
 #: Share of the latter: a quantity this close to its cubic has its maximum where the cubic has it.
 _TRUSTED = 0.1
+#: A sustained contact: a segment longer than _RIPPLE_ANGLE, rad of the contact's oscillation, whose
+#: force is close to the peak, by _RIPPLE, is evaluated at this many places, since the dense output
+#: ripples between its ends.
+_RIPPLE_ANGLE, _RIPPLE, _PLACES = 1.0, 0.02, 16
 #: Share of the rates at the ends and the middle of a segment in contact: limit of the rise inside.
 _RATE_RISE = 1.0
 
@@ -51,7 +55,9 @@ class Watched(IntEnum):
     PENETRATION = 3  # of the wall on that side
     PENETRATION_RATE = 4
     NORMAL_FORCE = 5
-    BUFFER_FORCE = 6  # of spring, damper, stop and seat; -1 pulling, +1 pushing the probe out
+    BUFFER_FORCE = (
+        6  # of spring, damper, friction, stop and seat; -1 pulling, +1 pushing the probe out
+    )
     BUFFER_TORQUE = 7  # either direction
     LATCH_FORCE = 8
 
@@ -68,12 +74,12 @@ NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
 
 @kernel
 def buffer_force_at(y, system):
-    """Return the force of the axial spring, its damper, a stop and the seat on the probe, N."""
+    """Return the force of axial spring, damper, friction, stop and seat on the probe, N."""
     par, stop = system.par, system.mode.stop
-    if system.mode.seated:
-        return seat_load(y, system)
+    if system.mode.held:
+        return held_load(y, system)
     stroke, rate = y[4] - par.h_0, y[12]
-    force, _ = axial_force(stroke, rate, par)
+    force, _ = axial_force(stroke, rate, system.mode.slide_direction, par)
     if stop:
         push, _ = stop_force(stroke, rate, stop, par)
         force += push
@@ -300,6 +306,33 @@ def force_and_rate(depth, rate, acceleration, K, exponent, chi):
     return force, raised_depth(depth, exponent) / depth * slope
 
 
+@inline_kernel
+def may_ripple(w, touch, p_b, f_a, f_b):
+    """Return True if the force of a sustained contact may pass its peak within the segment.
+
+    ``p_b`` is the penetration at its end, m; ``f_a`` and ``f_b`` the forces at both ends, N.
+    """
+    par, width = w.system.par, w.step.x_end * w.step.h
+    if p_b <= 0.0 or (1.0 + _RIPPLE) * max(f_a, f_b) <= touch.peak_force:
+        return False
+    stiffness = par.exponent * par.K * raised_depth(p_b, par.exponent) / p_b
+    return width * width * stiffness > _RIPPLE_ANGLE * _RIPPLE_ANGLE * par.m_P
+
+
+@kernel
+def scan_force(w, side):
+    """Return fraction and value of the largest of several maxima of a normal force."""
+    x_end = w.step.x_end
+    best, force = 0.0, 0.0
+    for k in range(1, _PLACES):
+        x = k * x_end / _PLACES
+        f = value_at(w, x, Watched.NORMAL_FORCE, side)
+        if f > force:
+            best, force = x, f
+    best, force, _ = search_top(w, Watched.NORMAL_FORCE, side, best, force, x_end / _PLACES)
+    return best, force
+
+
 @kernel
 def watch_touch(w, i):
     """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
@@ -315,6 +348,12 @@ def watch_touch(w, i):
         watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
     touch.largest_rate = max(touch.largest_rate, r_b)
     force, _ = normal_force(p_b, r_b, K, exponent, touch.chi)
+    force_a, _ = normal_force(p_a, r_a, K, exponent, touch.chi)
+    if may_ripple(w, touch, p_b, force_a, force):
+        x, peak = scan_force(w, side)
+        if peak > touch.peak_force:
+            touch.peak_force = peak
+            touch.peak_time = step.t0 + x * step.h
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t1
@@ -352,7 +391,7 @@ def watch_touch(w, i):
 
 @inline_kernel
 def buffer_force_rate(y, acceleration, system):
-    """Return d/dt of :func:`buffer_force_at` of a probe off its seat, N/s."""
+    """Return d/dt of :func:`buffer_force_at` of a sliding probe, N/s."""
     par, stop = system.par, system.mode.stop
     stroke, rate = y[4] - par.h_0, y[12]
     total = axial_force_rate(stroke, rate, acceleration, par)
@@ -385,9 +424,9 @@ def watch_loads(w):
         buffer_torque_at(y_b, par),
         hinge_torque_rate(torsion_b, twist_b, turning_b, par),
     )
-    if mode.seated:
-        force_a, force_rate_a = step.seat_load[0], step.seat_load_rate[0]
-        force_b, force_rate_b = step.seat_load[1], step.seat_load_rate[1]
+    if mode.held:
+        force_a, force_rate_a = step.hold_load[0], step.hold_load_rate[0]
+        force_b, force_rate_b = step.hold_load[1], step.hold_load_rate[1]
         if step.x_end < 1.0:
             force_b = buffer_force_at(y_b, system)
             force_rate_b = (force_b - buffer_force_at(near_end, system)) / small

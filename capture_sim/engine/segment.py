@@ -6,12 +6,14 @@ from capture_sim.engine.consequences import apply_event
 from capture_sim.engine.events import (
     event_value,
     has_distance,
+    hold_limits,
     ratio_of_limit,
+    release_of,
     search_again,
     search_step,
 )
 from capture_sim.engine.extremes import watch_extremes, watch_loads
-from capture_sim.engine.state import NO_EVENT, NO_WALL, SMALLEST_STEP, Segment, Status
+from capture_sim.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
 from capture_sim.engine.steps import (
     advance_distances,
     make_dense,
@@ -46,18 +48,18 @@ _NEAR_END, _PAST_EVENT = 0.95, 1.02
 def begin_equations(w):
     """Evaluate equations that have changed; return True if an event follows at once.
 
-    The probe may leave its seat, or a vehicle at rest may start to move.
+    The probe may begin to slide, or a vehicle at rest may start to move.
     """
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
     step.equations_changed = 0
-    is_lifted = mode.seated and w.system.out.axial_force > w.system.par.preload
-    if is_lifted and not w.progress.unseated_at_t0:
-        step.h = 0.0
-        step.t1 = step.t0
-        event.kind = EventKind.UNSEATED
-        event.which = NO_WALL
-        return True
+    if mode.held and not w.progress.released_at_t0:
+        lower, upper = hold_limits(w.stepper.y, w.system)
+        if not lower <= w.system.out.axial_force <= upper:
+            step.h = 0.0
+            step.t1 = step.t0
+            event.kind, event.which = release_of(mode)
+            return True
     if w.system.par.has_supports:
         # a change of forces may exceed the limit of the supports at once
         for which in range(2):
@@ -207,7 +209,7 @@ def close_step(w, trace):
             step.equations_changed = 1
         advance_distances(step)
     if step.t1 > step.t0 + SMALLEST_STEP:
-        progress.events_at_t0 = progress.unseated_at_t0 = 0
+        progress.events_at_t0 = progress.released_at_t0 = 0
     else:
         progress.events_at_t0 += 1
     step.t0 = step.t1

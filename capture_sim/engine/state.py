@@ -75,8 +75,8 @@ STEP = np.dtype(
         ("start", DISTANCES),
         ("start_measured", "i8"),  # ``start`` belongs to t0
         ("hold", "f8", (6,)),  # load on supports at rest at the end of the step, see OUT
-        ("seat_load", "f8", (2,)),  # axial force of a seated probe at both ends of the step, N
-        ("seat_load_rate", "f8", (2,)),  # N/s
+        ("hold_load", "f8", (2,)),  # axial force of a held probe at both ends of the step, N
+        ("hold_load_rate", "f8", (2,)),  # N/s
         ("end", DISTANCES),
     ],
     align=True,
@@ -113,6 +113,8 @@ TOTALS = np.dtype(
         ("energy_0", "f8"),  # J, at the release
         ("lost_landing", "f8"),  # J, at the instant of an event
         ("lost_latch", "f8"),
+        ("lost_slide", "f8"),  # by friction in the slide, but for the present slide
+        ("slide_from", "f8"),  # h where the present slide began, m
         ("extreme", "f8", (2, len(EXTREME_NAMES))),  # before and after the latch
         ("extreme_time", "f8", (2, len(EXTREME_NAMES))),
     ],
@@ -127,7 +129,7 @@ PROGRESS = np.dtype(
         ("status", "i8"),  # of Status
         ("t_stop", "f8"),
         ("events_at_t0", "i8"),  # in a row, without progress
-        ("unseated_at_t0", "i8"),  # the probe has left its seat at the present time
+        ("released_at_t0", "i8"),  # the probe was held until the present time
         ("slow", "i8", (2,)),  # chaser, target: below the rest speed; AT_REST is not sought again
         ("n_log", "i8"),
         ("n_trace", "i8"),
@@ -154,7 +156,7 @@ EVENT = np.dtype(
 SCRATCH = np.dtype(
     [
         ("sought", "f8", (N_STATE,)),  # events: where an event is sought
-        ("moved", "f8", (N_STATE,)),  # events.measure_seat: shortly after or before an end
+        ("moved", "f8", (N_STATE,)),  # events.measure_hold: shortly after or before an end
         ("watched", "f8", (N_STATE,)),  # extremes.value_at: where a maximum is sought
         ("near_start", "f8", (N_STATE,)),  # extremes.watch_latch: shortly after the start
         ("near_end", "f8", (N_STATE,)),  # extremes.watch_loads: shortly before the end

@@ -123,6 +123,9 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
         if name == "c_A" and scene.buffer.c_A_rebound is None:
             places.append(parameter("c_A_rebound"))
         found.append(variable(f"buffer.{name}", *places, shapes_buffer=True))
+    if scene.buffer.friction > 0.0:
+        # without it the probe of the exported scene is not held at the release
+        found.append(variable("buffer.friction", parameter("slide_friction")))
     for path, name in _OTHERS.items():
         if getattr(scene, path.partition(".")[0]) is None:
             continue

@@ -13,6 +13,8 @@ factorisation; docs/model.md derives it.
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 import numpy as np
 
 from capture_sim.kernels import inline_kernel, kernel, records
@@ -46,6 +48,16 @@ WALL_TOUCH = np.dtype(
     ],
     align=True,
 )
+
+
+class Hold(IntEnum):
+    """What holds the probe at rest in its slide."""
+
+    NONE = 0
+    SEAT = 1  # preloaded, at h = h_0; friction helps
+    FRICTION = 2
+
+
 #: Assigned when a touch begins and ends, so that no field of an earlier touch remains.
 NO_TOUCH = np.zeros(1, WALL_TOUCH)
 
@@ -57,7 +69,8 @@ MODE = np.dtype(
         ("latch_x", "f8"),  # position of the tip when the latch closed, target frame, m
         ("latch_y", "f8"),
         ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
-        ("seated", "i8"),  # the preloaded probe is on its seat: h = h_0, moves with the cylinder
+        ("held", "i8"),  # of Hold: the probe moves with the cylinder, h does not change
+        ("slide_direction", "f8"),  # sign of h' that friction in the slide acts against; 0: none
         ("rest_S", "i8"),  # chaser at rest on its supports
         ("rest_T", "i8"),  # target at rest on its supports
         ("driven", "i8"),  # an external wrench acts on the tip until the latch closes
@@ -69,7 +82,7 @@ MODE = np.dtype(
 #: Results of an evaluation besides the accelerations.
 OUT = np.dtype(
     [
-        ("axial_force", "f8"),  # on the probe by spring, damper, stop and seat, outwards, N
+        ("axial_force", "f8"),  # on the probe by spring, damper, friction, stop, seat, outwards, N
         ("axial", "f8"),  # power lost, W
         ("torsion", "f8"),
         ("hysteresis", "f8", (2,)),
@@ -101,12 +114,19 @@ SYSTEM = np.dtype(
 def make_system(parameters: np.ndarray) -> np.ndarray:
     """Return the (1,) record for the kernels, in free flight, with a scene's parameters.
 
-    The buffer is at rest: a preloaded probe is on its seat.
+    The buffer is at rest.
     """
     system = np.zeros(1, SYSTEM)
     system["par"] = parameters
-    system["mode"]["seated"] = parameters["preload"] > 0.0
+    system["mode"]["held"] = hold_at_rest(parameters[0])
     return records(system)
+
+
+def hold_at_rest(parameters: np.void) -> Hold:
+    """Return what holds the probe of a buffer at rest, at its rest length."""
+    if parameters["preload"] > 0.0:
+        return Hold.SEAT
+    return Hold.FRICTION if parameters["slide_friction"] > 0.0 else Hold.NONE
 
 
 @inline_kernel
@@ -212,15 +232,15 @@ def tip_forces(y, system, px, py, wx, wy):
 
 
 @inline_kernel
-def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, seated, par):
+def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, held, par):
     """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
 
-    For right-hand sides in which theta_P, and h unless ``seated``, are eliminated; ``coupled`` is
+    For right-hand sides in which theta_P, and h unless ``held``, are eliminated; ``coupled`` is
     the mass across the probe that turns with it, kg.
     """
     a, m_along, m_free, inverse_u = par.a, par.m_C, par.m_P, par.inverse_m_SC
     m_CP = par.m_C + par.m_P
-    if seated:
+    if held:
         m_along, m_free, inverse_u = m_CP, 0.0, par.inverse_m_total
     S_w = par.m_total - coupled
     S_uS = m_along * a * sD
@@ -236,8 +256,8 @@ def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, seate
 
 
 @kernel
-def strike_seat(y, par):
-    """Bring the probe to rest on its seat, by an impulse along it; return the energy lost, J.
+def arrest_probe(y, par):
+    """Bring the probe to rest in its slide, by an impulse along it; return the energy lost, J.
 
     Only the chaser's bodies take part: contact, friction, latch and supports are finite forces.
     """
@@ -316,7 +336,7 @@ def accelerate(y, f, system):
         f_u = gx * cP + gy * sP
         f_w = gy * cP - gx * sP
 
-    axial, out.axial = axial_force(h - par.h_0, rate, par)
+    axial, out.axial = axial_force(h - par.h_0, rate, mode.slide_direction, par)
     if mode.stop:
         push, lost = stop_force(h - par.h_0, rate, mode.stop, par)
         axial += push
@@ -335,7 +355,7 @@ def accelerate(y, f, system):
     R_S = a * (sD * R_u + cD * R_w) - torque
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
-    if mode.seated:
+    if mode.held:
         # no row of its own: forces along the probe act on the cylinder
         out.axial_force = axial - R_h
         R_h = 0.0
@@ -353,7 +373,7 @@ def accelerate(y, f, system):
         f[9] = 0.0
         f[10] = 0.0
         f[11] = R_P * inverse_P
-        f[12] = R_h * par.inverse_m_P  # 0 on the seat
+        f[12] = R_h * par.inverse_m_P  # 0 while the probe is held
     else:
         if par.has_supports:
             qx, qy, qm, lost = rolling_wrench(
@@ -364,7 +384,7 @@ def accelerate(y, f, system):
             reduced_S += qm
             out.rolling += lost
         acc_u, acc_w, alpha = chaser_accelerations(
-            reduced_u, reduced_w, reduced_S, sD, cD, moment * ratio, mode.seated, par
+            reduced_u, reduced_w, reduced_S, sD, cD, moment * ratio, mode.held, par
         )
         f[8] = acc_u * cP - acc_w * sP
         f[9] = acc_u * sP + acc_w * cP
@@ -372,7 +392,7 @@ def accelerate(y, f, system):
         f[11] = (R_P - moment * (acc_w + a * cD * alpha)) * inverse_P
         along = acc_u + a * sD * alpha
         f[12] = R_h * par.inverse_m_P - along
-        if mode.seated:
+        if mode.held:
             f[12] = 0.0
             out.axial_force += m_P * along
 
@@ -425,16 +445,19 @@ def spring_and_damper_rate(x, rate, acceleration, k, k_3, c, c_2, par):
 
 
 @inline_kernel
-def axial_force(stroke, rate, par):
-    """Return the force of axial spring and damper on the probe, N, and the power lost, W.
+def axial_force(stroke, rate, direction, par):
+    """Return the force of axial spring, damper and friction on the probe, N, and a power, W.
 
-    The force of a seat is not included.
+    The power is the damper's loss.  Friction in the slide acts against ``direction``, 0 for a probe
+    at rest in it.  The force of a seat is not included.
     """
     c = par.c_A_rebound if rate > 0.0 else par.c_A
     spring, damper = spring_and_damper(stroke, rate, par.k_A, par.k_A3, c, par.c_A2, par)
-    if par.has_shaped_buffer and par.force_table.count:
-        force, _, _ = tabulated_spring(-stroke, par.force_table)
-        spring -= force
+    if par.has_shaped_buffer:
+        spring += par.slide_friction * direction
+        if par.force_table.count:
+            force, _, _ = tabulated_spring(-stroke, par.force_table)
+            spring -= force
     return par.preload - spring - damper, damper * rate
 
 

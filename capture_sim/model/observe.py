@@ -101,7 +101,7 @@ def observe(t, y, w, sample):
     stroke = y[4] - par.h_0
     torsion = y[3] - y[2]
     sample.axial_stroke = stroke
-    sample.axial_force, _ = axial_force(stroke, y[12], par)
+    sample.axial_force, _ = axial_force(stroke, y[12], mode.slide_direction, par)
     sample.torsion = torsion
     sample.torsion_torque, _ = hinge_torque(torsion, y[11] - y[10], par)
 
@@ -112,13 +112,13 @@ def observe(t, y, w, sample):
     for i in range(2):
         out.normal[i] = 0.0
         out.friction_force[i] = 0.0
-    if mode.seated and rail.on:
+    if mode.held and rail.on:
         # on the rail the load of the buffer is neglected
         sample.axial_force = 0.0
-    elif mode.seated or mode.touch[0].sticking or mode.touch[1].sticking:
-        # writes the friction forces that hold the tip, and the force of the seat
+    elif mode.held or mode.touch[0].sticking or mode.touch[1].sticking:
+        # writes the friction forces that hold the tip, and the force that holds the probe
         solve_accelerations(y, system.spare[0], system)
-        if mode.seated:
+        if mode.held:
             sample.axial_force = out.axial_force
     fx, fy, tip, _ = tip_forces(y, system, px, py, wx, wy)
     sT, cT = sine_cosine(y[7])
@@ -165,12 +165,15 @@ def observe(t, y, w, sample):
     sample.dissipated_torsion = y[TORSION]
     sample.dissipated_contact = y[HYSTERESIS] + y[HYSTERESIS + 1]
     sample.dissipated_friction = y[FRICTION]
+    # a constant force: its work in closed form
+    slid = mode.slide_direction * (y[4] - totals.slide_from)
+    sample.dissipated_slide = totals.lost_slide + par.slide_friction * slid
     sample.dissipated_rolling = y[ROLLING]
     sample.dissipated_latch = y[LATCH] + totals.lost_latch
     sample.dissipated_stop = y[STOP]
     sample.dissipated_landing = totals.lost_landing
     stored = kinetic + sample.elastic_axial + sample.elastic_torsion + contact + latch + stop
-    lost = totals.lost_latch + totals.lost_landing
+    lost = totals.lost_latch + totals.lost_landing + sample.dissipated_slide
     for i in range(AXIAL, STOP + 1):
         lost += y[i]
     sample.energy_residual = stored - totals.energy_0 - sample.work_string + lost

@@ -43,6 +43,7 @@ PARAMETERS = np.dtype(
         ("k_T3", "f8"),
         ("c_T2", "f8"),
         ("preload", "f8"),  # above 0: the probe has a seat at h_0
+        ("slide_friction", "f8"),  # of the probe in its slide, N
         ("force_table", FORCE_TABLE),
         ("h_0", "f8"),
         ("R_t", "f8"),
@@ -154,12 +155,14 @@ def pack(
     buffer = scene.buffer
     for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
         p[name] = getattr(buffer, name)
-    p["preload"] = buffer.seat_force
+    p["preload"], p["slide_friction"] = buffer.seat_force, buffer.friction
     p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
     p["has_shaped_buffer"] = (
         buffer.force_table is not None
         or p["c_A_rebound"] != p["c_A"]
-        or any(p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload"))
+        or any(
+            p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload", "slide_friction")
+        )
     )
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"] = scene.cone.L_T

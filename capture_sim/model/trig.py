@@ -66,6 +66,14 @@ def sine_cosine(angle):
 
 
 @inline_kernel
+def wrapped_angle(angle):
+    """Return an angle (rad) between -pi and pi, less whole turns; unchanged if it is."""
+    if not abs(angle) > math.pi:
+        return angle
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@inline_kernel
 def hyperbolic_tangent(x):
     """Return tanh(x)."""
     size = abs(x)

@@ -50,7 +50,16 @@ from capture_sim.recording.write import (
     describing,
 )
 from capture_sim.results import extremes_from_text
-from capture_sim.samples import SAMPLE, TOUCH, TRACE, Event, EventKind, Extremes, Phase
+from capture_sim.samples import (
+    SAMPLE,
+    SINCE_FIRST_RECORDINGS,
+    TOUCH,
+    TRACE,
+    Event,
+    EventKind,
+    Extremes,
+    Phase,
+)
 from capture_sim.scene.parts import Detector
 from capture_sim.series import Series, in_order
 
@@ -420,7 +429,8 @@ class Bag:
         samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
         if len(samples):
             for name in SAMPLE.names or ():
-                samples[name] = recorded[name]
+                if name not in SINCE_FIRST_RECORDINGS or name in recorded:
+                    samples[name] = recorded[name]
             self._check_numbers(BENCH_STATE, "phase", samples["phase"], Phase)
             samples["t"] -= self.clock.t_release
         samples.flags.writeable = False

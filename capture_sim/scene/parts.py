@@ -161,6 +161,12 @@ class Buffer(Checked):
     c_T2: float = quantity(
         "N m s^2/rad^2", NOT_NEGATIVE, default=0.0, doc="quadratic torsional damping"
     )
+    friction: float = quantity(
+        "N",
+        NOT_NEGATIVE,
+        default=0.0,
+        doc="Coulomb friction of the probe in its slide, static and sliding; 0: none",
+    )
     force_table: tuple[tuple[float, float], ...] | None = points(
         ("stroke inwards", "force outwards"),
         ("m", "N"),

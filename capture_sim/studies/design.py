@@ -23,7 +23,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import differential_evolution
+from scipy.optimize import differential_evolution, minimize
 
 from capture_sim.errors import SceneError
 from capture_sim.launch.approach import APPROACH, approach_of
@@ -53,6 +53,9 @@ _POPULATION = 12
 _GENERATIONS, _LOCAL_GENERATIONS = 40, 25
 #: The second pass searches this share of each range, around the best buffer of the first.
 _LOCAL_WIDTH = 0.12
+#: The last pass: sizes of the first simplices and where they end, in shares of the ranges, and the
+#: most runs of each for every free value.
+_SIMPLICES, _SIMPLEX_END, _SIMPLEX_RUNS = (0.03, 0.01, 0.003), 1e-5, 25
 #: Under dispersions: populations of a round, and rounds, each with twice the draws.
 _ROBUST_GENERATIONS, _ROUNDS = 10, 3
 #: Share of the draws after which a candidate is given up that can no longer be feasible.
@@ -299,6 +302,7 @@ def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[floa
         "buffer.c_A": (c_A / 300.0, c_A * 10.0),
         "buffer.c_A_rebound": (c_A / 300.0, c_A * 10.0),
         "buffer.preload": (0.0, k_A * stroke),
+        "buffer.friction": (0.0, k_A * stroke),
         "buffer.k_A3": (0.0, 100.0 * k_A / stroke**2),
         "buffer.c_A2": (0.0, 10.0 * c_A / speed),
         "buffer.c_T": (0.0, 10.0 * c_T),
@@ -350,7 +354,34 @@ class _Search:
         """Return the best buffer of the scene without dispersions."""
         whole = [(0.0, 1.0)] * len(self._variables)
         best = self._minimise(self._run_alone, whole, _GENERATIONS, None)
-        return self._minimise(self._run_alone, self._around(best), _LOCAL_GENERATIONS, best)
+        best = self._minimise(self._run_alone, self._around(best), _LOCAL_GENERATIONS, best)
+        return self._polished(best) if best.feasible else best
+
+    def _polished(self, best: Candidate) -> Candidate:
+        """Return the best of some simplex searches (Nelder-Mead), each from the best so far.
+
+        The force jumps where the sequence of touches changes, so the simplices begin with several
+        sizes.
+        """
+
+        def merit(shares: np.ndarray) -> float:
+            candidates = self._run_alone([self._values(shares.clip(0.0, 1.0).tolist())])
+            self.history += candidates
+            return candidates[0].merit
+
+        for size in _SIMPLICES:
+            start = np.array(self._shares(best))
+            # towards the middle of the ranges
+            corners = start + size * np.diag(np.where(start < 0.5, 1.0, -1.0))
+            options = {
+                "initial_simplex": np.vstack([start, corners]),
+                "maxfev": _SIMPLEX_RUNS * len(start),
+                "xatol": _SIMPLEX_END,
+                "fatol": _FORCE_TOLERANCE,
+            }
+            minimize(merit, start, method="Nelder-Mead", options=options)
+            best = min(self.history, key=lambda candidate: candidate.merit)
+        return best
 
     def robust(self) -> tuple[Candidate, Probability]:
         """Return the best buffer under dispersions, and its share of success in new draws."""

@@ -39,6 +39,7 @@ LAYERS = (
     ("torsional damper", "#006B4E", ("dissipated_torsion",)),
     ("contact hysteresis", style.VERMILION, ("dissipated_contact",)),
     ("friction of the tip", style.PURPLE, ("dissipated_friction",)),
+    ("friction of the slide", style.WINE, ("dissipated_slide",)),
     ("rolling", style.LIGHT, ("dissipated_rolling",)),
     ("latches", style.GREEN, ("dissipated_latch",)),
     ("stops", style.BLACK, ("dissipated_stop",)),

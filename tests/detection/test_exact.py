@@ -69,7 +69,7 @@ def scene():
     return load_scene("tilt_0")
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3, -2.0])
+@pytest.mark.parametrize("turn", [0.0, 0.3, -2.0, 3.5, -5.0, 7.0, -13.0])
 def test_offsets_are_those_that_were_led(scene, turn):
     detector = CaptureDetector(scene)
     for sample in tip_motion(scene, [(0.08, 0.01), (0.07, -0.02)], turn=turn):
@@ -77,7 +77,7 @@ def test_offsets_are_those_that_were_led(scene, turn):
     assert status.axial_offset == pytest.approx(0.07, abs=1e-12)
     assert status.lateral_offset == pytest.approx(-0.02, abs=1e-12)
     assert status.distance == pytest.approx(math.hypot(0.07, 0.02), abs=1e-12)
-    assert status.relative_attitude == pytest.approx(-turn)
+    assert status.relative_attitude == pytest.approx(math.remainder(-turn, math.tau))
     assert status.relative_speed == pytest.approx(100 * math.hypot(0.01, 0.03), rel=1e-9)
     assert status.nearest_distance == pytest.approx(status.distance)
 
