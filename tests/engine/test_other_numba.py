@@ -26,7 +26,7 @@ DIFFERENT = (
 def test_kernels_are_compiled_by_plain_njit_with_a_line(tmp_path):
     run = subprocess.run(
         [sys.executable, "-c", DIFFERENT],
-        env=os.environ | {"CAPTURE_SIM_CACHE": str(tmp_path), "NUMBA_OPT": "0"},
+        env=os.environ | {"CAPTURE_SIM_CACHE": str(tmp_path)},
         capture_output=True,
         text=True,
         check=True,
