@@ -97,9 +97,10 @@ def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monk
 
 def test_a_machine_that_lacks_something_is_told_what(setup_env, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sys, "argv", ["setup_env.py"])
-    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
-    monkeypatch.setenv("CC", "no-such-cc")
-    assert setup_env.main() == 2
+    with monkeypatch.context() as lacking:
+        lacking.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+        lacking.setenv("CC", "no-such-cc")
+        assert setup_env.main() == 2
     said = capsys.readouterr().err
     assert "Python's headers, the compiler no-such-cc" in said
     assert "apt-get install g++ python3-dev\n" in said
