@@ -100,7 +100,7 @@ def test_simulator_and_replay_let_nothing_go(start, client, tmp_path, simulated_
         goal.cancel()
         status, result = goal.result()
         assert (status, result.verdict) == (CANCELED, "captured"), session.launcher.text
-        assert result.problems == []
+        assert result.problems == ["launcher ended the run early: cancelled"]
         assert session.let_go == 1
     play_both()
     assert session.let_go == 1
