@@ -8,7 +8,6 @@ import re
 import resource
 from pathlib import Path
 
-import numpy as np
 import pytest
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import PoseStamped
@@ -67,9 +66,6 @@ def test_a_session_of_trials(start, client, tmp_path, capfd):
             run = read_bag(result.recording)
             assert run.problems == ()
             assert run.log_times(CHASER_POSE)[0] >= run.log_times(RUN_INFO)[0]
-    held = [t for t, value in session.holds]
-    assert np.median(np.diff(held)) == pytest.approx(0.1, abs=0.03)
-    assert np.percentile(np.diff(held), 90) < 0.3  # a busy machine has its stalls
 
 
 # S1: only a goal releases
