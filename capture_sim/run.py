@@ -25,7 +25,6 @@ from capture_sim.detection.recorded import (
 from capture_sim.errors import MissingPackageError, RecordingError, SceneError, install_hint
 from capture_sim.launch.scenes import overrides_of
 from capture_sim.measured import (
-    RATE_WINDOW,
     events_of,
     measured_samples,
     placed,
@@ -395,8 +394,7 @@ class Run:
         """Events in order: as logged, else a touch for each that was measured."""
         if self.logged_events or self.is_exact:
             return self.logged_events
-        has_twist = "chaser_rate" in self.series and "target_rate" in self.series
-        return events_of(self.samples, self.touches, 0.0 if has_twist else RATE_WINDOW)
+        return events_of(self.scene, self.samples, self.touches, self._sensors)
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
