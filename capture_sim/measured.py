@@ -236,7 +236,7 @@ def events_of(
     has_twist = "chaser_rate" in series and "target_rate" in series
     # means over a window do not see the touch half of it before
     lead = 0.0 if has_twist else 0.5 * RATE_WINDOW
-    events = []
+    events: list[Event] = []
     for touch in touches:
         start, wall = float(touch["start"]), int(touch["wall"])
         end, unseen = _end_of_approach(scene, samples, poses, start, is_first=not events)
