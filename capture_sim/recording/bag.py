@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
+from capture_sim.detection.measurements import Counts, Reason, Source
 from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import Layout, columns, sequence_of
@@ -522,7 +523,8 @@ class Bag:
         by_name["t"] = self.clock.since(stamps_of(recorded)).tolist()
         by_name["state"] = [CaptureState(state) for state in by_name["state"]]
         rows = zip(*by_name.values(), strict=True)
-        return tuple(CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+        *earlier, last = (CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+        return *earlier, last._replace(not_used=_rejected_in(recorded))
 
     @cached_property
     def criteria(self) -> Detector | None:
@@ -574,6 +576,19 @@ class Bag:
                     f"{topic.type_name}"
                 )
         return name
+
+
+def _rejected_in(recorded: Columns) -> str:
+    """Return the numbers of measurements that were not used until the last status, as a text.
+
+    Empty for an older recording, which has none.
+    """
+    counts = Counts()
+    for source in Source:
+        for numbers in recorded.get(f"{source.value}_rejected", ())[-1:]:
+            for reason, number in zip(Reason, numbers.tolist(), strict=True):
+                counts.reject(source, reason, number)
+    return counts.text
 
 
 def _seconds(text: str) -> float:

@@ -11,8 +11,9 @@ from bags import STANDARD, copied, later, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.detection.measurements import Counts, Reason, Source
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.messages.convert import Messages
+from capture_sim.messages.convert import Messages, rejected
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.export import tables_of
@@ -172,7 +173,12 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
 
 
 def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, tmp_path):
-    """The recorder hears of a trial's end later than the detector, and then of a contact."""
+    """The recorder hears of a trial's end later than the detector, and then of a contact.
+
+    The counts of measurements that were not used are read from the last status.
+    """
+    counts = Counts()
+    counts.reject(Source.CHASER, Reason.OUTLIER, 3)
     scene = capture_sim.load_scene("tilt_p10")
     end = first_touch(run.events).t - 0.05
 
@@ -185,7 +191,7 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
             t = seconds - 1 + nanoseconds * 1e-9
             if topic == "/capture/status":
                 if left and t > left[0].t - 1e-6:
-                    (sent, *_) = telemetry.status(left[0].t, left.pop(0))
+                    (sent, *_) = telemetry.status(left[0].t, left.pop(0), **rejected(counts))
                     yield topic, "cdr", sent.data
             elif t < last:
                 yield topic, "cdr", data
@@ -198,7 +204,9 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
     assert (live[-1].label, live[-1].final) == ("undecided", True)
     longer = copied(recorded, tmp_path / "on.mcap", topics=topics, change=until(end + 0.5, live))
     again = detect(read_run(longer), scene)
-    assert again[-1] == read_run(longer).reported_statuses[-1]
+    assert again[-1]._replace(not_used="chaser: 3 outlier") == (
+        read_run(longer).reported_statuses[-1]
+    )
 
 
 @pytest.mark.parametrize("wall", [1, -1, 0])
