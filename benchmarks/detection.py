@@ -1,4 +1,4 @@
-"""Error rates of the capture detector on noisy replays; writes them into docs/detection.md.
+"""Error rates of the capture detector on noisy replays; writes them into docs/detection_checked.md.
 
 .venv/bin/python -m benchmarks.detection    # --replays 10 --sweep 1 --injections 1 for a look
 
@@ -197,7 +197,7 @@ PARTS = {"standard": standard, "sweep": sweep, "injections": injections}
 
 if __name__ == "__main__":
     write_parts(
-        "detection",
+        "detection_checked",
         __doc__,
         PARTS,
         untimed=PARTS,

@@ -204,8 +204,8 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
     assert (live[-1].label, live[-1].final) == ("undecided", True)
     longer = copied(recorded, tmp_path / "on.mcap", topics=topics, change=until(end + 0.5, live))
     again = detect(read_run(longer), scene)
-    assert again[-1]._replace(not_used="chaser: 3 outlier") == (
-        read_run(longer).reported_statuses[-1]
+    assert (
+        again[-1]._replace(not_used="chaser: 3 outlier") == (read_run(longer).reported_statuses[-1])
     )
 
 
