@@ -34,6 +34,7 @@ class FakeRig(Node):
         )
         self.t = self.x = self.y = self.speed = 0.0
         self.released, self.held, self.trial, self.last_hold = None, -1.0, 0, -math.inf
+        self.armed = False  # a true was heard since the start, and since the last silence
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(Bool, "launcher/hold", self.on_hold, latched)
         self.open_sensors()
@@ -47,7 +48,8 @@ class FakeRig(Node):
 
     def on_hold(self, message):
         self.last_hold = time.monotonic()
-        self.set_hold(message.data)
+        self.armed = self.armed or message.data
+        self.set_hold(message.data or not self.armed)
 
     def set_hold(self, hold):
         if not hold and self.released is None:
@@ -57,7 +59,8 @@ class FakeRig(Node):
 
     def step(self):
         if time.monotonic() - self.last_hold > HOLD_TIMEOUT:
-            self.set_hold(True)  # the launcher is gone, or the network is
+            self.armed = False  # the launcher is gone, or the network is
+            self.set_hold(True)
         self.t += self.dt
         self.move()
         self.measure()

@@ -1,4 +1,4 @@
-"""Nodes in processes of their own, for tests of signals, kills and exit statuses, and benchmarks."""
+"""Nodes in processes of their own: for signals, kills and exit statuses, and for benchmarks."""
 
 import signal
 import subprocess
@@ -8,7 +8,14 @@ import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from tests.nodes.bench_client import PATIENCE, Client, Simulation, ros_arguments, statuses, wait_until
+from tests.nodes.bench_client import (
+    PATIENCE,
+    Client,
+    Simulation,
+    ros_arguments,
+    statuses,
+    wait_until,
+)
 
 __all__ = ["Client", "Simulation", "Started", "fresh", "processes", "statuses", "wait_until"]
 
@@ -70,10 +77,10 @@ def processes(begin=fresh):
     """
     started = []
 
-    def start(name, change="", **parameters):
+    def start(name, change=None, **parameters):
         ends = {"exit_when_done": "true"} if name == "simulator" else {}
         arguments = ros_arguments(ends | parameters)
-        program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change)}\n"
+        program = f"from capture_sim.nodes import {name} as node\n{textwrap.dedent(change or '')}\n"
         program += "raise SystemExit(node.main())"
         started.append(Started(begin(program, arguments)))
         return started[-1]

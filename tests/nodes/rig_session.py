@@ -96,7 +96,7 @@ def actions_of(client):
 
 @contextmanager
 def rig(kind, parameters, hold_timeout=60.0):
-    """Run a bench of the examples in a thread."""
+    """Run a bench of the examples in a thread; give its node."""
     default, fake_rig.HOLD_TIMEOUT = fake_rig.HOLD_TIMEOUT, hold_timeout
     context, over = take_participant(), threading.Event()
     node = kind(context=context, cli_args=ros_arguments(parameters), use_global_arguments=False)
@@ -113,7 +113,7 @@ def rig(kind, parameters, hold_timeout=60.0):
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()
     try:
-        yield
+        yield node
     finally:
         over.set()
         thread.join()
@@ -125,16 +125,24 @@ class Session:
     """Nodes that serve one trial after the other."""
 
     def __init__(
-        self, start, client, folder, *, actuator="output", poses=POSES, launcher=None, **options
+        self,
+        start,
+        client,
+        folder,
+        *,
+        actuator="output",
+        poses=POSES,
+        launcher=None,
+        change=None,
+        **options,
     ):
         self.client, self.folder = client, folder
         streams = f"[{', '.join([*poses, *STREAMS])}]"
         self.detector = start("capture_detector", **options)
         self.recorder = start("recorder", out=folder, topics=streams, **options)
         settings = {**PATIENT, "scene": "tilt_0", "after_verdict": 0.1}
-        self.launcher = start(
-            "launcher", actuator=actuator, **settings | (launcher or {}) | options
-        )
+        settings |= (launcher or {}) | options
+        self.launcher = start("launcher", change, actuator=actuator, **settings)
         self.launcher.wait_for("ready for trials")
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
@@ -162,13 +170,13 @@ class Session:
 
     @contextmanager
     def bench(self, remaps=(), *, is_disturbed=True, **disturbances):
-        """Run the bench, disturbed."""
+        """Run the bench, disturbed; give its node, to look at."""
         parameters = {"pace": PACE, "rate": RATE, **disturbances, **dict(remaps)}
         kind = disturbed_rig.DisturbedRig if is_disturbed else fake_rig.FakeRig
         self.stamps.clear()
-        with rig(kind, parameters):
+        with rig(kind, parameters) as node:
             wait_until(lambda: self.stamps)
-            yield
+            yield node
 
     def wait(self, seconds):
         """Wait by the bench's clock (s), which is slower than its pace on a busy machine."""

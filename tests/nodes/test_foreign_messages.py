@@ -26,6 +26,7 @@ from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS, 
 from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
+from tests.nodes.bench_client import give_back, take_participant
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
 READY = ("launcher", "capture_detector", "recorder", "viewer", CONTACT_RIG)
@@ -149,9 +150,11 @@ def foreign(bench):
 
     An executor that waits for the events of a publisher fails when that is destroyed meanwhile.
     """
-    node = rclpy.create_node("foreign")
+    context = take_participant()
+    node = rclpy.create_node("foreign", context=context)
     yield node
     node.destroy_node()
+    give_back(context)
 
 
 def test_three_thousand_refusals_are_few_lines(bench, foreign):

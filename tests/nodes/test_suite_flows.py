@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from recorded import values_of
 from threads import threads
 

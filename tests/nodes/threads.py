@@ -12,7 +12,13 @@ from functools import partial
 from importlib import import_module
 
 from capture_sim.nodes.process import live
-from tests.nodes.bench_client import PATIENCE, give_back, ros_arguments, take_participant, wait_until
+from tests.nodes.bench_client import (
+    PATIENCE,
+    give_back,
+    ros_arguments,
+    take_participant,
+    wait_until,
+)
 
 CLASSES = {
     "simulator": "SimulatorNode",
