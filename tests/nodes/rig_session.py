@@ -34,7 +34,7 @@ SUCCEEDED, CANCELED, ABORTED = (
 )
 #: A busy machine is no dead camera, and no absent node.
 PATIENT = {"start_timeout": 120.0, "max_pose_age": 10.0, "max_buffer_age": 10.0}
-PATIENT |= {"time_limit": 600.0, "closing_timeout": 120.0}
+PATIENT |= {"max_hold_silence": 10.0, "time_limit": 600.0, "closing_timeout": 120.0}
 
 
 def asked(actions, send, *arguments, **options):
@@ -95,9 +95,8 @@ def actions_of(client):
 
 
 @contextmanager
-def rig(kind, parameters, hold_timeout=60.0):
+def rig(kind, parameters):
     """Run a bench of the examples in a thread; give its node."""
-    default, fake_rig.HOLD_TIMEOUT = fake_rig.HOLD_TIMEOUT, hold_timeout
     context, over = take_participant(), threading.Event()
     node = kind(context=context, cli_args=ros_arguments(parameters), use_global_arguments=False)
     executor = EventsExecutor(context=context)
@@ -118,7 +117,6 @@ def rig(kind, parameters, hold_timeout=60.0):
         over.set()
         thread.join()
         give_back(context)
-        fake_rig.HOLD_TIMEOUT = default
 
 
 class Session:
@@ -171,7 +169,13 @@ class Session:
     @contextmanager
     def bench(self, remaps=(), *, is_disturbed=True, **disturbances):
         """Run the bench, disturbed; give its node, to look at."""
-        parameters = {"pace": PACE, "rate": RATE, **disturbances, **dict(remaps)}
+        parameters = {
+            "pace": PACE,
+            "rate": RATE,
+            "hold_timeout": 60.0,
+            **disturbances,
+            **dict(remaps),
+        }
         kind = disturbed_rig.DisturbedRig if is_disturbed else fake_rig.FakeRig
         self.stamps.clear()
         with rig(kind, parameters) as node:

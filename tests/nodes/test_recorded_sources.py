@@ -1,6 +1,8 @@
 """What recorder and detector make of a rig's drivers: their QoS, stamps, gaps, silence."""
 
+import itertools
 import threading
+import time
 from contextlib import contextmanager
 
 import pytest
@@ -32,7 +34,7 @@ def drivers(client, **kinds):
         (kind, client.node.create_publisher(kind, name.replace("__", "/"), qos))
         for name, (kind, qos) in kinds.items()
     ]
-    stamps, over = [], threading.Event()
+    stamps, sent, over = [], [], threading.Event()  # of the messages; s (wall) of each
 
     def publish():
         while not over.wait(0.01):
@@ -46,11 +48,12 @@ def drivers(client, **kinds):
                 elif kind is JointState:
                     message.name, message.position = [HINGE_JOINT, SLIDE_JOINT], [0.0, 0.3]
                 publisher.publish(message)
+            sent.append(time.time())
 
     thread = threading.Thread(target=publish, daemon=True)
     thread.start()
     try:
-        yield stamps
+        yield stamps, sent
     finally:
         over.set()
         thread.join()
@@ -62,13 +65,23 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
     with Client("drivers") as client:
         client.node.create_publisher(PoseStamped, "motion_capture/chaser", qos_profile_sensor_data)
         client.node.create_publisher(Bool, "launcher/hold", LATCHED).publish(Bool(data=True))
-        statuses = {}
+        statuses, rates = {}, []  # s (wall) and Hz
 
         def take(message):
             statuses.update((status.name, status) for status in message.status)
+            stamp = message.header.stamp
+            rates.extend(
+                (stamp.sec + 1e-9 * stamp.nanosec, float(value.value))
+                for status in message.status
+                for value in status.values
+                if (status.name, value.key) == ("recorder: /load_cell/wrench", "rate [Hz]")
+            )
 
         client.subscribe("diagnostic_msgs/msg/DiagnosticArray", "diagnostics", take)
-        with drivers(client, cell__raw=best_effort, load_cell__wrench=best_effort) as stamps:
+        with drivers(client, cell__raw=best_effort, load_cell__wrench=best_effort) as (
+            stamps,
+            sent,
+        ):
             recorder = start("recorder", out=tmp_path, topics=topics)
             # the topics of others are looked for twice a second
             wait_until(lambda: recorder.text.count("read best effort") == 3)
@@ -94,6 +107,10 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
     for name in ("cell/raw", "load_cell/wrench"):
         assert len(run.raw(name)) > 10  # of 100 that may get lost
     assert len(run.raw("launcher/hold")) == 1
+    # the rates are those of what was sent, whatever a busy machine's driver comes to
+    counted = sum((b[0] - a[0]) * b[1] for a, b in itertools.pairwise(rates))
+    due = sum(rates[0][0] < t <= rates[-1][0] for t in sent)
+    assert counted == pytest.approx(due, rel=0.1, abs=10)
     values = {v.key: v.value for v in statuses["recorder: /load_cell/wrench"].values}
     assert values["published by /drivers"] == "best effort, volatile"
     assert statuses["recorder: /motion_capture/chaser"].message == "no message"
@@ -105,7 +122,7 @@ def test_stamps_of_the_detector_are_those_of_the_poses(start):
         found = client.listen(CAPTURE_STATUS)
         poses, joints = (PoseStamped, 10), (JointState, 10)
         kinds = {"motion_capture__chaser": poses, "motion_capture__target": poses}
-        with drivers(client, **kinds, joint_states=joints) as stamps:
+        with drivers(client, **kinds, joint_states=joints) as (stamps, _):
             start("capture_detector", scene="tilt_0")
             wait_until(lambda: len(found) > 50)
     assert {(m.header.stamp.sec, m.header.stamp.nanosec) for m in found} <= set(stamps)
