@@ -19,8 +19,8 @@ from capture_sim.hardware.messages import stamp_of
 from tests.nodes.bench_client import give_back, ros_arguments, take_participant, wait_until
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
-import disturbed_rig
-import fake_rig
+from disturbed_rig import DisturbedRig
+from fake_rig import FakeRig
 
 STREAMS = ["/joint_states", "/load_cell/wrench", "/launcher/command", "/launcher/hold"]
 STREAMS += ["/capture/status", "/capture/criteria"]
@@ -176,7 +176,7 @@ class Session:
             **disturbances,
             **dict(remaps),
         }
-        kind = disturbed_rig.DisturbedRig if is_disturbed else fake_rig.FakeRig
+        kind = DisturbedRig if is_disturbed else FakeRig
         self.stamps.clear()
         with rig(kind, parameters) as node:
             wait_until(lambda: self.stamps)

@@ -14,11 +14,15 @@ from importlib import import_module
 from capture_sim.nodes.process import live
 from tests.nodes.bench_client import (
     PATIENCE,
+    Client,
     give_back,
     ros_arguments,
+    statuses,
     take_participant,
     wait_until,
 )
+
+__all__ = ["Client", "Running", "statuses", "threads", "wait_until"]
 
 CLASSES = {
     "simulator": "SimulatorNode",
