@@ -16,13 +16,12 @@ from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 from threads import threads
 
-from capture_sim import load_scene, simulate
+from capture_sim import load_scene
 from capture_sim.control.simulation import Code, State
 from capture_sim.hardware.messages import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS, RunSource
 from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.recording.bag import read_bag
-from capture_sim.recording.offline import write_run
 from tests.nodes.bench_client import Client, Simulation, give_back, take_participant, wait_until
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
@@ -112,9 +111,8 @@ def not_finite(wrench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """All nodes, the simulation stopped, and a client."""
+    """All nodes that read runs, the simulation stopped, and a client."""
     out = tmp_path_factory.mktemp("foreign") / "out"
-    bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
     with threads() as start, Client() as client:
         nodes = {
             # short runs: nobody is outrun, not this process either
@@ -135,9 +133,6 @@ def bench(tmp_path_factory):
         for name in READY:
             nodes[name].wait_for("ready")
         nodes[LOOP_SIMULATOR].wait_for("waiting")
-        # last: one that starts with the simulator would be its rival
-        nodes["player"] = start("player", bag=bag, topics="[bench/state]", paused="true")
-        wait_until(lambda: client.node.count_publishers("/bench/state") == 2)
         yield nodes, client, out
 
 
