@@ -193,7 +193,11 @@ AT_THE_START = {
         *("capture_detector", {"max_still_speed": ".inf"}),
         ["parameter max_still_speed = inf m/s: must be finite and > 0"],
     ),
-    "overrides are no number": ("simulator", {"overrides": ".nan"}, ["overrides = nan", "texts"]),
+    "overrides are no number": (
+        "simulator",
+        {"overrides": ".nan"},
+        ["overrides = nan", "PART.FIELD"],
+    ),
     "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
     "no override of a scene": (
         *("launcher", {"actuator": "none", "scene": "tilt_0", "overrides": "[x]"}),

@@ -140,7 +140,9 @@ def test_suite_and_call_agree_bit_for_bit(name, suite, scenes, tmp_path):
         assert a == pytest.approx(b._replace(not_used=""), abs=1e-12)
     if name == SENSED:
         again = detect(run_of(live), from_series=True)
-        assert [status._replace(not_used="") for status in again] == list(live.statuses)
+        assert [s._replace(not_used="") for s in again] == [
+            s._replace(not_used="") for s in live.statuses
+        ]
     # the contact's trace is sent only where it is asked for
     assert (live.topics["/bench/contact_trace"] > 100) is (name == "tilt_p10")
     states = live.columns("launcher/state")
