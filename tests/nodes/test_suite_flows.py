@@ -136,8 +136,8 @@ def test_suite_and_call_agree_bit_for_bit(name, suite, scenes, tmp_path):
     for a, b in zip(live.statuses, offline.statuses, strict=True):
         # times are the stamps' own; numbers differ by the round-off of a quaternion
         assert (a.t, a.state, a.final, a.reason) == (b.t, b.state, b.final, b.reason)
-        # no message has the counts of measurements that were not used
-        assert a == pytest.approx(b._replace(not_used=""), abs=1e-12)
+        assert a._replace(not_used="") == pytest.approx(b._replace(not_used=""), abs=1e-12)
+        assert b.not_used.startswith(a.not_used)  # no message has the number of all
     if name == SENSED:
         again = detect(run_of(live), from_series=True)
         assert [s._replace(not_used="") for s in again] == [
