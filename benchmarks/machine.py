@@ -9,13 +9,11 @@ import platform
 import time
 from pathlib import Path
 
-import psutil
-
 from capture_sim import __version__
 from capture_sim.kernels import source_hash
 
-#: Cores that others may keep busy on average before a measurement is no more to be trusted.
-QUIET = 0.1
+#: Cores that others may keep busy on average; above it a measurement is not to be trusted.
+QUIET = 0.2
 #: Written at the top of what was measured then.
 BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
 
@@ -33,12 +31,13 @@ class OthersAtWork:
     @staticmethod
     def _others() -> float:
         """Return the processor time of all others since the system's start, s."""
-        if not Path("/proc/stat").is_file():
+        stat = Path("/proc/stat")
+        if not stat.is_file():
             return math.nan
-        everybody = psutil.cpu_times()
-        # a guest's time is part of its user's
-        names = ("user", "nice", "system", "irq", "softirq", "steal")
-        return sum(getattr(everybody, name) for name in names) - sum(os.times()[:4])
+        # user, nice, system, idle, iowait, irq, softirq, steal; a guest's time is in its user's
+        ticks = [int(number) for number in stat.read_text(encoding="ascii").split()[1:9]]
+        busy = sum(ticks) - ticks[3] - ticks[4]
+        return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
 
 
 def is_busy(others: float) -> bool:
