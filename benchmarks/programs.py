@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.engines import cvode, own, scipy_ivp, textbook
 from benchmarks.reference import load_reference
-from benchmarks.trial import Prepare, Progress, Trial, run_rounds
+from benchmarks.trial import Outcome, Prepare, Progress, Trial, run_rounds
 from capture_sim.bench import error_scale
 from capture_sim.scene.parts import Scene
 
@@ -72,10 +72,7 @@ def measure(scene: Scene, plan: Plan, progress: Progress) -> Contest:
     def add(program: str, group: str, rtol: float, job: Prepare) -> None:
         trials.append(Trial(program, f"rtol {rtol:.0e}", job, group, truth))
 
-    for method in ("dop853", "dopri5"):
-        for rtol in plan.rtols:
-            changed = own.with_run(scene, method=method, rtol=rtol)
-            add(f"{OURS} {method}", "own", rtol, functools.partial(own.prepare, changed))
+    trials += own_trials(scene, plan, truth)
     for rtol in plan.rtols:
         changed = own.with_run(scene, rtol=rtol)
         add("textbook DOP853", "textbook", rtol, functools.partial(textbook.prepare, changed))
@@ -93,6 +90,14 @@ def measure(scene: Scene, plan: Plan, progress: Progress) -> Contest:
     run_rounds(trials, plan.rounds, progress, f"programs to {plan.t_end:g} s")
     touches = 0 if truth.touches is None else truth.touches.size
     return Contest(plan, touches, trials)
+
+
+def own_trials(scene: Scene, plan: Plan, truth: Outcome) -> Iterator[Trial]:
+    """Yield this package's integrators at the tolerances of a plan."""
+    for method in ("dop853", "dopri5"):
+        for rtol in plan.rtols:
+            job = functools.partial(own.prepare, own.with_run(scene, method=method, rtol=rtol))
+            yield Trial(f"{OURS} {method}", f"rtol {rtol:.0e}", job, "own", truth)
 
 
 def compiled(scene: Scene) -> Iterator[Prepare]:

@@ -91,7 +91,9 @@ def _compiled() -> tuple[Any, Any, Any]:
         return 0
 
     @njit
-    def solve(data, memory, vector, y, t_end, touches, latest, signs, found, t, count, has_jacobian):
+    def solve(
+        data, memory, vector, y, t_end, touches, latest, signs, found, t, count, has_jacobian
+    ):
         system, n_touches, total = data[0].system, 0, 0
         touch = system.mode.touch
         while True:
