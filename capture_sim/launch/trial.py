@@ -13,6 +13,7 @@ from enum import Enum
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.bench_watch import BenchWatch, Pose
+from capture_sim.launch.hold import HOLD_TIMEOUT
 from capture_sim.launch.interlocks import Interlocks, Sensor
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.samples import Named
@@ -103,7 +104,8 @@ class Trial:
     """One trial, from the goal to its result.
 
     ``has_actuator``: the chaser is let go by this trial; else by hand, at any time, and nothing is
-    aborted but by the client.  ``now``: s by a steady clock, as all times of arrival.
+    aborted but by the client.  ``needs_client``: it is let go only after
+    :meth:`note_result_request`.  ``now``: s by a steady clock, as all times of arrival.
     """
 
     def __init__(
@@ -115,6 +117,7 @@ class Trial:
         *,
         has_actuator: bool,
         now: float,
+        needs_client: bool = False,
     ) -> None:
         self.goal, self.scene, self.launcher = goal, scene, launcher
         self.loads = MeasuredLoads()
@@ -129,6 +132,9 @@ class Trial:
         self._interlocks, self._limits = interlocks, interlocks.limits
         interlocks.begin()
         self._has_actuator = has_actuator
+        self._lacks_client = needs_client
+        self._silent = -math.inf  # s, when a silence of launcher/hold was last noted,
+        self._silence = ""  # ... and one after the release
         self._watch = BenchWatch(launcher, scene)
         self._phase = TrialPhase.PREPARING
         self._phase_since = now
@@ -148,7 +154,7 @@ class Trial:
     def holds(self) -> bool:
         """True unless the chaser is let go by this trial."""
         is_running = TrialPhase.PREPARING < self._phase < TrialPhase.CLOSING
-        return not (self._has_actuator and is_running)
+        return not (self._has_actuator and is_running and not self._silence)
 
     @property
     def gap(self) -> float:
@@ -185,7 +191,7 @@ class Trial:
     def waiting_for(self, now: float) -> str:
         """Return why the present phase lasts; empty if that is the bench itself."""
         if self._phase is TrialPhase.PREPARING:
-            return self._interlocks.refusal(now) or self._pending
+            return self._refusal(now) or self._pending
         return self._pending if self._phase is TrialPhase.CLOSING else ""
 
     @property
@@ -253,6 +259,22 @@ class Trial:
         self._are_others_ready, self._are_others_done = ready, done
         self._pending = pending
 
+    def note_result_request(self) -> None:
+        """Note that the client has asked for the result: it knows that its goal was accepted."""
+        self._lacks_client = False
+
+    def note_silence(self, silence: float, now: float) -> None:
+        """Note for how long launcher/hold was not sent, s.
+
+        Beyond ``max_hold_silence`` the driver may have held: the chaser is then not let go again.
+        """
+        limit = self._limits.max_hold_silence
+        if silence <= limit:
+            return
+        self._silent = now
+        if not self.holds:
+            self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
+
     def cancel(self, reason: str = CANCELLED) -> None:
         """End the trial and hold the chaser, at the next :meth:`advance`."""
         self._cancelled = self._cancelled or reason
@@ -285,8 +307,7 @@ class Trial:
 
     def _prepare(self, now: float, in_phase: float) -> list[TrialStep]:
         """Announce the trial once all is fresh; release once the other nodes have joined."""
-        # by hand the chaser goes when it goes: nothing is to be refused
-        refusal = self._interlocks.refusal(now) if self._has_actuator else ""
+        refusal = self._refusal(now)
         if refusal or (self._is_announced and not self._are_others_ready):
             if in_phase > self._limits.start_timeout:
                 waited = f"after {self._limits.start_timeout:g} s: "
@@ -300,6 +321,17 @@ class Trial:
         self.launcher.release()
         self._watch.release(now)
         return [TrialStep.RELEASE] if self._has_actuator else []
+
+    def _refusal(self, now: float) -> str:
+        """Return why the chaser must not be let go; empty if it may."""
+        if not self._has_actuator:  # by hand it goes when it goes: nothing is to be refused
+            return ""
+        reasons = [self._interlocks.refusal(now)]
+        if self._lacks_client:
+            reasons.append("client: has not asked for the result, it may not know of its goal")
+        if now < self._silent + HOLD_TIMEOUT:
+            reasons.append(f"launcher/hold: was silent less than {HOLD_TIMEOUT:g} s ago")
+        return "; ".join(filter(None, reasons))
 
     def _follow(self, now: float) -> list[TrialStep]:
         """Follow the chaser to the verdict; abort an approach that is blind or not as planned."""
@@ -317,8 +349,8 @@ class Trial:
                 self._enter(TrialPhase.CONTACT, now)
             elif self._has_actuator and self.launcher.status.state is LauncherPhase.ABORTED:
                 return self._fail(self.launcher.status.reason, now)
-            elif reason:
-                return self._fail(reason, now)
+            elif reason or self._silence:
+                return self._fail(reason or self._silence, now)
         if now - self.released > self._limits.time_limit:
             return self._close(now)
         return []

@@ -27,6 +27,10 @@ _LIMITS = {
         "s without a new buffer state: nothing is released; 0.0: no buffer is needed",
         (0.0, 10.0),
     ),
+    "max_hold_silence": (
+        "s (wall) without launcher/hold, as of a stalled computer: an approach is aborted",
+        (0.15, 10.0),
+    ),
     "start_timeout": (
         "s (wall), wait for fresh measurements and for the other nodes before a release",
         (0.0, 3600.0),
@@ -92,6 +96,12 @@ class LauncherNode(BenchNode):
                 for name, (description, span) in _LIMITS.items()
             }
         )
+        needs_client = self.declare(
+            "require_client",
+            True,
+            "let a chaser go only once the goal's client has asked for the result, which shows "
+            "that it knows of the accepted goal and can cancel it",
+        )
         self._part: SimulatedLaunch | TrialServer
         if actuator == "simulated":
             if scene is not None:
@@ -104,7 +114,7 @@ class LauncherNode(BenchNode):
             if folder and not Path(folder).is_dir():
                 raise ParameterError(f"parameter scene_folder = {folder!r}: must be a folder")
             scenes = Path(folder) if folder else None
-            settings = TrialSettings(actuator == "output", limits, scene, scenes)
+            settings = TrialSettings(actuator == "output", limits, needs_client, scene, scenes)
             self._part = TrialServer(self, settings, self._launch)
         self.add_post_set_parameters_callback(self._parameters_set)
 

@@ -30,6 +30,7 @@ DISCOVERY, RESPONSE = 0.3, 1.0
 LAST_DRAIN = 0.5
 _RETRY_PERIOD = 0.002
 _ACK_PERIOD = 0.001
+_ASK_PERIOD = 0.3
 
 
 class Owner(Protocol):
@@ -168,15 +169,22 @@ class Outbox:
             for name in names
         }
         self._node.wait(limit=DISCOVERY)
-        answers = {
-            name: client.call_async(ListParameters.Request())
-            for name, client in clients.items()
-            if client.service_is_ready()
+        answers: dict[str, list[Any]] = {
+            name: [] for name, client in clients.items() if client.service_is_ready()
         }
-        self._node.wait(lambda: all(answer.done() for answer in answers.values()), RESPONSE)
+
+        def silent() -> list[str]:
+            return [name for name, sent in answers.items() if not any(a.done() for a in sent)]
+
+        deadline = time.monotonic() + RESPONSE
+        while silent() and time.monotonic() < deadline:
+            # the response to a client that the node has just met may be lost: ask again
+            for name in silent():
+                answers[name].append(clients[name].call_async(ListParameters.Request()))
+            self._node.wait(lambda: not silent(), _ASK_PERIOD)
         for client in clients.values():
             self._node.destroy_client(client)
-        return [name for name, answer in answers.items() if not answer.done()]
+        return silent()
 
     def _drop_stalled(self, topic: Topic) -> None:
         """Replace the publishers by ones that do not wait for a reader."""

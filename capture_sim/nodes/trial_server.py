@@ -2,13 +2,16 @@
 
 Nothing but a goal of this action lets a real chaser go.  The decisions are those of
 :class:`capture_sim.launch.trial.Trial`: measurements, verdicts and a timer reach it in callbacks,
-and launcher/hold follows it there; commands to the other nodes are sent between callbacks.
+and launcher/hold follows it there; commands to the other nodes are sent between callbacks.  Every
+callback sends launcher/hold if that is due, so it is late by the longest of them at most.
 """
 
 from __future__ import annotations
 
+import gc
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +24,7 @@ from rclpy.task import Future
 from capture_sim.action import RunTrial
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.errors import CaptureSimError, one_line
+from capture_sim.launch.hold import HoldOutput
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
 from capture_sim.launch.trial import (
     Trial,
@@ -55,8 +59,6 @@ from capture_sim.nodes.roll import Roll, node_of
 from capture_sim.nodes.trial_announcement import TrialAnnouncement
 from capture_sim.scene.parts import Scene
 
-#: Repeated this often, s (wall): a driver holds if it hears nothing for five times as long.
-HOLD_PERIOD = 0.1
 #: Time limits are looked at this often, s (wall).
 TICK = 0.02
 #: A timer that is later by more than this shows that this node was busy: messages wait for it.
@@ -83,14 +85,31 @@ INTERRUPTED = "launcher interrupted"
 class TrialSettings:
     """How trials are run.
 
-    ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.  ``scene``: of
-    goals that name none; ``scene_folder``: whose files a goal may name besides the packaged scenes.
+    ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.
+    ``needs_client``: the chaser is let go only once the client has asked for the result.
+    ``scene``: of goals that name none; ``scene_folder``: whose files a goal may name besides the
+    packaged scenes.
     """
 
     has_actuator: bool
     limits: TrialLimits
+    needs_client: bool = True
     scene: Scene | None = None
     scene_folder: Path | None = None
+
+
+class _Server(ActionServer):
+    """An action server that reports which goal's result a client has asked for."""
+
+    def __init__(self, *arguments: Any, on_result_request: Callable[[bytes], None], **more: Any):
+        self._on_result_request = on_result_request
+        super().__init__(*arguments, **more)
+
+    async def execute(self, taken_data: Any) -> None:
+        """Serve requests: rclpy has no callback for this one."""
+        if "result" in taken_data:
+            self._on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
+        await super().execute(taken_data)
 
 
 class TrialServer:
@@ -110,13 +129,14 @@ class TrialServer:
         self._last_tick = self._caught_up = time.monotonic()
         self._last_stamp = 0  # ns
         self._said = ""  # the last deviation that was logged
-        self._hold_output: Any = None
-        self._held: bool | None = None  # as last published
-        self._hold_time = -math.inf
+        self._goal_id = b""  # of the goal that is served
+        self._awaited = b""  # id of the goal whose result a client has asked for last
+        self._hold: HoldOutput | None = None
         if settings.has_actuator:
             # latched, so that a driver which starts late holds from its first message on
-            self._bool = message_class("std_msgs/msg/Bool")
-            self._hold_output = node.create_publisher(self._bool, HOLD, LATCHED)
+            kind = message_class("std_msgs/msg/Bool")
+            output = node.create_publisher(kind, HOLD, LATCHED)
+            self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
             self._output_hold()
         self._force = Numbers(
             typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
@@ -129,7 +149,7 @@ class TrialServer:
         node.listen(CAPTURE_VERDICT, self._receive_verdict)
         node.listen(RUN_INFO, self._hear_announcement)
         node.open([*topics_of(LAUNCHER), RUN_INFO])
-        self._server = ActionServer(
+        self._server = _Server(
             node,
             RunTrial,
             "~/run_trial",
@@ -137,6 +157,7 @@ class TrialServer:
             goal_callback=node.guarded(self._receive_goal),
             handle_accepted_callback=node.guarded(self._accept),
             cancel_callback=node.guarded(self._cancel),
+            on_result_request=node.guarded(self._note_result_request),
         )
         node.every(TICK, self._tick)
         node.every(LOOK_UP_PERIOD, self._look_up_publishers)
@@ -145,6 +166,9 @@ class TrialServer:
 
     def work(self) -> int:
         """Serve goals until the node is asked to end; return the exit status."""
+        # objects that exist now are left out of all later sweeps: one takes longer than a tick
+        gc.collect()
+        gc.freeze()
         actuator = "launcher/hold" if self._settings.has_actuator else "none: let go by hand"
         self._node.get_logger().info(f"ready for trials, actuator {actuator}")
         try:
@@ -166,6 +190,7 @@ class TrialServer:
     def _receive(
         self, sensor: Sensor, topic: Topic, reader: MeasurementReader, data: bytes
     ) -> None:
+        self._output_hold()
         stamp, values = reader(data)
         now = time.monotonic()
         # rates are not used: a driver without velocities may send NaN
@@ -184,6 +209,7 @@ class TrialServer:
             self._decide(now)
 
     def _receive_force(self, data: bytes) -> None:
+        self._output_hold()
         if self._trial is not None:
             self._trial.add_force(*self._force(data).item())
 
@@ -214,8 +240,7 @@ class TrialServer:
             self._caught_up = now + MAX_LATENESS
         self._last_tick = now
         self._decide(now)
-        if now >= self._hold_time + HOLD_PERIOD:
-            self._output_hold(repeated=True)
+        self._output_hold()
 
     def _is_late(self, now: float) -> bool:
         return now > self._last_tick + TICK + MAX_LATENESS
@@ -244,6 +269,7 @@ class TrialServer:
 
     def _accept(self, handle: Any) -> None:
         self._handle, self._finished = handle, Future()
+        self._goal_id = bytes(handle.goal_id.uuid)
         handle.execute()
 
     async def _execute(self, handle: Any) -> Any:
@@ -253,6 +279,11 @@ class TrialServer:
         getattr(handle, outcome)()
         self._finished = None
         return result
+
+    def _note_result_request(self, goal_id: bytes) -> None:
+        self._awaited = goal_id
+        if self._trial is not None and goal_id == self._goal_id:
+            self._trial.note_result_request()
 
     def _cancel(self, _: Any) -> CancelResponse:
         if self._trial is not None:
@@ -271,12 +302,14 @@ class TrialServer:
             self._steps += self._trial.advance(now)
             self._output_hold()
 
-    def _output_hold(self, *, repeated: bool = False) -> None:
+    def _output_hold(self) -> None:
         """Publish whether the chaser is held, if that has changed or is due."""
-        hold = self._trial is None or self._trial.holds
-        if self._hold_output is not None and (repeated or hold is not self._held):
-            self._held, self._hold_time = hold, time.monotonic()
-            self._hold_output.publish(self._bool(data=hold))
+        if self._hold is None:
+            return
+        now = time.monotonic()
+        if self._trial is not None:
+            self._trial.note_silence(self._hold.silence(now), now)
+        self._hold.update(self._trial is None or self._trial.holds, now)
 
     # a trial, between callbacks
 
@@ -295,6 +328,7 @@ class TrialServer:
                 ),
                 self._interlocks,
                 has_actuator=self._settings.has_actuator,
+                needs_client=self._settings.needs_client,
                 now=time.monotonic(),
             )
         except CaptureSimError as error:
@@ -306,6 +340,8 @@ class TrialServer:
         self._steps.clear()
         self._said = ""
         self._trial = trial
+        if self._awaited == self._goal_id:
+            trial.note_result_request()
         if handle.is_cancel_requested:
             trial.cancel()
         try:

@@ -147,7 +147,8 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
         allowed = LIMITS.energy * (1.0 + 1e-6) + 1e-9
         assert max(channel.energies) - channel.energies[0] <= allowed, case
         assert bodies_energy(loop.stage) - channel.energies[0] <= allowed, case
-        assert loop.energy_excess <= allowed, case
+        share = 1e-3 if loop.method == "model" else 1.0  # of the limit
+        assert loop.energy_excess <= share * allowed, case
         if loop.stage.t < 0.25 - 1e-9:
             assert why.startswith("stopped at t = "), case
             assert any(

@@ -121,7 +121,62 @@ def join_dds():
     return rclpy.create_node("keeper", enable_rosout=False, start_parameter_services=False)
 
 
-class Client:
+class Asking:
+    """Calls services for a client with a ``node`` that is spun in another thread.
+
+    A response may be lost on the way to a client that its server has just met.  A request that may
+    be repeated is repeated; before any other one, the server has to answer one that may.
+    """
+
+    def ask(self, kind, name, **fields):
+        """Call a service and return its response."""
+        return self.begin(kind, name, **fields)()
+
+    def begin(self, kind, name, **fields):
+        """Call a service; return a function that waits for the response."""
+        client = self._clients.get(name)
+        is_new = client is None
+        if is_new:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        wait_until(client.service_is_ready, what=f"no service {name}")
+        is_repeatable = kind.__name__.startswith(("Get", "List", "SetParameters"))
+        if is_new and not is_repeatable:
+            self.await_answers_of(name.rpartition("/")[0])
+        request = kind.Request(**fields)
+        answers = [client.call_async(request)]
+
+        def response():
+            began = time.monotonic()
+            while not (done := [answer for answer in answers if answer.done()]):
+                waited = time.monotonic() - began
+                assert waited < PATIENCE, f"{name} did not answer"
+                if is_repeatable and waited > AGAIN * len(answers):
+                    answers.append(client.call_async(request))
+                time.sleep(0.0005)
+            return done[0].result()
+
+        return response
+
+    def await_answers_of(self, node):
+        """Wait until a node, by its full name, knows where to answer all clients made so far.
+
+        Nodes announce their endpoints in turn: a server that answers the last one knows them all.
+        """
+        name = f"{node}/list_parameters"
+        self._clients.pop(name, None)  # a new client, which is announced after the others
+        self.ask(ListParameters, name)
+
+    def set(self, node, **parameters):
+        """Set parameters together; return whether that worked, and the reason if not."""
+        wanted = [
+            Parameter(key, value=value).to_parameter_msg() for key, value in parameters.items()
+        ]
+        name = f"/{node}/set_parameters_atomically"
+        result = self.ask(SetParametersAtomically, name, parameters=wanted).result
+        return result.successful, result.reason
+
+
+class Client(Asking):
     """A node of this process that calls services, sets parameters and listens."""
 
     def __init__(self):
@@ -151,49 +206,6 @@ class Client:
 
     def __exit__(self, *error):
         self.close()
-
-    def ask(self, kind, name, timeout=PATIENCE, **fields):
-        """Call a service and return its response."""
-        return self.begin(kind, name, timeout, **fields)()
-
-    def begin(self, kind, name, timeout=PATIENCE, **fields):
-        """Call a service; return a function that waits for the response."""
-        client = self._clients.get(name)
-        is_new = client is None
-        if is_new:
-            client = self._clients[name] = self.node.create_client(kind, name)
-        wait_until(client.service_is_ready, timeout, f"no service {name}")
-        repeatable = kind.__name__.startswith(("Get", "List", "SetParameters"))
-        if is_new and not repeatable:
-            # nodes tell of their clients in turn: one that answers this knows where to answer next
-            probe = f"{name.rpartition('/')[0]}/list_parameters"
-            self._clients.pop(probe, None)
-            self.ask(ListParameters, probe, timeout)
-        request = kind.Request(**fields)
-        answers = [client.call_async(request)]
-
-        def response():
-            began = time.monotonic()
-            while True:
-                for answer in answers:
-                    if answer.done():
-                        return answer.result()
-                waited = time.monotonic() - began
-                assert waited < timeout, f"{name} did not answer"
-                if repeatable and waited > AGAIN * len(answers):
-                    answers.append(client.call_async(request))
-                time.sleep(0.0005)
-
-        return response
-
-    def set(self, node, **parameters):
-        """Set parameters together; return whether that worked, and the reason if not."""
-        wanted = [
-            Parameter(key, value=value).to_parameter_msg() for key, value in parameters.items()
-        ]
-        name = f"/{node}/set_parameters_atomically"
-        result = self.ask(SetParametersAtomically, name, parameters=wanted).result
-        return result.successful, result.reason
 
     def listen(self, topic, wanted=lambda message: True):
         """Return a list that collects a topic's messages from now on, those that are wanted."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from action_msgs.msg import GoalStatus
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import Bool
@@ -86,8 +85,7 @@ def actions_of(client):
     """Return an action client of launcher/run_trial."""
     actions = ActionClient(client.node, RunTrial, "/launcher/run_trial")
     assert actions.wait_for_server(60.0)
-    # nodes tell of their clients in turn: one that answers this knows where to answer a goal
-    client.ask(ListParameters, "/launcher/list_parameters")
+    client.await_answers_of("/launcher")
     return actions
 
 
@@ -95,7 +93,16 @@ class Session:
     """Nodes that serve one trial after the other."""
 
     def __init__(
-        self, start, client, folder, *, actuator="output", poses=POSES, launcher=None, **options
+        self,
+        start,
+        client,
+        folder,
+        *,
+        actuator="output",
+        poses=POSES,
+        launcher=None,
+        launcher_change="",
+        **options,
     ):
         self.client, self.folder = client, folder
         streams = f"[{', '.join([*poses, *STREAMS])}]"
@@ -103,10 +110,9 @@ class Session:
         self.recorder = start("recorder", out=folder, topics=streams, **options)
         # a busy machine is no dead camera: 0.3 s is for the tests of this limit
         settings = {"scene": "tilt_0", "start_timeout": 5.0, "after_verdict": 0.3}
-        settings |= {"max_pose_age": 1.0}
-        self.launcher = start(
-            "launcher", actuator=actuator, **settings | (launcher or {}) | options
-        )
+        settings |= {"max_pose_age": 1.0, "max_hold_silence": 5.0}
+        settings |= launcher or {}
+        self.launcher = start("launcher", launcher_change, actuator=actuator, **settings | options)
         self.launcher.wait_for("ready for trials")
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
@@ -130,7 +136,7 @@ class Session:
     @contextmanager
     def bench(self, *remaps, script="disturbed_rig.py", pace=PACE, **disturbances):
         """Run the bench, disturbed."""
-        disturbances["pace"] = pace
+        disturbances = {"pace": pace, "hold_timeout": 5.0, **disturbances}
         values = [w for key, value in disturbances.items() for w in ("-p", f"{key}:={value}")]
         command = [sys.executable, str(EXAMPLES / script), "--ros-args", *values, *remaps]
         rig = subprocess.Popen(command)

@@ -11,16 +11,13 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 
 import rclpy
-from rcl_interfaces.srv import SetParametersAtomically
+from bench_processes import PATIENCE, Asking
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.nodes.process import live
 
-#: What is waited for comes within this long, s, on a slow and busy machine too.
-PATIENCE = 120.0
 CLASSES = {
     "simulator": "SimulatorNode",
     "launcher": "LauncherNode",
@@ -158,7 +155,7 @@ def statuses(nodes, first="simulator"):
     return found | {name: node.end() for name, node in nodes.items() if name != first}
 
 
-class Client:
+class Client(Asking):
     """A plain node of this process that calls services, sets parameters and listens."""
 
     def __init__(self, name="experimenter", **options):
@@ -188,24 +185,6 @@ class Client:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
-
-    def ask(self, kind, name, **fields):
-        """Call a service and return its response."""
-        client = self._clients.get(name) or self.node.create_client(kind, name)
-        self._clients[name] = client
-        wait_until(client.service_is_ready, f"no service {name}")
-        answer = client.call_async(kind.Request(**fields))
-        wait_until(answer.done, f"{name} did not answer")
-        return answer.result()
-
-    def set(self, node, **parameters):
-        """Set parameters together; return whether that worked, and the reason if not."""
-        wanted = [
-            Parameter(key, value=value).to_parameter_msg() for key, value in parameters.items()
-        ]
-        name = f"/{node}/set_parameters_atomically"
-        result = self.ask(SetParametersAtomically, name, parameters=wanted).result
-        return result.successful, result.reason
 
     def listen(self, topic, is_wanted=lambda message: True, qos=None):
         """Return a list that collects a topic's messages from now on, those that are wanted."""
