@@ -178,9 +178,7 @@ def _throat(scene: Scene) -> None:
         raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
 
 
-<<<<<<< HEAD
-@depends_on("stops", "buffer.preload")
-=======
+@depends_on("buffer")
 def _force_table(scene: Scene) -> None:
     buffer, table = scene.buffer, scene.buffer.force_table
     if table is None:
@@ -202,7 +200,7 @@ def _force_table(scene: Scene) -> None:
             raise refuse(f"{name}[{k}], force", force, "N", ">= 0")
 
 
->>>>>>> main
+@depends_on("stops", "buffer.preload", "buffer.force_table")
 def _stops(scene: Scene) -> None:
     stops, preload = scene.stops, scene.buffer.seat_force
     if stops is not None and stops.extension is not None and preload > 0.0:

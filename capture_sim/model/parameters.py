@@ -162,13 +162,17 @@ def _bodies(scene: Scene) -> dict[str, Any]:
 @depends_on("buffer", "probe")
 def _buffer(scene: Scene) -> dict[str, Any]:
     buffer = scene.buffer
-<<<<<<< HEAD
     linear = ("k_A", "c_A", "k_T", "c_T")
-    shaped = ("k_A3", "c_A2", "k_T3", "c_T2", "preload")
+    shaped = ("k_A3", "c_A2", "k_T3", "c_T2")
     p = {name: getattr(buffer, name) for name in (*linear, *shaped)}
+    p["preload"] = buffer.seat_force
     p["a"], p["h_0"] = buffer.hinge_offset, scene.rest_length
     p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
-    p["has_shaped_buffer"] = p["c_A_rebound"] != p["c_A"] or any(p[name] > 0.0 for name in shaped)
+    p["has_shaped_buffer"] = (
+        buffer.force_table is not None
+        or p["c_A_rebound"] != p["c_A"]
+        or any(p[name] > 0.0 for name in (*shaped, "preload"))
+    )
     return p
 
 
@@ -223,38 +227,6 @@ def _supports(scene: Scene) -> dict[str, Any]:
 @depends_on("latch", "stops")
 def _latch_and_stops(scene: Scene) -> dict[str, Any]:
     p: dict[str, Any] = {}
-=======
-    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
-        p[name] = getattr(buffer, name)
-    p["preload"] = buffer.seat_force
-    p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
-    p["has_shaped_buffer"] = (
-        buffer.force_table is not None
-        or p["c_A_rebound"] != p["c_A"]
-        or any(p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload"))
-    )
-    p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
-    p["L_T"] = scene.cone.L_T
-    p["R_c"], p["L_c"], p["cos_b"], p["sin_b"] = scene.cone.wall
-    p["K"], p["exponent"] = scene.contact_stiffness, HERTZ
-    p["hysteresis"] = scene.contact.hysteresis_factor
-    if scene.contact.hysteresis_factor is None:
-        p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
-    p["v_0_floor"] = scene.contact.min_approach_speed
-    p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
-    p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
-    p["friction_law"] = FRICTION_LAWS[scene.friction.law]
-    p["inverse_v_eps"] = 1.0 / scene.friction.slip_regularization_speed
-    p["gravity"] = scene.gravity
-    if scene.supports is not None:
-        p["has_supports"] = 1
-        p["v_eps_ball"] = scene.supports.rolling_regularization_speed
-        for vehicle, name in (("chaser", "balls_S"), ("target", "balls_T")):
-            support = getattr(scene.supports, vehicle)
-            limits = (support.c_rr * loads(scene, vehicle)).tolist()
-            p[name] = [(x, y, limit) for (x, y), limit in zip(support.balls, limits, strict=True)]
-        p["rolling_limit_S"] = sum(limit for _, _, limit in p["balls_S"])
->>>>>>> main
     if scene.latch is not None:
         p["has_latch"] = 1
         p["latch_radius"] = scene.latch.radius
@@ -313,16 +285,10 @@ def pack(
     p["gravity"] = scene.gravity
     p["m_hanging"], p["drop_height"] = hanging_mass, drop_height
     p["speed_scale"] = speed_scale(scene, impact_speed)
-<<<<<<< HEAD
-    return np.array([tuple(p.values())], PARAMETERS)
-=======
-    p["max_steps"] = scene.run.max_steps
-    p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     record = np.array([tuple(p.values())], PARAMETERS)
-    if buffer.force_table is not None:
-        record["force_table"] = force_table(buffer.force_table)
+    if scene.buffer.force_table is not None:
+        record["force_table"] = force_table(scene.buffer.force_table)
     return record
->>>>>>> main
 
 
 #: Lower limit of the speed scale of free vehicles, m/s; round-off of positions (1e-17 m) over the
