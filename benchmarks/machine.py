@@ -12,8 +12,8 @@ from pathlib import Path
 from capture_sim import __version__
 from capture_sim.kernels import source_hash
 
-#: Cores that others may keep busy on average; above it a measurement is not to be trusted.
-QUIET = 0.2
+#: Cores that others may keep busy on average before a measurement is no more to be trusted.
+QUIET = 0.1
 #: Written at the top of what was measured then.
 BUSY = "Measured on a busy machine: neither times nor ratios count; measure again on a quiet one."
 
@@ -31,13 +31,14 @@ class OthersAtWork:
     @staticmethod
     def _others() -> float:
         """Return the processor time of all others since the system's start, s."""
-        stat = Path("/proc/stat")
-        if not stat.is_file():
+        counters = Path("/proc/stat")
+        if not counters.is_file():
             return math.nan
-        # user, nice, system, idle, iowait, irq, softirq, steal; a guest's time is in its user's
-        ticks = [int(number) for number in stat.read_text(encoding="ascii").split()[1:9]]
-        busy = sum(ticks) - ticks[3] - ticks[4]
-        return busy / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
+        # a guest's time, which follows, is part of its user's
+        line = counters.read_text(encoding="utf-8").split("\n", 1)[0]
+        user, low, system, _idle, _wait, *others = map(int, line.split()[1:9])
+        ticks = user + low + system + sum(others)
+        return ticks / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
 
 
 def is_busy(others: float) -> bool:
