@@ -88,7 +88,7 @@ def answer(contest: Contest) -> str:
         f"To {contest.plan.t_end:g} s, {OURS} needs {seconds(ours[0])} at errors of "
         f"{least.position:.0e} m and {least.event_time:.0e} s, and {seconds(ours[1])} at "
         f"{most.position:.0e} m and {most.event_time:.0e} s. A textbook DOP853 with events, "
-        "compiled too but without energy control and peak loads, needs "
+        "compiled alike but without energy ledger and peak loads, needs "
         f"{compared('textbook')} times as long. {library}SciPy with the same compiled equations "
         f"needs {compared('python')} times as long, nearly all of it Python calls."
     )
