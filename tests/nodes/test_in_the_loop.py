@@ -16,7 +16,8 @@ from bench_processes import Client, wait_until
 from plate import SPEED, STEP, ideal_rig
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-from capture_sim import load_scene
+from capture_sim import load_scene, read_run
+from capture_sim.cli import main
 from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import WallLaw, Wrench
 from capture_sim.hardware.loop import N_AT_REST, Loop
@@ -184,6 +185,7 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     start("contact_rig", damping=3.0)
     report = tmp_path / "report.json"
     wall = {"exponent": 1.0, "compensation": "model", "rtf": 0.2, "report": report}
+    wall["record"] = tmp_path / "runs"
     first = start("loop_simulator", overrides="[run.t_end=0.1]", **wall, stiffness=1e3, **PATIENT)
     assert first.status() == 0, first.text
     second = start("loop_simulator", **wall, stiffness=1e3, **PATIENT)
@@ -191,11 +193,30 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     found = json.loads(report.read_text())
     assert found["load_cell"]["bias"][:3] == pytest.approx([0.5] * 3, abs=0.05)
     assert found["contacts"][0]["is_held"] is False
-    law = {"stiffness": found["law"]["stiffness"], "damping": found["law"]["damping"]}
-    third = start("loop_simulator", **wall, **law, wall_offset=found["law"]["offset"], **PATIENT)
+    [pasted] = re.findall(r"next law: (.*)", second.text)
+    assert pasted == found["next_law"]
+    law = dict(re.findall(r"-p (\w+):=(\S+)", pasted))
+    names = {name.replace("wall_", ""): float(value) for name, value in law.items()}
+    assert names == pytest.approx({name: found["law"][name] for name in names}, rel=1e-8)
+    third = start("loop_simulator", **{**wall, **law}, **PATIENT)
     assert third.status() == 0, third.text
     found = json.loads(report.read_text())
     assert found["contacts"][0]["is_held"] is True
+    recorded = tmp_path / "runs" / "_loop_3.mcap"
+    assert f"recorded: {recorded}" in third.text
+    run = read_run(recorded)
+    assert run.problems == ()
+    [touch], [contact] = run.touches, found["contacts"]
+    assert touch["peak_force"] == pytest.approx(contact["peak_force"], rel=0.01)
+    assert touch["approach_speed"] == pytest.approx(contact["approach_speed"], rel=0.01)
+    rig = run.to_dataframe("loop/wrench")["wrench.force.x"]
+    assert rig.min() == pytest.approx(0.5 - found["rig_peak_force"], rel=0.05)
+    assert len(run.to_dataframe("loop/tip")) > 1000  # with the run-up
+    first = tmp_path / "runs" / "_loop.mcap"
+    assert main(["compare", str(first), str(recorded)]) in (0, 1)  # alike or not
+    for command in (["view", str(recorded), "--out", str(tmp_path)], ["detect", str(recorded)]):
+        assert main(command) == 0
+    assert main(["report", str(recorded), "--out", str(tmp_path / "report.html")]) == 0
 
 
 def test_a_report_that_cannot_be_written_at_the_end_loses_no_summary(start, tmp_path):
