@@ -100,7 +100,8 @@ class BuildWithMessages(build_py):
         files = [f.relative_to(stage) for f in stage.rglob("*") if f.is_file()]
         package = SITE_PACKAGES / NAME
         messages = [f for f in files if package in f.parents and self.is_message(package, f)]
-        others = [f for f in files if SITE_PACKAGES not in f.parents]
+        tf2_msgs = SITE_PACKAGES / "tf2_msgs"  # where the distribution has none
+        others = [f for f in files if SITE_PACKAGES not in f.parents or tf2_msgs in f.parents]
         if self.editable_mode:
             # Modules and data stay in the source tree, and it stays clean: the messages go
             # to site-packages, where the package's extend_path finds them.

@@ -2,7 +2,7 @@
 
     .venv/bin/python -m benchmarks.design    # ten minutes; --scenes 2 for a look
 
-Writes the parts of docs/design_checked.md and the figures.  A buffer for limits is compared with a
+Writes the parts of docs/random_scenes.md and the figures.  A buffer for limits is compared with a
 grid of 20^3 buffers around it, and with the grid over the whole ranges where none was found.  A
 buffer for the strokes of the first contact is checked by runs at a tenth of the tolerance.
 """
@@ -215,7 +215,7 @@ def paper(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        "design_checked",
+        "random_scenes",
         __doc__,
         {"paper": paper, "limits": limits, "first_contact": first_contact},
         scenes=(8, "random scenes"),

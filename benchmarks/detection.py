@@ -1,4 +1,4 @@
-"""Error rates of the capture detector on noisy replays; writes them into docs/detection.md.
+"""Error rates of the capture detector on noisy replays; writes them into docs/detection_checked.md.
 
 .venv/bin/python -m benchmarks.detection    # about eight minutes; --replays 10 for a look
 """
@@ -152,7 +152,7 @@ def injections(asked, _):
 
 if __name__ == "__main__":
     write_parts(
-        "detection",
+        "detection_checked",
         __doc__,
         {"standard": standard, "sweep": sweep, "injections": injections},
         replays=(340, "of each run, standard disturbance"),

@@ -1,4 +1,4 @@
-"""Recording, replay and identification; writes the parts of docs/recording_checked.md.
+"""Recording, replay and identification; writes the parts of docs/node_suite.md.
 
 .venv/bin/python -m benchmarks.recording                  # all parts, about six minutes
 .venv/bin/python -m benchmarks.recording write live
@@ -194,4 +194,4 @@ def fit(*_: object) -> list[str]:
 
 if __name__ == "__main__":
     parts = {"write": write, "live": live, "replay": replay, "identify": fit}
-    write_parts("recording_checked", __doc__, parts, seconds=(60.0, "of the live recording"))
+    write_parts("node_suite", __doc__, parts, seconds=(60.0, "of the live recording"))

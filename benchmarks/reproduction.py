@@ -1,7 +1,7 @@
 """The paper reproduced: a table 'paper says, we get, difference, why', and the figures.
 
     make reproduction                                           # a minute or two
-    .venv/bin/python -m benchmarks.reproduction --only figure_6 --out runs
+    python -m benchmarks.reproduction --only figure_6 --out runs
 
 Runs the paper's numerical section and its experiments, and writes docs/reproduction.md and the
 figures in docs/reproduction/.

@@ -2,7 +2,7 @@
 
     .venv/bin/python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
 
-writes the parts of docs/sweep_checked.md, in six minutes.  ``before`` needs ``--before FOLDER``,
+writes the parts of docs/random_scenes.md, in six minutes.  ``before`` needs ``--before FOLDER``,
 the work tree of an earlier state, e.g. of ``git worktree add``.
 """
 
@@ -42,7 +42,7 @@ SWEEPS = {
 }
 
 
-#: Dispersions of the three experiments, of docs/sweep_dispersions.md.
+#: Dispersions of the three experiments, of docs/sweep.md.
 EXPERIMENTS = {
     "tilt_0": {"initial.target.theta": "normal(0 deg, 1.5 deg)"},
     "tilt_p10": {"initial.target.theta": "normal(10 deg, 1.5 deg)"},
@@ -170,7 +170,7 @@ def before(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        "sweep_checked",
+        "random_scenes",
         __doc__,
         {"speed": speed, "trust": trust, "verdicts": verdicts, "before": before},
         untimed=("trust", "verdicts"),

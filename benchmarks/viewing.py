@@ -3,7 +3,7 @@
     .venv/bin/python -m benchmarks.viewing             # about three minutes
     .venv/bin/python -m benchmarks.viewing live --seconds 6
 
-Writes the parts of docs/viewing.md.  The live part runs the real nodes at real time, with and
+Writes the parts of docs/node_suite.md.  The live part runs the real nodes at real time, with and
 without the viewer, and reads from the operating system what their processes took.
 """
 
@@ -85,5 +85,5 @@ def live(asked: Namespace, folder: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    parts = {"files": files, "live": live}
-    write_parts("viewing", __doc__, parts, seconds=(20.0, "of the live run"))
+    parts = {"files": files, "live_view": live}
+    write_parts("node_suite", __doc__, parts, seconds=(20.0, "of the live run"))

@@ -18,7 +18,6 @@ from std_msgs.msg import Bool
 TARGET, STOP, SPEED, DROP = 0.66, 0.2125, 0.105, 0.1  # m, of the chaser at the cone; m/s after m
 BACK, ASIDE, RETURNED = 0.5, 0.12, 0.4  # m/s pulled back; m of a miss; speed after by before
 CONTACT, STROKE, MASS = 0.1, 0.003, 22.0  # s, m and kg
-HOLD_TIMEOUT = 0.5  # s without launcher/hold, after which the chaser is held
 CLOCK = 1.2e9  # s, by the bench's clock at its start
 
 
@@ -28,6 +27,7 @@ class FakeRig(Node):
         self.declare_parameter("outcomes", ["captured"])  # of the releases in turn: captured,
         self.declare_parameter("rate", 100.0)  # ... rebound, missed; Hz
         self.declare_parameter("pace", 1.0)  # s of the bench in a second: saves waiting in tests
+        self.declare_parameter("hold_timeout", 0.5)  # s without launcher/hold: holds then
         self.pace, self.dt = (
             self.get_parameter("pace").value,
             1.0 / self.get_parameter("rate").value,
@@ -58,7 +58,7 @@ class FakeRig(Node):
             self.released, self.held, self.trial = None, self.t, self.trial + 1
 
     def step(self):
-        if time.monotonic() - self.last_hold > HOLD_TIMEOUT:
+        if time.monotonic() - self.last_hold > self.get_parameter("hold_timeout").value:
             self.armed = False  # the launcher is gone, or the network is
             self.set_hold(True)
         self.t += self.dt

@@ -1,7 +1,7 @@
 """A detector of your own: a plain rclpy node that the simulator waits for, and misses no sample.
 
-.venv/bin/python examples/own_detector.py
-.venv/bin/capture-sim-simulator --ros-args -p "wait_for:=[own_detector]" -p rtf:=0.0
+python examples/own_detector.py
+capture-sim-simulator --ros-args -p "wait_for:=[own_detector]" -p rtf:=0.0
 """
 
 import rclpy

@@ -75,6 +75,52 @@ def damping_factor(law: str, e: float) -> float:
     }[law]()
 
 
+def monotone_slopes(points: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Points (n, 3) of a table with the slope at each, after Fritsch and Butland (1984).
+
+    A weighted harmonic mean of the slopes on both sides, 0 where these differ in sign; at an end
+    the parabola's through three points, cut as Moler does.  At rest without a preload the curve
+    goes on as its mirror image, whose slope there is the first one.
+    """
+    s, F = np.array(points).T
+    w, d = np.diff(s), np.diff(F) / np.diff(s)
+    slopes = np.zeros(s.size)
+
+    def at_end(w0: float, w1: float, d0: float, d1: float) -> float:
+        m = ((2.0 * w0 + w1) * d0 - w0 * d1) / (w0 + w1)
+        if m * d0 <= 0.0:
+            return 0.0
+        return 3.0 * d0 if d0 * d1 <= 0.0 and abs(m) > 3.0 * abs(d0) else m
+
+    for k in range(1, s.size - 1):
+        if d[k - 1] * d[k] > 0.0:
+            a, b = 2.0 * w[k] + w[k - 1], w[k] + 2.0 * w[k - 1]
+            slopes[k] = (a + b) / (a / d[k - 1] + b / d[k])
+    slopes[0] = d[0]
+    if F[0] > 0.0 and s.size > 2:
+        slopes[0] = at_end(w[0], w[1], d[0], d[1])
+    slopes[-1] = d[-1]
+    if s.size > 2:
+        slopes[-1] = at_end(w[-1], w[-2], d[-1], d[-2])
+    return np.column_stack([s, F - F[0], slopes])
+
+
+@compiled
+def tabulated(table: np.ndarray, inwards: float) -> float:
+    """Force of a tabulated spring beyond its preload, N, by Hermite's polynomials."""
+    s, last = abs(inwards), table.shape[0] - 1
+    force = table[last, 1] + (s - table[last, 0]) * table[last, 2]
+    for k in range(last):
+        if s < table[k + 1, 0]:
+            w = table[k + 1, 0] - table[k, 0]
+            x = (s - table[k, 0]) / w
+            force = (1.0 + 2.0 * x) * (1.0 - x) ** 2 * table[k, 1]
+            force += x * x * (3.0 - 2.0 * x) * table[k + 1, 1]
+            force += w * x * (1.0 - x) * ((1.0 - x) * table[k, 2] - x * table[k + 1, 2])
+            break
+    return math.copysign(force, inwards)
+
+
 class Constants(NamedTuple):
     """A scene's numbers, SI units."""
 
@@ -94,6 +140,7 @@ class Constants(NamedTuple):
     preload: float
     k_T3: float
     c_T2: float
+    table: np.ndarray  # (n, 3) stroke inwards, force of the spring beyond the preload, slope there
     R_t: float
     inner: np.ndarray  # (2, 2) target's frame: inner ends of the +y and the -y wall
     along: np.ndarray  # (2, 2) directions from there to the lip
@@ -150,9 +197,10 @@ def constants(scene: Scene) -> Constants:
         k_A3=b.k_A3,
         c_A2=b.c_A2,
         c_A_rebound=b.c_A if b.c_A_rebound is None else b.c_A_rebound,
-        preload=b.preload,
+        preload=b.preload if b.force_table is None else b.force_table[0][1],
         k_T3=b.k_T3,
         c_T2=b.c_T2,
+        table=np.zeros((0, 3)) if b.force_table is None else monotone_slopes(b.force_table),
         R_t=p.tip_radius,
         inner=np.column_stack([np.full(2, -cone.L_T), sides * cone.R_c]),
         along=np.column_stack(
@@ -367,6 +415,8 @@ def applied(
     longer, lengthening = length - c.l_0, ex * rate_x + ey * rate_y
     damping = (c.c_A_rebound if lengthening > 0.0 else c.c_A) + c.c_A2 * abs(lengthening)
     pull = (c.k_A + c.k_A3 * longer**2) * longer + damping * lengthening - c.preload
+    if c.table.shape[0] > 0:
+        pull -= tabulated(c.table, -longer)
     turned, turning = z[5] - z[2], z[17] - z[14]
     torque = (c.k_T + c.k_T3 * turned**2) * turned + (c.c_T + c.c_T2 * abs(turning)) * turning
     Q[0], Q[1] = pull * ex, pull * ey

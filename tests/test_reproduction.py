@@ -129,8 +129,7 @@ def test_the_page_has_every_figure_with_its_command(claims, evidence):
     text = page(claims, evidence, {name: figure.title for name, figure in FIGURES.items()})
     commands = re.findall(r"!\[.*\]\(reproduction/(\w+)\.png\)\n\n`(.*)`\n", text)
     assert commands == [
-        (name, f".venv/bin/python -m benchmarks.reproduction --only {name} --out runs")
-        for name in FIGURES
+        (name, f"python -m benchmarks.reproduction --only {name} --out runs") for name in FIGURES
     ]
     assert "14 statements agree, 2 do not, 1 cannot be compared." in text
     assert re.search(r"---\|\n\| radius \|.* \|\n\nAll open assumptions varied together", text)

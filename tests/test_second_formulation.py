@@ -40,6 +40,22 @@ CASES = {
         ["buffer.preload=3", "buffer.k_A3=2.0e+6", "buffer.c_A2=150", "buffer.c_A_rebound=40"],
         (0.1, 0.3),
     ),
+    "tabulated": (
+        "paper_designed",
+        [
+            "buffer.k_A=0",
+            "buffer.force_table=[[0, 0], [2 mm, 1.5], [3 mm, 1.6], [6 mm, 6], [10 mm, 9]]",
+        ],
+        (0.1, 0.35),
+    ),
+    "tabulated with preload": (
+        "paper_designed",
+        [
+            "buffer.k_A=0",
+            "buffer.force_table=[[0, 3], [1 mm, 3], [2 mm, 6], [6 mm, 6.5], [10 mm, 15]]",
+        ],
+        (0.1, 0.3),
+    ),
     # soft, fast and askew: the tip runs into the throat and hammers both inner edges
     "inner edges": (
         "paper_designed",

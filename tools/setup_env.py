@@ -116,6 +116,7 @@ def wanted_state(develop=False):
         pyproject = tomllib.load(file)
     project, lock = pyproject["project"], digest([ROOT / LOCK])
     interfaces = [f for kind in ("msg", "srv", "action") for f in ROOT.glob(f"{kind}/*.{kind}")]
+    interfaces += [f for f in ROOT.glob("tf2_msgs/**/*.*") if f.is_file()]
     build = [ROOT / name for name in ("CMakeLists.txt", "package.xml", "setup.py")]
     # what setuptools reads: requirements have steps of their own, linters' settings need none
     metadata = {key: project[key] for key in ("name", "dynamic", "scripts")}

@@ -19,8 +19,9 @@ from capture_sim.solver.runge_kutta import OVERFLOW, dense, make_stepper, next_f
 #: Longest step in contact, rad of the contact's oscillation, less than a period: a longer step may
 #: be accurate at its end but not in between, where samples and events are read.
 _CONTACT_ANGLE = 5.0
-#: Longest step with stops or a seat, rad of the probe's oscillation on the axial spring: the cubic
-#: through stroke and rate at the ends of a shorter step shows every stop that is hit.
+#: Longest step with stops, a seat or a table of forces, rad of the probe's oscillation on the axial
+#: spring: the cubic through stroke and rate at the ends of a shorter step shows every stop that is
+#: hit, and no steep part of the table is stepped over.
 _STROKE_ANGLE = 2.0
 #: Permitted error of a step in contact, as a share of the penetration.
 _DEPTH_SHARE = 0.03
@@ -162,12 +163,13 @@ def step_length(w):
     h = min(step.h_next, _RUN_END_REACH * (w.progress.t_stop - step.t0))
     if step.start.tip_speed > 0.0:
         h = min(h, path_to_events(w) / step.start.tip_speed)
-    if (par.has_stops or par.preload > 0.0) and not w.system.mode.seated:
+    has_end = par.has_stops or par.preload > 0.0 or par.force_table.count > 0
+    if has_end and not w.system.mode.seated:
         # the spring is stiffest at a stop
         stroke = max(-par.stop_compressed, abs(w.stepper.y[4] - par.h_0))
         if par.stop_extended < math.inf:
             stroke = max(stroke, par.stop_extended)
-        stiffness = par.k_A + 3.0 * par.k_A3 * stroke * stroke
+        stiffness = par.k_A + 3.0 * par.k_A3 * stroke * stroke + par.force_table.largest_slope
         if stiffness > 0.0:
             h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / stiffness))
     for i in range(2):

@@ -167,6 +167,8 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
 
     found = []
     for name in _BUFFER:
+        if name in ("k_A", "k_A3") and scene.buffer.force_table is not None:
+            continue  # 0 with a table
         places = [parameter(name)]
         if name == "c_A" and scene.buffer.c_A_rebound is None:
             places.append(parameter("c_A_rebound"))

@@ -245,7 +245,7 @@ class Loop:
         wall = self._walls.deepest(tip)
         speed, mass = max(wall.rate, 1e-3), self.stage.contact_mass(wall.nx, wall.ny)
         probe_duration = law.duration(scene.probe.mass, speed)
-        if probe_duration < math.pi * math.sqrt(scene.probe.mass / scene.buffer.k_A):
+        if probe_duration**2 * scene.buffer.stiffness_at_rest < math.pi**2 * scene.probe.mass:
             mass = scene.probe.mass
         duration = law.duration(mass, speed)
         share = (NO_RESIDUAL - self.lag / duration) / (NO_RESIDUAL - FULL_RESIDUAL)

@@ -13,8 +13,6 @@ from collections.abc import Callable
 HOLD_PERIOD = 0.1
 #: A driver holds after this long without a message, s.
 HOLD_TIMEOUT = 0.5
-#: After a longer silence a driver may have held, s: the network takes the rest.
-MAX_SILENCE = 0.4
 
 
 class HoldOutput:

@@ -34,6 +34,7 @@ class TrialLimits:
 
     max_pose_age: float = 0.3  # s, without a new pose of a vehicle
     max_buffer_age: float = 0.3  # s, without a new buffer state before the release; 0: none needed
+    max_hold_silence: float = 0.4  # s, without launcher/hold; drivers hold after 0.5
     start_timeout: float = 10.0  # s, to wait for fresh measurements and other nodes
     time_limit: float = 60.0  # s, from the release to the end of the trial
     after_verdict: float = 1.0  # s, to go on after the verdict

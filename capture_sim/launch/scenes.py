@@ -34,6 +34,8 @@ from capture_sim.scene.quantities import refuse
 _CHANGED = "; with "
 #: Between two changes; a value may have commas.
 _NEXT_CHANGE = re.compile(r", (?=[a-z_]\w*(?:\.\w+)*=)")
+#: Smallest distance of two strokes in a table of forces, m.
+MIN_TABLE_SPACING = 1e-6
 #: A name that lists more changes than fit gets a hash of them, characters.
 _LONGEST_NAME = 60
 
@@ -130,7 +132,7 @@ def check_scene(scene: Scene) -> LaunchPlan:
     SceneError names the first rule that the scene breaks.
     """
     rules = (
-        *(_contact, _friction, _throat, _stops, _rates),
+        *(_contact, _friction, _throat, _force_table, _stops, _rates),
         *(_start, _supports, _rail, _string, _latch),
     )
     try:
@@ -166,10 +168,32 @@ def _throat(scene: Scene) -> None:
         raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
 
 
+def _force_table(scene: Scene) -> None:
+    buffer, table = scene.buffer, scene.buffer.force_table
+    if table is None:
+        return
+    for name, unit in (("k_A", "N/m"), ("k_A3", "N/m^3"), ("preload", "N")):
+        value = getattr(buffer, name)
+        if value != 0.0:
+            raise refuse(f"buffer.{name}", value, unit, "0 with buffer.force_table")
+    strokes, forces = zip(*table, strict=True)
+    name = "buffer.force_table"
+    if strokes[0] != 0.0:
+        raise refuse(f"{name}[0], stroke", strokes[0], "m", "0, the rest length")
+    for k in range(1, len(table)):
+        low = strokes[k - 1] + MIN_TABLE_SPACING
+        if not strokes[k] >= low:
+            raise refuse(f"{name}[{k}], stroke", strokes[k], "m", f">= {low:.9g}, in rising order")
+    for k, force in enumerate(forces):
+        if force < 0.0:
+            raise refuse(f"{name}[{k}], force", force, "N", ">= 0")
+
+
 def _stops(scene: Scene) -> None:
-    stops, preload = scene.stops, scene.buffer.preload
+    stops, preload = scene.stops, scene.buffer.seat_force
     if stops is not None and stops.extension is not None and preload > 0.0:
-        why = f"null with buffer.preload = {preload:g} N, whose seat is the stop outwards"
+        field = "preload" if scene.buffer.force_table is None else "force_table[0], force"
+        why = f"null with buffer.{field} = {preload:g} N, whose seat is the stop outwards"
         raise refuse("stops.extension", stops.extension, "m", why)
 
 

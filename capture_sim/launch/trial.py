@@ -13,7 +13,7 @@ from enum import Enum
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.bench_watch import BenchWatch, Pose
-from capture_sim.launch.hold import HOLD_TIMEOUT, MAX_SILENCE
+from capture_sim.launch.hold import HOLD_TIMEOUT
 from capture_sim.launch.interlocks import Interlocks, Sensor
 from capture_sim.launch.watch import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.samples import Named
@@ -266,15 +266,14 @@ class Trial:
     def note_silence(self, silence: float, now: float) -> None:
         """Note for how long launcher/hold was not sent, s.
 
-        Beyond :data:`MAX_SILENCE` the driver may have held: the chaser is then not let go again.
+        Beyond ``max_hold_silence`` the driver may have held: the chaser is then not let go again.
         """
-        if silence <= MAX_SILENCE:
+        limit = self._limits.max_hold_silence
+        if silence <= limit:
             return
         self._silent = now
         if not self.holds:
-            self._silence = (
-                f"launcher/hold: silent for {silence:.3g} s: must be at most {MAX_SILENCE:g}"
-            )
+            self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
 
     def cancel(self, reason: str = CANCELLED) -> None:
         """End the trial and hold the chaser, at the next :meth:`advance`."""

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.detection.measurements import Counts, Reason, Source
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Columns, Template, fill
 from capture_sim.messages.definitions import blank, typestore
@@ -296,6 +297,14 @@ def joint_states(samples: np.ndarray) -> Columns:
 def statuses(statuses: Sequence[CaptureStatus] | Sequence[LauncherStatus], *names: str) -> Columns:
     """Return the named fields of statuses as columns."""
     return {name: np.array([getattr(status, name) for status in statuses]) for name in names}
+
+
+def rejected(counts: Counts) -> dict[str, list[int]]:
+    """Return the fields of CaptureStatus that count measurements which were not used."""
+    return {
+        f"{source.value}_rejected": [counts.rejected[source, reason] for reason in Reason]
+        for source in Source
+    }
 
 
 def string_phases(samples: np.ndarray, scene: Scene) -> np.ndarray:

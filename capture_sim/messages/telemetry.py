@@ -166,18 +166,22 @@ class _StatusStream(_Stream):
     names: tuple[str, ...]  # fields of a status, as the message calls them
     _last_state: Any = None
 
-    def status(self, t: float, status: Any) -> list[Sent]:
-        """Return the messages of one status, see :meth:`statuses`."""
-        return next(self.statuses([(t, status)]))
+    def status(self, t: float, status: Any, **fields: Sequence[float]) -> list[Sent]:
+        """Return the messages of one status, see :meth:`statuses`; ``fields``: further ones."""
+        return next(self.statuses([(t, status)], {name: [v] for name, v in fields.items()}))
 
-    def statuses(self, known: Iterable[tuple[float, Any]]) -> Iterator[list[Sent]]:
+    def statuses(
+        self, known: Iterable[tuple[float, Any]], further: Mapping[str, Any] | None = None
+    ) -> Iterator[list[Sent]]:
         """Yield the messages of each status, at times since the release, s.
 
-        One of the stream, and one of the latched topic where the state has changed.
+        One of the stream, and one of the latched topic where the state has changed.  ``further``:
+        columns of each message besides those of the statuses.
         """
         for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
             times, some = zip(*group, strict=True)
             columns = convert.statuses(some, *self.names)
+            columns |= {name: np.array(values) for name, values in (further or {}).items()}
             sent = self._many(self.stream, np.array(times), self.frame, columns, reason=reason)
             messages = [[message] for message in sent]
             if state != self._last_state:

@@ -17,6 +17,7 @@ import numpy as np
 
 from capture_sim.kernels import inline_kernel, kernel, records
 from capture_sim.model.contact import COULOMB, friction_coefficient, normal_force
+from capture_sim.model.force_table import tabulated_spring
 from capture_sim.model.geometry import nearest_on_wall, wall_curvature
 from capture_sim.model.parameters import PARAMETERS
 from capture_sim.model.supports import rolling_wrench
@@ -431,6 +432,9 @@ def axial_force(stroke, rate, par):
     """
     c = par.c_A_rebound if rate > 0.0 else par.c_A
     spring, damper = spring_and_damper(stroke, rate, par.k_A, par.k_A3, c, par.c_A2, par)
+    if par.has_shaped_buffer and par.force_table.count:
+        force, _, _ = tabulated_spring(-stroke, par.force_table)
+        spring -= force
     return par.preload - spring - damper, damper * rate
 
 
@@ -438,7 +442,11 @@ def axial_force(stroke, rate, par):
 def axial_force_rate(stroke, rate, acceleration, par):
     """Return d/dt of :func:`axial_force`, N/s, for d(rate)/dt in m/s^2."""
     c = par.c_A_rebound if rate > 0.0 else par.c_A
-    return -spring_and_damper_rate(stroke, rate, acceleration, par.k_A, par.k_A3, c, par.c_A2, par)
+    total = spring_and_damper_rate(stroke, rate, acceleration, par.k_A, par.k_A3, c, par.c_A2, par)
+    if par.has_shaped_buffer and par.force_table.count:
+        _, stiffness, _ = tabulated_spring(-stroke, par.force_table)
+        total += stiffness * rate
+    return -total
 
 
 @inline_kernel
@@ -469,6 +477,9 @@ def buffer_energy(stroke, torsion, par):
     turning = 0.5 * par.k_T * torsion * torsion
     if par.has_shaped_buffer:
         axial += 0.25 * par.k_A3 * stroke**4 - par.preload * stroke
+        if par.force_table.count:
+            _, _, energy = tabulated_spring(-stroke, par.force_table)
+            axial += energy
         turning += 0.25 * par.k_T3 * torsion**4
     return axial, turning
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
+from capture_sim.model.force_table import FORCE_TABLE, force_table
 from capture_sim.model.supports import ball_loads
 from capture_sim.scene.parts import Scene
 
@@ -42,6 +43,7 @@ PARAMETERS = np.dtype(
         ("k_T3", "f8"),
         ("c_T2", "f8"),
         ("preload", "f8"),  # above 0: the probe has a seat at h_0
+        ("force_table", FORCE_TABLE),
         ("h_0", "f8"),
         ("R_t", "f8"),
         ("L_T", "f8"),
@@ -150,11 +152,14 @@ def pack(
         scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
     )
     buffer = scene.buffer
-    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2", "preload"):
+    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
         p[name] = getattr(buffer, name)
+    p["preload"] = buffer.seat_force
     p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
-    p["has_shaped_buffer"] = p["c_A_rebound"] != p["c_A"] or any(
-        p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload")
+    p["has_shaped_buffer"] = (
+        buffer.force_table is not None
+        or p["c_A_rebound"] != p["c_A"]
+        or any(p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload"))
     )
     p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
     p["L_T"] = scene.cone.L_T
@@ -201,7 +206,10 @@ def pack(
     p["speed_scale"] = speed_scale(scene, impact_speed)
     p["max_steps"] = scene.run.max_steps
     p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
-    return np.array([tuple(p.values())], PARAMETERS)
+    record = np.array([tuple(p.values())], PARAMETERS)
+    if buffer.force_table is not None:
+        record["force_table"] = force_table(buffer.force_table)
+    return record
 
 
 #: Lower limit of the speed scale of free vehicles, m/s; round-off of positions (1e-17 m) over the

@@ -34,6 +34,10 @@ def stiffest_part(
         ),
         "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
         "progressive axial spring (probe.density, buffer.k_A3)": (m, 3.0 * par["k_A3"] * stroke**2),
+        "tabulated axial spring (probe.density, buffer.force_table)": (
+            m,
+            par["force_table"]["largest_slope"],
+        ),
         "torsional spring (probe.density, cylinder.mass, buffer.k_T)": (inertia, par["k_T"]),
         "progressive torsional spring (probe.density, cylinder.mass, buffer.k_T3)": (
             inertia,

@@ -61,16 +61,19 @@ class Announcer:
         self._wait_for = tuple(wait_for)
         self._check = check
         self._description: RunDescription | None = None
+        self._is_on = False
         self._subscriptions: dict[str, int] = {}  # of the user's nodes, by name in wait_for
         self._changed = 0.0  # s (wall), when they did last
 
     def await_nodes(self, name: str, limit: float) -> None:
         """Wait until the nodes to wait for are there; CaptureSimError after ``limit`` s (wall)."""
-        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        self._check_trials()
         self.await_none(name, self._missing, limit)
 
     def cast(self, chosen: Callable[[Part], bool] = lambda part: True) -> Cast:
-        """Return who is there to take part now."""
+        """Return who is there to take part; CaptureSimError during a trial of a real bench."""
+        self._check_trials()
+        self._is_on = True
         parts = [part for part in self._roll.free(self._source) if chosen(part)]
         roles = sorted({part.role for part in parts})
         return Cast(tuple(sorted(part.id for part in parts)), tuple(roles))
@@ -115,6 +118,7 @@ class Announcer:
 
     def close(self) -> None:
         """Announce that no run is on; its description stays for those that come later."""
+        self._is_on = False
         if self._description is not None:
             info = self._node.messages.run_info(replace(self._description, run_id=""))
             self._node.send(RUN_INFO, self._node.messages.serialise(info))
@@ -141,6 +145,17 @@ class Announcer:
             if now - last_report > period:
                 last_report, period = now, 2.0 * period
                 self._node.get_logger().info(f"{name}: {text}")
+
+    def check_part(self, part: Part) -> None:
+        """Raise CaptureSimError if a run is on and a node is found in a trial of a real bench."""
+        if self._is_on and part.is_in_trial:
+            raise _beside([part.node])
+
+    def _check_trials(self) -> None:
+        """Raise CaptureSimError during a trial: its nodes would read what this one publishes."""
+        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        if nodes := self._roll.in_trials():
+            raise _beside(nodes)
 
     def _missing(self) -> str:
         """Return what a run still waits for before it."""
@@ -181,6 +196,13 @@ class Announcer:
 def _is_named(node: str, name: str) -> bool:
     """Return True if a node, by its full name, has this name or full name."""
     return name in (node, node.rpartition("/")[2])
+
+
+def _beside(nodes: Sequence[str]) -> CaptureSimError:
+    return CaptureSimError(
+        f"{', '.join(nodes)} in a trial of a real bench: nothing is published beside it; wait for "
+        "its end, or use another ROS_DOMAIN_ID or namespace"
+    )
 
 
 def _listed(for_what: str, names: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import REORDER, Source
 from capture_sim.errors import SceneError
 from capture_sim.launch.interlocks import SourceMonitor
-from capture_sim.messages.convert import EPOCH_NS
+from capture_sim.messages.convert import EPOCH_NS, rejected
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import (
@@ -191,8 +191,10 @@ class CaptureDetectorNode(BenchNode):
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         self._telemetry.zero_ns = self._detector.zero
-        for status in statuses:
-            self.publish(*self._telemetry.status(status.t, status))
+        if statuses:
+            counts = rejected(self._detector.counts)
+            for status in statuses:
+                self.publish(*self._telemetry.status(status.t, status, **counts))
 
 
 def _check_criterion(name: str, value: float) -> None:

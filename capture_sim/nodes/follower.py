@@ -258,7 +258,7 @@ class Follower:
             self._node.get_logger().info(f"{run.name}: ended early: {end.reason}")
         for problem in problems:
             self.fail(problem)
-        self.roll.report(DONE, run.key, report)
+        self.roll.report(DONE, run.info, report)
         if interrupted:
             raise KeyboardInterrupt
 
@@ -273,7 +273,7 @@ class Follower:
         """Report that this node is ready, and wait until all others are; then begin."""
         participants = list(run.info.participants)
         self._node.wait(lambda: self._ended or self.roll.heard(participants), JOIN_TIMEOUT)
-        self.roll.report(READY, run.key)
+        self.roll.report(READY, run.info)
 
         def all_ready() -> bool:
             return self._begun or self._ended or not self.roll.not_ready(run.key, participants)

@@ -27,6 +27,10 @@ _LIMITS = {
         "s without a new buffer state: nothing is released; 0.0: no buffer is needed",
         (0.0, 10.0),
     ),
+    "max_hold_silence": (
+        "s (wall) without launcher/hold, as of a stalled computer: an approach is aborted",
+        (0.15, 10.0),
+    ),
     "start_timeout": (
         "s (wall), wait for fresh measurements and for the other nodes before a release",
         (0.0, 3600.0),

@@ -123,7 +123,7 @@ class PlayerNode(BenchNode):
         # the announcement last, see nodes/roll.py
         for name in sorted(self._played, key=lambda name: topic_named(name) is RUN_INFO):
             self._open(name, self._playback.types[name])
-        self._roll = Roll(self, PLAYER)
+        self._roll = Roll(self, PLAYER, on_part=lambda part: self._announcer.check_part(part))
         self._announcer = Announcer(self, self._roll, RunSource.REPLAY, self._wait_for)
 
     # set-up

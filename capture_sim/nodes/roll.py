@@ -44,6 +44,7 @@ class Part:
     sources: tuple[str, ...]
     state: int
     run: str
+    source: str  # of that run
     report: RunReport
 
     @property
@@ -55,6 +56,11 @@ class Part:
     def number(self) -> str:
         """Unique number of the node; that of an older one is smaller."""
         return number_of(self.id)
+
+    @property
+    def is_in_trial(self) -> bool:
+        """True if the node takes part in a trial of a real bench now."""
+        return self.state == READY and self.source == RunSource.TRIAL
 
     def is_called(self, name: str) -> bool:
         """Return True if the node has this role, name or full name."""
@@ -121,8 +127,8 @@ class Roll:
         node.listen(ROLL, self._hear, event_callbacks=watch)
         self.report(FREE)
 
-    def report(self, state: int, run: str = "", report: RunReport | None = None) -> None:
-        """Publish this node's part."""
+    def report(self, state: int, run: Any = None, report: RunReport | None = None) -> None:
+        """Publish this node's part; ``run``: RunInfo or description of the run."""
         if not self._is_listed:
             return
         report = report or RunReport()
@@ -131,7 +137,8 @@ class Roll:
             role=self._role,
             sources=self._sources,
             state=state,
-            run=run,
+            run="" if run is None else run_key(run),
+            source="" if run is None else str(run.source),
             complete=not report.problems,
             reason="; ".join(report.problems),
             file=report.file,
@@ -159,6 +166,10 @@ class Roll:
             for part in self.parts.values()
             if part.state != READY and str(source) in part.sources and self._is_there(part.id)
         ]
+
+    def in_trials(self) -> list[str]:
+        """Return the nodes that take part in a trial of a real bench now."""
+        return [p.node for p in self.parts.values() if p.is_in_trial and self._is_there(p.id)]
 
     def unheard(self) -> list[str]:
         """Return the nodes that publish on the roll and have not been heard yet."""
@@ -209,6 +220,7 @@ class Roll:
             tuple(message.sources),
             message.state,
             message.run,
+            message.source,
             RunReport(() if message.complete else (message.reason,), message.file),
         )
         self.parts[part.id] = part

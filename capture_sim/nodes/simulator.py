@@ -184,7 +184,7 @@ class SimulatorNode(BenchNode):
         topics = topics_of(SIMULATOR)
         self.open([*(topic for topic in topics if topic is not RUN_INFO), RUN_INFO])
         self._numbers = itertools.count(1)
-        self.roll = Roll(self, SIMULATOR, on_part=self._check_rival)
+        self.roll = Roll(self, SIMULATOR, on_part=self._check_part)
         self._announcer = Announcer(
             self, self.roll, RunSource.SIMULATION, wait_for, self.control.check
         )
@@ -193,8 +193,9 @@ class SimulatorNode(BenchNode):
 
     # callbacks
 
-    def _check_rival(self, part: Part) -> None:
-        """End if an older simulator, or a player, is here: with two no stream is complete."""
+    def _check_part(self, part: Part) -> None:
+        """End if a trial is on, or an older simulator or player: with two no stream is complete."""
+        self._announcer.check_part(part)
         if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self.roll.id):
             topic = self.resolve_topic_name(BENCH_STATE.name)
             raise CaptureSimError(

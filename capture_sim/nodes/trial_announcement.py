@@ -115,7 +115,7 @@ class TrialAnnouncement:
         self._description = run
         self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
         self._send_info(run)
-        self._roll.report(READY, run_key(run))
+        self._roll.report(READY, run)
         plan = self.trial.launcher.plan
         how = "no string"
         if plan.hanging_mass > 0.0:
@@ -129,7 +129,7 @@ class TrialAnnouncement:
         self._node.publish(self._telemetry.end(complete=not failure, reason=failure))
         self._send_info(replace(self._description, run_id=""))
         report = RunReport((failure,) if failure else ())
-        self._roll.report(DONE, run_key(self._description), report)
+        self._roll.report(DONE, self._description, report)
         self._is_closed = True
 
     def _send_info(self, run: RunDescription) -> None:

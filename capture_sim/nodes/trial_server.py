@@ -24,7 +24,7 @@ from rclpy.task import Future
 from capture_sim.action import RunTrial
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.launch.hold import MAX_SILENCE, HoldOutput
+from capture_sim.launch.hold import HoldOutput
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
 from capture_sim.launch.trial import (
     Trial,
@@ -307,11 +307,8 @@ class TrialServer:
         if self._hold is None:
             return
         now = time.monotonic()
-        silence = self._hold.silence(now)
         if self._trial is not None:
-            if silence > MAX_SILENCE and not self._trial.holds:
-                self._node.get_logger().error(f"launcher/hold: silent for {silence:.3g} s")
-            self._trial.note_silence(silence, now)
+            self._trial.note_silence(self._hold.silence(now), now)
         self._hold.update(self._trial is None or self._trial.holds, now)
 
     # a trial, between callbacks

@@ -26,6 +26,7 @@ from capture_sim.scene.quantities import (
     Checked,
     Range,
     choice,
+    points,
     quantity,
     shown,
 )
@@ -45,6 +46,8 @@ CONTACT_LAWS = (
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
 REACH = Range(0.0, 1.0, low_open=True)
+#: Largest number of points of a measured curve.
+MAX_TABLE_POINTS = 64
 METHODS = ("dop853", "dopri5", "rk4")
 FILTERS = ("first", "second")
 
@@ -158,6 +161,27 @@ class Buffer(Checked):
     c_T2: float = quantity(
         "N m s^2/rad^2", NOT_NEGATIVE, default=0.0, doc="quadratic torsional damping"
     )
+    force_table: tuple[tuple[float, float], ...] | None = points(
+        ("stroke inwards", "force outwards"),
+        ("m", "N"),
+        (2, MAX_TABLE_POINTS),
+        default=None,
+        doc="measured force of the axial spring over its stroke, in place of k_A, k_A3 and "
+        "preload, from stroke 0 on; a first force above 0 is the preload; null: no table",
+    )
+
+    @property
+    def seat_force(self) -> float:
+        """Force with which the axial spring presses the probe against its seat, N; 0: no seat."""
+        return self.preload if self.force_table is None else self.force_table[0][1]
+
+    @property
+    def stiffness_at_rest(self) -> float:
+        """Stiffness of the axial spring at the rest length, N/m; the first slope of a table."""
+        if self.force_table is None:
+            return self.k_A
+        (stroke_0, force_0), (stroke_1, force_1) = self.force_table[:2]
+        return (force_1 - force_0) / (stroke_1 - stroke_0)
 
 
 @dataclass(frozen=True)
@@ -243,8 +267,8 @@ class Friction(Checked):
 class BallSupport(Checked):
     """Three ball-shaped supports under a vehicle."""
 
-    balls: tuple[tuple[float, float], ...] = field(
-        metadata={"unit": "m", "doc": "x, y of the three balls in the vehicle's frame"}
+    balls: tuple[tuple[float, float], ...] = points(
+        ("x", "y"), ("m", "m"), (3, 3), doc="x, y of the three balls in the vehicle's frame"
     )
     c_rr: float = quantity("1", Range(0.0, 1.0), doc="coefficient of rolling resistance")
 
@@ -541,7 +565,7 @@ class Scene(Checked):
     @property
     def outward_stroke(self) -> float | None:
         """Stroke outwards at which the probe meets its seat or a stop, m; None without both."""
-        if self.buffer.preload > 0.0:
+        if self.buffer.seat_force > 0.0:
             return 0.0
         return None if self.stops is None else self.stops.extension
 

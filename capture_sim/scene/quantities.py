@@ -55,6 +55,34 @@ def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: st
     return field(default=default, metadata={"unit": unit, "allowed": allowed, "doc": doc})
 
 
+class Points(NamedTuple):
+    """Declaration of a list of points: names and units of both coordinates, and their number."""
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    fewest: int
+    most: int
+
+    def __str__(self) -> str:
+        fewest = {3: "three"}.get(self.fewest, self.fewest)
+        count = f"{fewest} to {self.most}" if self.most > self.fewest else f"{fewest}"
+        return f"{count} points [{', '.join(self.names)}]"
+
+
+def points(
+    names: tuple[str, str],
+    units: tuple[str, str],
+    count: tuple[int, int],
+    *,
+    default: Any = MISSING,
+    doc: str = "",
+) -> Any:
+    """Declare a list of points with names and units of their coordinates, and their number."""
+    unit = units[0] if units[0] == units[1] else ", ".join(units)
+    declaration = Points(names, units, *count)
+    return field(default=default, metadata={"unit": unit, "points": declaration, "doc": doc})
+
+
 def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
     """Declare a name from a fixed list."""
     return field(default=default, metadata={"options": options, "doc": doc})
@@ -64,13 +92,14 @@ class Declared(NamedTuple):
     """Declaration of a field of a part."""
 
     name: str
-    kind: Any  # float, int, str, bool, a part, or tuple for three points
+    kind: Any  # float, int, str, bool, a part, or tuple for points
     optional: bool  # None removes the part, or computes the value from other fields
     required: bool
     unit: str
     allowed: Range | None
     options: tuple[str, ...]
     doc: str
+    points: Points | None = None
 
 
 _declared: dict[type, dict[str, Declared]] = {}
@@ -87,10 +116,13 @@ def declared(part: type) -> dict[str, Declared]:
 def _declaration(f: dataclasses.Field[Any], hint: Any) -> Declared:
     kinds = typing.get_args(hint)
     optional = type(None) in kinds
-    kind = kinds[0] if optional else typing.get_origin(hint) or hint
-    unit, allowed, options, doc = map(f.metadata.get, ("unit", "allowed", "options", "doc"))
+    kind = kinds[0] if optional else hint
+    kind = typing.get_origin(kind) or kind
+    names = ("unit", "allowed", "options", "doc", "points")
+    unit, allowed, options, doc, points = map(f.metadata.get, names)
     required = f.default is MISSING
-    return Declared(f.name, kind, optional, required, unit or "", allowed, options or (), doc or "")
+    options, doc = options or (), doc or ""
+    return Declared(f.name, kind, optional, required, unit or "", allowed, options, doc, points)
 
 
 _shortened = reprlib.Repr()
@@ -129,7 +161,7 @@ def accept(value: Any, spec: Declared, where: str) -> Any:
     if spec.kind in (float, int):
         return _number(value, spec, where)
     if spec.kind is tuple:
-        return _three_points(value, spec, where)
+        return _points(value, spec, where)
     if not isinstance(value, spec.kind):
         raise refuse(where, value, spec.unit, _KIND_TEXTS.get(spec.kind, spec.kind.__name__))
     if spec.options and value not in spec.options:
@@ -175,18 +207,23 @@ def _text_in_si(text: str, spec: Declared, where: str) -> float:
         raise refuse(where, text, "", f"a number{unit}{allowed}{comma_hint(text)}") from None
 
 
-def _three_points(value: Any, spec: Declared, where: str) -> tuple[tuple[float, float], ...]:
+def _points(value: Any, spec: Declared, where: str) -> tuple[tuple[float, float], ...]:
+    allowed = spec.points
+    assert allowed is not None
     try:
-        points = tuple((_coordinate(x, spec), _coordinate(y, spec)) for x, y in value)
+        found = tuple(
+            (_coordinate(x, allowed.units[0]), _coordinate(y, allowed.units[1])) for x, y in value
+        )
     except (TypeError, ValueError, OverflowError):
-        points = ()
-    if len(points) != 3 or not all(abs(c) <= LARGEST for point in points for c in point):
-        raise refuse(where, value, spec.unit, f"three points [x, y] up to {LARGEST:g}")
-    return points
+        found = ()
+    is_count = allowed.fewest <= len(found) <= allowed.most
+    if not is_count or not all(abs(c) <= LARGEST for point in found for c in point):
+        raise refuse(where, value, spec.unit, f"{allowed} up to {LARGEST:g}")
+    return found
 
 
-def _coordinate(value: Any, spec: Declared) -> float:
-    return in_si(value, spec.unit) if isinstance(value, str) else float(value)
+def _coordinate(value: Any, unit: str) -> float:
+    return in_si(value, unit) if isinstance(value, str) else float(value)
 
 
 @dataclass(frozen=True)

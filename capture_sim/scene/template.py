@@ -66,6 +66,8 @@ def _meaning(spec: Declared) -> str:
     allowed = f"one of {', '.join(spec.options)}" if spec.options else ""
     if spec.allowed not in (None, ANY):
         allowed = str(spec.allowed)
+    if spec.points is not None:
+        allowed = str(spec.points)
     if spec.kind is bool:
         allowed = "true or false"
     unit = "" if spec.unit == "1" else spec.unit

@@ -41,6 +41,8 @@ from capture_sim.studies.sweep import FAILED, Recipe, result_columns, run_rows, 
 
 #: Values that are searched unless others are named.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
+#: Values that a table of the spring's force replaces.
+_OF_AXIAL_SPRING = ("buffer.k_A", "buffer.k_A3", "buffer.preload")
 #: The load whose peak is to be small.
 OBJECTIVE = "max_normal_force"
 #: Draws of each candidate, and new draws of the check at the end.
@@ -244,6 +246,10 @@ def make_variables(
         what = declaration_of(scene, name)
         if name in APPROACH or what.kind is not float:
             raise SceneError(f"free {name}: must be a number of the scene")
+        if scene.buffer.force_table is not None and name in _OF_AXIAL_SPRING:
+            raise SceneError(
+                f"free {name}: must not be free with buffer.force_table, which gives the spring"
+            )
         if given:
             low, colon, high = given.partition(":")
             try:

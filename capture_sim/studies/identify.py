@@ -12,7 +12,7 @@ in a second stage when the fit is near enough for the touches to correspond.
 
 On a real bench the release is seldom known as well as a touch is measured, and a millisecond of it
 moves other parameters by many of their standard errors, in fits that look good
-(docs/recording_checked.md): so it can be fitted along with the rest.
+(docs/node_suite.md): so it can be fitted along with the rest.
 """
 
 from __future__ import annotations

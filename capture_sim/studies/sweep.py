@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 FAILED = "failed"
 #: Runs that a worker does in one go.
 _CHUNK = 20
-#: Relative tolerance of the runs of a sweep; see docs/sweep_checked.md.
+#: Relative tolerance of the runs of a sweep; see docs/random_scenes.md.
 RTOL = 1e-6
 
 #: Results of a run that are no loads, and their units.

@@ -38,7 +38,7 @@ def runs():
 
 @pytest.mark.parametrize("name", RUNS)
 def test_noise_loss_and_jitter_change_no_verdict(runs, name):
-    """The table in docs/detection.md has 340 replays of each run; CAPTURE_SIM_EXAMPLES: some."""
+    """docs/detection_checked.md has 340 replays of each run; CAPTURE_SIM_EXAMPLES: some."""
     result = runs[name]
     for seed in range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "3"))):
         rng = np.random.default_rng([seed, 1])

@@ -1,6 +1,6 @@
 """Trials on disturbed sensors: detector and trial are fed with one stream, on a simulated clock.
 
-`CAPTURE_SIM_EXAMPLES=100` repeats the study of docs/rig_flows.md.
+`CAPTURE_SIM_EXAMPLES=100` repeats the study of docs/node_suite.md.
 """
 
 import itertools

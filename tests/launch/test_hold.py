@@ -6,12 +6,13 @@ import random
 import pytest
 
 from capture_sim import load_scene
-from capture_sim.launch.hold import HOLD_PERIOD, HOLD_TIMEOUT, MAX_SILENCE, HoldOutput
+from capture_sim.launch.hold import HOLD_PERIOD, HOLD_TIMEOUT, HoldOutput
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
 from capture_sim.launch.trial import Trial, TrialGoal, TrialPhase, TrialStep
 from capture_sim.launch.watch import Launcher
 
 SCENE = load_scene("tilt_0")
+MAX_SILENCE = TrialLimits.max_hold_silence  # s
 TARGET = (0.66, 0.0, 0.0)  # m, m, rad
 TOPICS = {Sensor.CHASER: ["chaser"], Sensor.TARGET: ["target"], Sensor.BUFFER: ["buffer"]}
 

@@ -110,7 +110,7 @@ class Session:
         self.recorder = start("recorder", out=folder, topics=streams, **options)
         # a busy machine is no dead camera: 0.3 s is for the tests of this limit
         settings = {"scene": "tilt_0", "start_timeout": 5.0, "after_verdict": 0.3}
-        settings |= {"max_pose_age": 1.0}
+        settings |= {"max_pose_age": 1.0, "max_hold_silence": 5.0}
         settings |= launcher or {}
         self.launcher = start("launcher", launcher_change, actuator=actuator, **settings | options)
         self.launcher.wait_for("ready for trials")
@@ -136,7 +136,7 @@ class Session:
     @contextmanager
     def bench(self, *remaps, script="disturbed_rig.py", pace=PACE, **disturbances):
         """Run the bench, disturbed."""
-        disturbances["pace"] = pace
+        disturbances = {"pace": pace, "hold_timeout": 5.0, **disturbances}
         values = [w for key, value in disturbances.items() for w in ("-p", f"{key}:={value}")]
         command = [sys.executable, str(EXAMPLES / script), "--ros-args", *values, *remaps]
         rig = subprocess.Popen(command)

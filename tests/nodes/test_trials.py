@@ -78,24 +78,29 @@ def simulated_recording(tmp_path):
 
 
 def test_simulator_and_replay_let_nothing_go(start, client, tmp_path, simulated_recording):
-    session = Session(start, client, tmp_path)
+    session = Session(start, client, tmp_path, launcher={"after_verdict": 600.0})
     wait_until(lambda: session.holds)
 
-    def play_both():
-        # in a trial the rig's detector is busy: who waits for it gives up with a line and status 1
-        simulator = start("simulator", overrides="[run.t_end=1]", start_timeout=5.0)
-        assert simulator.status() in (0, 1), simulator.text
-        player = start("player", bag=simulated_recording, rtf=0.0, delay=0.5)
-        assert player.status() in (0, 1), player.text
+    def play_both(*, beside_a_trial=False):
+        simulator = start("simulator", rtf=1.0)
+        assert simulator.status() == int(beside_a_trial), simulator.text
+        player = start("player", bag=simulated_recording, rtf=1.0)
+        assert player.status() == int(beside_a_trial), player.text
+        for node in (simulator, player):
+            line = "in a trial of a real bench: nothing is published beside it"
+            assert (line in node.text) is beside_a_trial
 
     play_both()
     assert session.let_go == 0  # idle
     with session.bench(script="fake_rig.py", pace=1.0):
         goal = session.goal(name="live")
         goal.await_phase(RunTrial.Feedback.APPROACH)
-        play_both()
+        play_both(beside_a_trial=True)
+        goal.await_phase(RunTrial.Feedback.DECIDED)
+        goal.cancel()
         status, result = goal.result()
-        assert (status, result.verdict) == (SUCCEEDED, "captured"), session.launcher.text
+        assert (status, result.verdict) == (CANCELED, "captured"), session.launcher.text
+        assert result.problems == ["launcher ended the run early: cancelled"]
         assert session.let_go == 1
     play_both()
     assert session.let_go == 1
@@ -193,7 +198,8 @@ def test_by_hand_with_poses_that_begin_late(start, client, tmp_path):
     with session.bench(camera_begin=5.0, outcomes="[captured]"):
         goal = session.goal(name="by hand")
         goal.await_phase(RunTrial.Feedback.APPROACH)
-        hold.publish(Bool(data=False))
+        hold.publish(Bool(data=True))
+        session.wait(0.3)
         while not goal.is_over:  # as an operator with a button does
             hold.publish(Bool(data=False))
             session.wait(0.3)
@@ -236,7 +242,7 @@ def test_a_driver_holds_when_the_launcher_is_gone(start, client, tmp_path):
     """launcher/hold is repeated; without it, the bench stops its chaser by itself."""
     session = Session(start, client, tmp_path)
     poses = client.listen(CHASER_POSE)
-    with session.bench(script="fake_rig.py", pace=1.0):
+    with session.bench(script="fake_rig.py", pace=1.0, hold_timeout=1.0):
         goal = session.goal()
         goal.await_phase(RunTrial.Feedback.APPROACH)
         session.wait(1.5)

@@ -23,7 +23,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.results import table as table_of
 from capture_sim.viewing.source import headline
 
-#: Damaged files of each kind; docs/recording_checked.md has 50.
+#: Damaged files of each kind; docs/node_suite.md has 50.
 CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "10"))
 
 

@@ -1,0 +1,236 @@
+"""Writes what pages say of scenes and messages, from the code: docs/scenes.md, part of nodes.md.
+
+    python -m tools.reference docs
+
+The test in tests/docs compares the committed pages with it.  ``--pictures`` also draws a picture of
+each packaged scene into ``docs/scenes``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import MISSING, Field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from capture_sim.files import whole_file
+from capture_sim.launch.scenes import load_scene
+from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
+from capture_sim.scene.files import scene_names
+from capture_sim.scene.parts import CONTACT_LAWS, Scene
+from capture_sim.scene.quantities import Declared, declared
+from capture_sim.simulation import simulate
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import draw_shapes, save
+from capture_sim.viewing.shapes import cone_shapes, tip_in_cone
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAD = """# Scenes
+
+<!-- made by `python -m tools.reference docs` -->
+
+A scene is a YAML file that describes a bench. This page is made from the declarations in
+`capture_sim/scene/parts.py` and from the packaged scenes. `capture-sim show tilt_0` prints a
+complete scene, `capture-sim scenes --template` one with the unit, range and meaning of each field.
+
+A plain number is in the unit given here. A text may have another unit. `extends` names the scene
+whose values apply to all fields that the file does not contain; `null` removes an optional part
+from the bench.
+
+```yaml
+extends: tilt_p10
+title: "A softer buffer, no latch"
+buffer: {k_A: '0.4 N/mm', c_A: 20.0}
+cone: {half_angle: '45 deg'}
+latch: null
+```
+
+An invalid value is reported in one line: `buffer.k_A = -5 N/m: must be >= 0`.
+
+## From a drawing to a scene
+
+Measure these lengths in your CAD model or on the bench, in the plane of motion:
+
+![Chaser, buffer, cone and their symbols](geometry.svg)
+
+| in the figure | field | measured |
+|---|---|---|
+| a | `buffer.hinge_offset` | chaser's centre of mass to the hinge, along its heading |
+| L_p, R_t | `probe.length`, `probe.tip_radius` | rod without the tip; radius of the tip |
+| h_0 | `buffer.rest_length` | hinge to the tip's centre, buffer at rest (default: L_p + R_t) |
+| L_C | `cylinder.length` | the buffer's cylinder, which turns with the probe |
+| R_c | `cone.R_c` | half-width of BE, the inner edge of the cone |
+| L_c | `cone.L_c` | length of a wall, from its inner edge to its lip |
+| beta | `cone.half_angle` | angle of a wall to the cone's axis |
+| L_T | `cone.L_T` | target's centre of mass to the plane of BE |
+
+`chaser.mass` and `chaser.inertia` are those of the vehicle without probe and cylinder; the probe's
+follow from its density. Start from a packaged scene with `extends` and replace one part after the
+other.
+
+"""
+RULES = """
+## Rules between fields
+
+| field | rule |
+|---|---|
+| `string` | exactly two of `impact_speed`, `hanging_mass`, `drop_height`; the third is computed |
+| `string` | needs a `rail`, and a chaser that starts from rest |
+| `string.hanging_mass` | overcomes the rolling resistance |
+| `string.drop_height` | at most `rail.length`: the mass lands before the rail ends |
+| `rail.length` | less than the chaser's travel to the first touch |
+| `initial.chaser` | on the rail: no rotation, velocity forwards along the heading |
+| `initial.target` | at rest while the scene has a rail |
+| `supports.*.balls` | a triangle around the vehicle's centre of mass |
+| `cone.R_c`, `buffer.rest_length` | greater than the tip's radius; `R_c` may be equal to it |
+| `latch.radius` | less than the depth of the cone, `L_c` times the cosine of `half_angle` |
+| `stops.extension` | null with a `buffer.preload` |
+| `contact.restitution` | > 0 with the laws {positive} |
+| `friction.mu_s` | at least `friction.mu` |
+| `run.rate`, `sensors.*.rate` | `run.state_rate` divided by a whole number |
+"""
+
+
+def default_of(field: Field[Any]) -> str:
+    """Return the default as text; empty where the field must be given."""
+    value = field.default
+    if value is MISSING:
+        return ""
+    if value is None:
+        return "not set"
+    return f"`{value}`".lower() if isinstance(value, bool) else f"`{value}`"
+
+
+def range_of(what: Declared) -> str:
+    """Return what a field must be, as text."""
+    kinds = {bool: "true or false", str: "text", tuple: "three points [x, y]"}
+    return str(what.allowed or ", ".join(what.options) or kinds[what.kind])
+
+
+def description(part: type, *, is_optional: bool) -> str:
+    """Return what a part is, from its docstring, and whether a bench may be without it."""
+    text = " ".join((part.__doc__ or "").partition("    Attributes\n")[0].split())
+    return f"{text} Optional." if is_optional else text
+
+
+def tables(part: type, path: str, *, is_optional: bool = False) -> list[str]:
+    """Return one section for each part: its own fields first, then the parts in it."""
+    rows, inner = [], []
+    for field in fields(part):
+        name = f"{path}.{field.name}" if path else field.name
+        what = declared(part)[field.name]
+        if is_dataclass(what.kind):
+            inner += tables(what.kind, name, is_optional=what.optional)
+        else:
+            cells = (f"`{name}`", what.unit, range_of(what), default_of(field), what.doc)
+            rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
+    section = ["", f"### {path or 'scene'}", "", description(part, is_optional=is_optional)]
+    if rows:
+        section += [
+            "",
+            "| field | unit | range | default | meaning |",
+            "|---|---|---|---|---|",
+            *rows,
+        ]
+    return section + inner
+
+
+def catalogue() -> list[str]:
+    """Return the section on the packaged scenes: name, title and picture of each."""
+    lines = [
+        "## Packaged scenes",
+        "",
+        "Path of the tip's centre in the cone, from above; red while it touches a wall, green once",
+        "it is latched. `capture-sim scenes` lists them, `capture-sim show NAME` prints one.",
+        "",
+        "| scene | title | path of the tip |",
+        "|---|---|---|",
+    ]
+    for name in scene_names():
+        title = load_scene(name).title
+        lines.append(f"| `{name}` | {title} | ![Path of the tip in {name}](scenes/{name}.svg) |")
+    return lines
+
+
+def scenes_page() -> str:
+    """Return docs/scenes.md."""
+    laws = ", ".join(f"`{law}`" for law in CONTACT_LAWS if law in NEED_POSITIVE_RESTITUTION)
+    body = [*catalogue(), "", "## Fields", *tables(Scene, "")]
+    return HEAD + "\n".join(body) + "\n" + RULES.format(positive=laws)
+
+
+FIELD = re.compile(r"^(?P<type>[\w/\[\]]+) (?P<name>\w+) *(?:# ?(?P<comment>.*))?$")
+
+
+def message_fields() -> str:
+    """Return a table of the fields of each message, from ``msg`` and ``action``."""
+    lines = ["| message | field | type | content |", "|---|---|---|---|"]
+    for path in sorted((ROOT / "msg").glob("*.msg")):
+        name = f"`{path.stem}`"
+        for line in path.read_text(encoding="utf-8").splitlines():
+            found = FIELD.match(line)
+            if found is None:
+                continue
+            comment = (found["comment"] or "").replace("|", r"\|")
+            lines.append(f"| {name} | `{found['name']}` | {found['type']} | {comment} |")
+            name = ""
+    return "\n".join(lines)
+
+
+def nodes_page(page: str) -> str:
+    """Return docs/nodes.md with the fields of the messages as they are now."""
+    begin, end = "<!-- generated: fields -->", "<!-- end of generated -->"
+    head, _, rest = page.partition(begin)
+    _, found, tail = rest.partition(end)
+    if not found:
+        raise SystemExit("nodes.md: no part for the fields of messages")
+    return f"{head}{begin}\n\n{message_fields()}\n\n{end}{tail}"
+
+
+def draw_scene(name: str) -> Figure:
+    """Draw the path of the tip's centre in the cone, in the run of a packaged scene."""
+    run = simulate(name)
+    figure = Figure(figsize=(3.4, 1.9), layout="constrained")
+    axes = figure.subplots()
+    draw_shapes(axes, cone_shapes(run.scene).values())
+    path = tip_in_cone(run.samples)
+    phase = run.samples["phase"]
+    for chosen, color in (
+        (phase < 4, style.BLACK),
+        (phase == 4, style.VERMILION),
+        (phase == 5, style.GREEN),
+    ):
+        shown = np.where(chosen[:, None], path, np.nan)
+        axes.plot(shown[::4, 0], shown[::4, 1], color=color, lw=1.2)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(run.verdict, fontsize=9)
+    return figure
+
+
+def main() -> None:
+    """Write the pages, and the pictures if asked."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("docs", type=Path, help="folder of the pages")
+    parser.add_argument("--pictures", action="store_true", help="draw the packaged scenes, too")
+    asked = parser.parse_args()
+    nodes = asked.docs / "nodes.md"
+    texts = {
+        nodes: nodes_page(nodes.read_text(encoding="utf-8")),
+        asked.docs / "scenes.md": scenes_page(),
+    }
+    for path, text in texts.items():
+        with whole_file(path) as part:
+            part.write_text(text, encoding="utf-8")
+    if asked.pictures:
+        (asked.docs / "scenes").mkdir(exist_ok=True)
+        for name in scene_names():
+            save(draw_scene(name), asked.docs / "scenes" / f"{name}.svg")
+
+
+if __name__ == "__main__":
+    main()
