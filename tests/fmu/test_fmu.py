@@ -379,16 +379,30 @@ def test_the_library_runs_in_a_program_in_c_and_allocates_nothing(tmp_path):
     symbols = set(re.findall(r"U (\w+)", needed))
     assert {"pow", "memcpy"} <= symbols
     assert not {s for s in symbols if re.match(r"(m|c|re)alloc|free|Py|_Py|NRT|numba", s)}
-    page = (ROOT / "docs" / "fmu.md").read_text()
-    [source] = re.findall(r'^```c title="host.c"\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
-    (tmp_path / "host.c").write_text(source)
-    build = ["cc", "-Wall", "-Werror", "-o", "host", "host.c", "-L.", "-ltilt_0", "-Wl,-rpath,."]
-    subprocess.run(build, cwd=tmp_path, check=True)
-    done = subprocess.run(["./host"], cwd=tmp_path, capture_output=True, text=True, check=True)
-    t, x, force = map(float, done.stdout.split()[-3:])
+    t, x, force = host_of_the_page("host.c", "tilt_0", tmp_path)
     own = Bench(load_scene("tilt_0")).advance([t])[0]
     assert x == pytest.approx(own["q"][0], abs=1e-9)  # as printed
     assert force >= 0.0
+
+
+def host_of_the_page(name, scene, folder):
+    """Compile and run a program of the page with a library in a folder; return its numbers."""
+    page = (ROOT / "docs" / "fmu.md").read_text()
+    [source] = re.findall(rf'^```c title="{name}"\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
+    (folder / name).write_text(source)
+    build = ["cc", "-Wall", "-Werror", "-o", "host", name, "-L.", f"-l{scene}", "-Wl,-rpath,."]
+    subprocess.run(build, cwd=folder, check=True)
+    done = subprocess.run(["./host"], cwd=folder, capture_output=True, text=True, check=True)
+    return map(float, done.stdout.partition(": ")[2].split())
+
+
+def test_the_contact_may_be_in_the_program_in_c(tmp_path):
+    """That of the page is an elastic wall, felt a step late: the tip comes back."""
+    assert main(["fmu", "_loop", "--c", str(tmp_path)]) == 0
+    t, axial, verdict = host_of_the_page("rig.c", "_loop", tmp_path)
+    assert t == 1.0
+    assert 0.06 < axial < 0.2  # the wall is at 0.047 m
+    assert verdict == CaptureState.REBOUND
 
 
 def test_bad_arguments_are_reported_in_one_line(tmp_path, capsys):
