@@ -22,14 +22,21 @@ _normal_force, _friction_coefficient = plain(normal_force), plain(friction_coeff
 
 
 @entry_kernel
-def _wall_forces(depth, rate, stiffness, exponent, damping, force):
+def _wall_forces(
+    depth: np.ndarray,
+    rate: np.ndarray,
+    stiffness: float,
+    exponent: float,
+    damping: float,
+    force: np.ndarray,
+) -> None:
     """Write the normal force at each penetration (m) and rate (m/s) into ``force``, N."""
     for i in range(depth.size):
         force[i], _ = normal_force(depth[i], rate[i], stiffness, exponent, damping)
 
 
 @entry_kernel
-def _grips(slip, grip):
+def _grips(slip: np.ndarray, grip: np.ndarray) -> None:
     """Write the regularised friction of a coefficient 1 at each slip over slip_speed."""
     for i in range(slip.size):
         grip[i] = friction_coefficient(slip[i], 1.0, 0.0, TANH)

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from capture_sim.bench import joined
 from capture_sim.hardware.law import TipState, Walls
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.measured import touches_in_samples
 from capture_sim.results import sampled_extremes
 from capture_sim.run import Origin, Run
-from capture_sim.samples import SAMPLE, Event, EventKind, Phase
+from capture_sim.samples import Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene
 from capture_sim.software import software_versions
 
@@ -32,7 +33,7 @@ class LoopRecord:
 
     def __init__(self, stage: LoopStage) -> None:
         self._stage = stage
-        self._samples: list[np.void] = []
+        self._samples: list[np.ndarray] = []
         self.add()
 
     def add(self) -> None:
@@ -41,7 +42,7 @@ class LoopRecord:
 
     def run(self, failure: str = "") -> Run:
         """Return the run so far; ``failure``: why it stopped early."""
-        samples = np.array(self._samples, SAMPLE)
+        samples = joined(self._samples)
         scene = _scene_of(self._stage, samples[0])
         samples["t"] = np.arange(len(samples)) / scene.run.state_rate  # to the last bit
         _fill_walls(samples, Walls(scene))

@@ -129,9 +129,9 @@ class LoopStage:
         return np.hypot(force[:, 0], force[:, 1])
 
     @property
-    def sample(self) -> np.void:
-        """The present state, a copy of dtype SAMPLE."""
-        return np.array(self._samples[-1])[()]
+    def sample(self) -> np.ndarray:
+        """The present state, a copy (1,) of dtype SAMPLE."""
+        return self._samples[-1:].copy()
 
     @property
     def events(self) -> Sequence[Event]:
