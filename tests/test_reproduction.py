@@ -81,7 +81,8 @@ def test_second_engine_agrees_on_velocities():
     assert engine.difference.max() < 1e-5
     # a difference of the law alone is seen
     assert engine.law_effect.max() > 1e-5
-    assert [claim.agrees for claim in paper.velocities(engine)] == [True, True]
+    kinds = [claim.agreement for claim in paper.velocities(engine)]
+    assert kinds == [Agreement.NOT_COMPARABLE] * 2  # the paper compares with another program
 
 
 def test_a_radius_of_capture_decides_cases_2_and_3(evidence):
