@@ -138,7 +138,7 @@ def test_the_page_has_every_figure_with_its_command(claims, evidence):
     assert commands == [
         (name, f"python -m benchmarks.reproduction --only {name} --out runs") for name in FIGURES
     ]
-    assert "14 statements agree, 2 do not, 1 cannot be compared." in text
+    assert "1: agrees in numbers; 11: agrees in shape; 3: cannot be compared; 3: differs." in text
     assert re.search(r"---\|\n\| radius \|.* \|\n\nAll open assumptions varied together", text)
     assert "agrees" in terminal_table(claims)
 
