@@ -23,8 +23,7 @@ help:
 	@echo "make develop     ... and for the tests and the docs"
 	@echo "make lint        only check style, types and layers"
 	@echo "make docs        build the pages in docs/ as a site, in build/site"
-	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min);"
-	@echo "                 other engines where the extra benchmark is installed"
+	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (8 min)"
 	@echo "make reproduction compare the paper's results with ours; writes docs/reproduction.md (2 min)"
 	@echo "make faults      insert faults into copies, one a core; list those that no test detects"
 	@echo "                 (1 h of one core; JOBS=N for N at once)"
@@ -82,7 +81,8 @@ lint: develop
 	$(BIN)/lint-imports
 
 docs: develop
-	$(BIN)/mkdocs build
+	$(BIN)/mkdocs build --strict
+	@echo "look: $(BIN)/python -m http.server -d build/site 8000, then http://127.0.0.1:8000"
 
 benchmark: develop
 	$(BIN)/python -m benchmarks.speed
@@ -97,6 +97,8 @@ picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	$(BIN)/python -m tools.explain docs
 	$(BIN)/python -m tools.diagrams docs
+	$(BIN)/python -m tools.reference docs --pictures
+	cp build/picture/tilt_p10.png docs/tilt_p10.png
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 lock: develop

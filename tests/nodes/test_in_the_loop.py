@@ -142,7 +142,7 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
         loop.wait_for("the loop is closed")
         rig.process.kill()
         assert loop.status() == 1
-        wait_until(lambda: len(holds) == 2, 10.0, "no reason on loop/hold")
+        wait_until(lambda: len(holds) == 2, "no reason on loop/hold")
         assert holds[0] == ""
         assert "latency of the wrench = " in holds[1]
     assert "latency of the wrench = " in loop.text
@@ -182,8 +182,8 @@ def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
 
     They are sent as fast as the machine can.
     """
-    with Client():
-        idle = rclpy.create_node("idle")
+    with Client() as client:
+        idle = rclpy.create_node("idle", context=client.node.context)
         qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_ALL)
         idle.create_subscription(message_class(TIP.type_name), TIP.name, print, qos)
         start("contact_rig", ideal="true")
