@@ -273,6 +273,8 @@ def test_the_notebook_runs_from_top_to_bottom(tmp_path, run):
     cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
     (tmp_path / "notebook.py").write_text("\n".join(cells))
     run(tmp_path, "notebook.py")
+    outputs = [c["outputs"] for c in notebook["cells"] if c["cell_type"] == "code"]
+    assert all(outputs)  # a reader sees the results without running it
 
 
 def test_a_recording_is_read_by_others(recordings, tmp_path, run):

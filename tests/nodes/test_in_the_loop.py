@@ -236,9 +236,10 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     assert f"recorded: {recorded}" in third.text
     run = read_run(recorded)
     assert run.problems == ()
-    [touch], [contact] = run.touches, found["contacts"]
-    assert touch["peak_force"] == pytest.approx(contact["peak_force"], rel=0.01)
-    assert touch["approach_speed"] == pytest.approx(contact["approach_speed"], rel=0.01)
+    contact = found["contacts"][0]  # of one touch, or more if the residual is late
+    assert run.touches["peak_force"].max() == pytest.approx(contact["peak_force"], rel=0.01)
+    speed = run.touches["approach_speed"][0]
+    assert speed == pytest.approx(contact["approach_speed"], rel=0.01)
     rig = run.to_dataframe("loop/wrench")["wrench.force.x"]
     assert rig.min() == pytest.approx(0.5 - found["rig_peak_force"], rel=0.05)
     assert len(run.to_dataframe("loop/tip")) > 1000  # with the run-up

@@ -346,7 +346,7 @@ def test_error_of_publishing_is_reported_at_once_with_its_cause(start):
             return True
 
     node.outbox._senders[BENCH_STATE] = Broken()
-    node.outbox.reader_timeout = 3600.0
+    node.outbox.reader_timeout = 5.0
     with pytest.raises(CaptureSimError, match=r"bench/state: cannot be published: .*type support"):
         node.outbox.send(BENCH_STATE, b"")
 
