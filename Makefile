@@ -5,7 +5,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NUMERICAL := tests/test_accuracy.py tests/test_second_formulation.py tests/engine/test_extremes.py \
-	$(addprefix tests/hard_cases/test_,edges_and_throat.py finding_events.py impacts.py symmetries.py)
+	tests/hard_cases/test_edges_and_throat.py
 
 # A sourced ROS, or another environment, must not mix with the one in .venv.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
@@ -26,7 +26,8 @@ help:
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (11 min);"
 	@echo "                 other engines where the extra benchmark is installed"
 	@echo "make reproduction compare the paper's results with ours; writes docs/reproduction.md (2 min)"
-	@echo "make faults      insert faults into a copy; list those that no test detects (1 h)"
+	@echo "make faults      insert faults into copies, one a core; list those that no test detects"
+	@echo "                 (1 h of one core; JOBS=N for N at once)"
 	@echo "make picture     remake the pictures in README.md and docs/"
 	@echo "make format      format the Python files as lint requires"
 	@echo "make lock        pin the packages again after pyproject.toml has changed"
@@ -48,10 +49,12 @@ test: lint
 	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
-# tests must not depend on it. These are the tests that are most sensitive to it.
+# tests must not depend on it. These are the tests that are most sensitive to it: each has failed for
+# it once. CAPTURE_SIM_EXAMPLES is the number of random benches.
 test-generic: develop
 	mkdir -p build/generic
 	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= CAPTURE_SIM_CACHE=$(CURDIR)/build/generic \
+		CAPTURE_SIM_EXAMPLES=$${CAPTURE_SIM_EXAMPLES:-40} \
 		$(BIN)/python -m pytest $(NUMERICAL) -n auto --durations=20
 
 # The committed files, in a clone with an environment of its own
@@ -88,7 +91,7 @@ reproduction: develop
 	$(BIN)/python -m benchmarks.reproduction
 
 faults: develop
-	$(BIN)/python tests/faults/run.py
+	$(BIN)/python tests/faults/run.py $(if $(JOBS),--jobs $(JOBS))
 
 picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture

@@ -1,6 +1,8 @@
 """Error rates of the capture detector on noisy replays; writes them into docs/detection_checked.md.
 
-.venv/bin/python -m benchmarks.detection    # about eight minutes; --replays 10 for a look
+.venv/bin/python -m benchmarks.detection    # --replays 10 --sweep 1 --injections 1 for a look
+
+It needs no ROS: from a source tree, with numpy, scipy, numba and PyYAML, PYTHONPATH=. will do.
 """
 
 from __future__ import annotations
@@ -8,15 +10,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import multiprocessing
+import os
 import zlib
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from scipy.stats import beta
 
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, simulate
-from tests.injections import QUALITIES, walk
+from tests.injections import QUALITIES, SCENES, walk
 from tests.noisy_replay import Disturbance, disturbed, judge
 
 _AS_THEY_ARE = (
@@ -41,7 +46,9 @@ CASES = (
 )
 
 STANDARD = Disturbance()
+_STANDARD = "standard"
 SWEEP = {
+    _STANDARD: STANDARD,
     "no disturbance": Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "half the noise": dataclasses.replace(STANDARD, position=0.5e-3, angle=math.radians(0.1)),
     "twice the noise": dataclasses.replace(STANDARD, position=2e-3, angle=math.radians(0.4)),
@@ -56,32 +63,49 @@ SWEEP = {
 }
 
 
-def replay(result, name, how, replays, rate=100.0):
-    """Judge a run many times, each with other noise: how many wrong, and how much later, s."""
-    decided = next((s.t for s in result.statuses if s.final), result.t[-1])
-    wrong, delays = 0, []
-    for k in range(replays):
-        rng = np.random.default_rng([zlib.crc32(name.encode()), k])
-        last, t = judge(result.scene, disturbed(result, how, rng, rate))
-        wrong += last.state.label != result.verdict
-        delays.append(t - decided)
-    return wrong, delays
+def parallel(asked, task, *arguments):
+    """Return the answers of a task to arguments, in their order, by ``asked.jobs`` processes."""
+    spawned = multiprocessing.get_context("spawn")  # a fork copies the compiler's threads
+    with ProcessPoolExecutor(asked.jobs or os.cpu_count(), spawned) as processes:
+        return list(processes.map(task, *arguments))
 
 
 @functools.cache
-def runs():
-    """Name and result of every run that is replayed."""
-    return [(name, simulate(load_scene(scene, changes))) for scene, changes, name in CASES]
+def run_of(case):
+    """Return the run that is replayed."""
+    scene, changes, _ = CASES[case]
+    return simulate(load_scene(scene, changes))
+
+
+def replay(case, what, k):
+    """Judge a run once, with the noise of number ``k``: whether wrong, and how much later, s."""
+    result, name = run_of(case), CASES[case][2]
+    how, rate = (SWEEP[what], float(what.split()[2]) if "Hz" in what else 100.0)
+    rng = np.random.default_rng([zlib.crc32(name.encode()), k])
+    last, t = judge(result.scene, disturbed(result, how, rng, rate))
+    decided = next((s.t for s in result.statuses if s.final), result.t[-1])
+    return last.state.label != result.verdict, t - decided
+
+
+def replays(asked, whats, count):
+    """Return what :func:`replay` returns, by disturbance and case."""
+    tasks = [(case, what, k) for what in whats for case in range(len(CASES)) for k in range(count)]
+    answers = parallel(asked, replay, *zip(*tasks, strict=True))
+    by_case = {}
+    for (case, what, _), answer in zip(tasks, answers, strict=True):
+        by_case.setdefault((what, case), []).append(answer)
+    return by_case
 
 
 def standard(asked, _):
     """Every run with the standard disturbance."""
     rows, by_verdict = [], {}
-    for name, result in runs():
-        wrong, delays = replay(result, name, STANDARD, asked.replays)
+    for (_, case), answers in replays(asked, [_STANDARD], asked.replays).items():
+        result, delays = run_of(case), [later for _, later in answers]
+        wrong = sum(is_wrong for is_wrong, _ in answers)
         rows.append(
             [
-                name,
+                CASES[case][2],
                 result.verdict,
                 f"{result.samples['tip_distance'].min() * 1e3:.2f}",
                 f"{wrong} of {asked.replays}",
@@ -111,13 +135,17 @@ def standard(asked, _):
 def sweep(asked, _):
     """Every run with other disturbances."""
     rows = []
-    for what, how in SWEEP.items():
-        rate = float(what.split()[2]) if "Hz" in what else 100.0
-        wrong = {name: replay(run, name, how, asked.sweep, rate)[0] for name, run in runs()}
+    whats = [what for what in SWEEP if what != _STANDARD]
+    by_case = replays(asked, whats, asked.sweep)
+    for what in whats:
+        wrong = {
+            CASES[case][2]: sum(is_wrong for is_wrong, _ in by_case[what, case])
+            for case in range(len(CASES))
+        }
         where = ", ".join(f"{name} ({count})" for name, count in wrong.items() if count)
-        rows.append([what, f"{sum(wrong.values())} of {asked.sweep * len(runs())}", where])
+        rows.append([what, f"{sum(wrong.values())} of {asked.sweep * len(CASES)}", where])
     return [
-        f"Other disturbances, {asked.sweep} replays of each of the {len(runs())} runs:",
+        f"Other disturbances, {asked.sweep} replays of each of the {len(CASES)} runs:",
         "",
         table(["disturbance", "wrong", "which"], rows),
     ]
@@ -128,33 +156,52 @@ _WRONG_FRAMES = {"1 to 3 frames": 3, "1 to 5 frames": 5, "swapped for 0.05 to 0.
 _OUTCOMES = ("equal", "another time", "undecided", "wrong")
 
 
+def inject(kind, quality, rate, scene, count):
+    """Return what wrong frames have done to the verdicts of a scene."""
+    rng = np.random.default_rng([zlib.crc32(f"{kind} {scene}".encode()), int(rate)])
+    return walk(QUALITIES[quality], rate, rng, count, longest=_WRONG_FRAMES[kind], scenes=[scene])
+
+
 def injections(asked, _):
     """Wrong frames injected into the trials of a bench."""
-    rows, lines = [], []
-    for kind, longest in _WRONG_FRAMES.items():
-        for name, quality in QUALITIES.items():
-            outcomes = Counter()
-            for rate in (60.0, 120.0, 240.0):
-                rng = np.random.default_rng([zlib.crc32(kind.encode()), int(rate)])
-                result = walk(quality, rate, rng, asked.injections, longest=longest)
-                outcomes += result.outcomes
-                lines += result.lines
-            counts = [outcomes[outcome] for outcome in _OUTCOMES]
-            rows.append([kind, name, sum(counts), *counts])
-    print(*lines, sep="\n")
+    tasks = [
+        (kind, quality, rate, scene, asked.injections)
+        for kind in _WRONG_FRAMES
+        for quality in QUALITIES
+        for rate in (60.0, 120.0, 240.0)
+        for scene in SCENES
+    ]
+    by_row = {}
+    for (kind, quality, *_), result in zip(
+        tasks, parallel(asked, inject, *zip(*tasks, strict=True)), strict=True
+    ):
+        by_row.setdefault((kind, quality), Counter()).update(result.outcomes)
+        print(*result.lines, sep="\n", end="\n" if result.lines else "")
+    rows = [
+        [*names, sum(counts), *counts]
+        for names, outcomes in by_row.items()
+        for counts in [[outcomes[outcome] for outcome in _OUTCOMES]]
+    ]
+    differ = sum(outcomes["reference"] for outcomes in by_row.values())
     head = ["wrong frames", "noise", "trials", "equal", "other time", "undecided", "wrong"]
     return [
-        f"{asked.injections} injections in each of 5 runs at 60, 120 and 240 Hz:",
+        f"{asked.injections} injections in each of {len(SCENES)} runs at 60, 120 and 240 Hz:",
         "",
         table(head, rows),
+        "",
+        f"Without wrong frames, {differ} of {len(tasks)} streams get another verdict than the run.",
     ]
 
+
+PARTS = {"standard": standard, "sweep": sweep, "injections": injections}
 
 if __name__ == "__main__":
     write_parts(
         "detection_checked",
         __doc__,
-        {"standard": standard, "sweep": sweep, "injections": injections},
+        PARTS,
+        untimed=PARTS,
+        jobs=(0, "processes; 0: one for each core"),
         replays=(340, "of each run, standard disturbance"),
         sweep=(20, "of each run, other disturbances"),
         injections=(20, "of wrong frames in each run, at each rate"),

@@ -9,8 +9,6 @@ import platform
 import time
 from pathlib import Path
 
-import psutil
-
 from capture_sim import __version__
 from capture_sim.kernels import source_hash
 
@@ -33,12 +31,14 @@ class OthersAtWork:
     @staticmethod
     def _others() -> float:
         """Return the processor time of all others since the system's start, s."""
-        if not Path("/proc/stat").is_file():
+        counters = Path("/proc/stat")
+        if not counters.is_file():
             return math.nan
-        everybody = psutil.cpu_times()
-        # a guest's time is part of its user's
-        names = ("user", "nice", "system", "irq", "softirq", "steal")
-        return sum(getattr(everybody, name) for name in names) - sum(os.times()[:4])
+        # a guest's time, which follows, is part of its user's
+        line = counters.read_text(encoding="utf-8").split("\n", 1)[0]
+        user, low, system, _idle, _wait, *others = map(int, line.split()[1:9])
+        ticks = user + low + system + sum(others)
+        return ticks / os.sysconf("SC_CLK_TCK") - sum(os.times()[:4])
 
 
 def is_busy(others: float) -> bool:

@@ -7,18 +7,20 @@ that cannot be measured, mostly energies, are NaN.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.kernels import plain
+from capture_sim.launch.plan import travel_to_touch
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.scene.parts import PlanarState, Scene, as_name
 from capture_sim.series import NO_SERIES, Series
-from capture_sim.touches import Touches, normal_force
+from capture_sim.touches import Touches, normal_force, unseen_impact
 
 _tip_motion, _nearest_on_wall = plain(tip_motion), plain(nearest_on_wall)
 
@@ -222,19 +224,60 @@ def touches_in_samples(samples: np.ndarray, series: Mapping[str, Series]) -> np.
     return touches
 
 
-def events_of(samples: np.ndarray, touches: np.ndarray, rate_window: float) -> tuple[Event, ...]:
+def events_of(
+    scene: Scene, samples: np.ndarray, touches: np.ndarray, series: Mapping[str, Series]
+) -> tuple[Event, ...]:
     """Return a TOUCH event for each touch, with its state in the samples.
 
-    Rates are those half a ``rate_window``, s, before: means over it do not see the touch.
+    Its rates are those before the touch, by poses that no gap separates from it; without such
+    poses they are NaN, and ``detail`` has the reason.  ``series``: those of the samples.
     """
-    events = []
+    poses = [series["chaser"].t, series["target"].t]
+    has_twist = "chaser_rate" in series and "target_rate" in series
+    # means over a window do not see the touch half of it before
+    lead = 0.0 if has_twist else 0.5 * RATE_WINDOW
+    events: list[Event] = []
     for touch in touches:
-        before = touch["start"] - 0.5 * rate_window
-        first, free = np.searchsorted(samples["t"], [touch["start"], before])
-        q, v = samples["q"][min(first, len(samples) - 1)], samples["v"][max(free - 1, 0)]
-        wall, detail = int(touch["wall"]), "found in the measurements"
-        events.append(Event(EventKind.TOUCH, float(touch["start"]), q, v, wall, detail))
+        start, wall = float(touch["start"]), int(touch["wall"])
+        end, unseen = _end_of_approach(scene, samples, poses, start, is_first=not events)
+        at, before = np.searchsorted(samples["t"], [start, end - lead])
+        q = samples["q"][min(at, len(samples) - 1)]
+        v = samples["v"][min(before, len(samples) - 1)]
+        detail = unseen_impact(unseen)
+        if detail:
+            v = np.full_like(v, np.nan)
+        detail = detail or "found in the measurements"
+        events.append(Event(EventKind.TOUCH, start, q, v, wall, detail))
     return tuple(events)
+
+
+def _end_of_approach(
+    scene: Scene, samples: np.ndarray, poses: Sequence[np.ndarray], start: float, *, is_first: bool
+) -> tuple[float, float]:
+    """Return when poses last showed both vehicles before a touch, s, and the travel from there, m.
+
+    The first touch that was found is not the first contact if the tip may have met the cone in a
+    gap of the poses before.
+    """
+    gaps = [
+        (t[k], t[k + 1] - t[k])
+        for t in poses
+        for k in np.flatnonzero(np.diff(t) > scene.detector.max_data_gap)
+        if is_first and t[k] < start
+    ]
+    for begin, duration in sorted(gaps):
+        sample = samples[max(int(np.searchsorted(samples["t"], begin, "right")) - 1, 0)]
+        q = sample["q"]
+        travel = travel_to_touch(placed(scene, scene.name, [q[:3], q[5:]]))
+        if travel <= _speed(sample["v"]) * duration:
+            return float(begin), travel
+    end = min(float(t[max(int(np.searchsorted(t, start)) - 1, 0)]) for t in poses)
+    sample = samples[min(int(np.searchsorted(samples["t"], end)), len(samples) - 1)]
+    return end, _speed(sample["v"]) * (start - end)
+
+
+def _speed(v: np.ndarray) -> float:
+    return math.hypot(v[0] - v[5], v[1] - v[6])
 
 
 def placed(scene: Scene, name: str, poses: Sequence[np.ndarray]) -> Scene:

@@ -67,11 +67,19 @@ def _count_first_contact(start: Sequence[float], end: Sequence[float], count: in
 
 
 def impact_speed(events: Iterable[Event]) -> float | None:
-    """Return the speed of the chaser relative to the target at the first touch, m/s."""
-    for event in events:
-        if event.kind is EventKind.TOUCH:
-            return math.hypot(event.v[0] - event.v[5], event.v[1] - event.v[6])
-    return None
+    """Return the speed of the chaser relative to the target at the first touch, m/s.
+
+    None without a touch, NaN if it was not measured.
+    """
+    touch = first_touch(events)
+    if touch is None:
+        return None
+    return math.hypot(touch.v[0] - touch.v[5], touch.v[1] - touch.v[6])
+
+
+def first_touch(events: Iterable[Event]) -> Event | None:
+    """Return the event of the first touch; None without one."""
+    return next((event for event in events if event.kind is EventKind.TOUCH), None)
 
 
 class Load(NamedTuple):
@@ -315,6 +323,8 @@ def summarize(
         extremes = sampled_extremes(scene, samples, touches, events)
     first = first_cluster(touches)
     has_contact = first.size > 0
+    touch, speed = first_touch(events), impact_speed(events)
+    is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
     simulated = float(samples["t"][-1]) if samples.size else 0.0
     return {
         "name": name,
@@ -322,7 +332,8 @@ def summarize(
         "left_again": status is not None and status.left_again,
         "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
-        "impact_speed": impact_speed(events),
+        "impact_speed": None if is_unmeasured else speed,
+        "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
         "first_contact_time": float(first["start"].min()) if has_contact else None,
         "first_contact_duration": float(first["end"].max() - first["start"].min())
         if has_contact
@@ -465,6 +476,9 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         "them; those of touches, and of the latch as it closes, are located."
         for s in summaries
         if s["loads_from"] != "integration"
+    ]
+    lines += [
+        f"{s['name']}: {s['impact_speed_missing']}." for s in summaries if s["impact_speed_missing"]
     ]
     residuals = [s["energy_residual"] for s in summaries if s["energy_residual"] is not None]
     if residuals:

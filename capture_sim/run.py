@@ -17,15 +17,16 @@ import numpy as np
 
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.recorded import (
+    Received,
     Trial,
-    detect_series,
+    detect_received,
     detect_state,
+    received_in,
     with_criteria,
 )
 from capture_sim.errors import MissingPackageError, RecordingError, SceneError, install_hint
 from capture_sim.launch.scenes import overrides_of
 from capture_sim.measured import (
-    RATE_WINDOW,
     events_of,
     measured_samples,
     placed,
@@ -159,6 +160,8 @@ class Run:
         Touches of a wall, each from its located start to its located end.
     logged_events : sequence of Event
         Events in order, each with time and state.
+    received : sequence of Received or None
+        Measurements that the detector decides by, as they arrived; None to take the series.
     reported_statuses : sequence of CaptureStatus
         Statuses that a detector reported during the run.
     criteria : Detector or None
@@ -194,6 +197,7 @@ class Run:
     series: Lazy[SeriesBySource] = Lazy(dict)
     located_touches: Lazy[np.ndarray] = Lazy(_empty(TOUCH))
     logged_events: Lazy[Sequence[Event]] = Lazy(tuple)
+    received: Lazy[Sequence[Received] | None] = Lazy(lambda: None)
     reported_statuses: Lazy[Sequence[CaptureStatus]] = Lazy(tuple)
     criteria: Lazy[Detector | None] = Lazy(lambda: None)
     located_extremes: Lazy[Extremes | None] = Lazy(lambda: None)
@@ -395,8 +399,7 @@ class Run:
         """Events in order: as logged, else a touch for each that was measured."""
         if self.logged_events or self.is_exact:
             return self.logged_events
-        has_twist = "chaser_rate" in self.series and "target_rate" in self.series
-        return events_of(self.samples, self.touches, 0.0 if has_twist else RATE_WINDOW)
+        return events_of(self.scene, self.samples, self.touches, self._sensors)
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
@@ -602,7 +605,8 @@ def detect(
     if run.is_exact and not has_noise and not from_series:
         return detect_state(run.state, scene, is_cut=is_cut)
     trial = run.origin.trial._replace(is_cut=is_cut)
-    return detect_series(run.series, scene, trial, run.origin.path or run.name)
+    received = received_in(run.series) if run.received is None else run.received
+    return detect_received(received, scene, trial)
 
 
 def scene_origin(scene: Scene) -> dict[str, Any]:

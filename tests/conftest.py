@@ -32,13 +32,13 @@ def _claim_domain():
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# a busy machine is no failure
-hypothesis.settings.register_profile("untimed", deadline=None)
+# a busy machine is no failure, and every run tries the same cases
+hypothesis.settings.register_profile("untimed", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("untimed")
 
-#: Files of a few long tests: begun last, one runs on while the other workers have nothing left.
-LONG = ("test_other_numba.py", "test_install.py", "test_nodes.py")
-LONG += ("test_trials.py",)
+#: Files of long tests: begun last, one runs on while the other workers have nothing left.
+LONG = ("test_other_numba.py", "test_install.py", "test_trials.py", "test_accuracy.py")
+LONG += ("test_docs.py", "test_sweep.py", "test_reproduction.py", "test_second_formulation.py")
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()

@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -202,14 +202,20 @@ class Walk(NamedTuple):
 
 
 def walk(
-    quality: Quality, rate: float, rng: np.random.Generator, count: int, *, longest: int = 3
+    quality: Quality,
+    rate: float,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    longest: int = 3,
+    scenes: Iterable[str] = SCENES,
 ) -> Walk:
     """Inject 1 to ``longest`` wrong frames, or for 0: 0.05 to 0.3 s, ``count`` times in each scene.
 
     The verdict of the stream without them is the reference; its time may differ by 0.1 s.
     """
     outcomes, lines = Counter[str](), []
-    for name in SCENES:
+    for name in scenes:
         clean = stream(name, quality, rate, rng)
         reference, _ = evaluate(clean)
         if reference.state is not clean.verdict.state:

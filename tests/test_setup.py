@@ -38,9 +38,8 @@ def project(tmp_path, setup_env, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "file, text, part",
-    [
+def test_a_change_is_noticed(project, setup_env):
+    for file, text, part in (
         ("msg/BenchState.msg", "\nbool more  # or not\n", "package"),
         ("msg/Another.msg", "bool more  # or not\n", "package"),
         ("srv/Reset.srv", "---\n", "package"),
@@ -51,29 +50,18 @@ def project(tmp_path, setup_env, monkeypatch):
         ("tools/finish_venv.py", "\n", "requirements"),
         ("pyproject.toml", "\n[tool.other]\n", None),
         ("capture_sim/bench.py", "\n", None),
-    ],
-)
-def test_a_change_is_noticed(project, setup_env, file, text, part):
-    before = setup_env.wanted_state()
-    path = project / file
-    path.parent.mkdir(exist_ok=True)
-    with path.open("a") as f:
-        f.write(text)
-    after = setup_env.wanted_state()
-    assert [key for key in before if before[key] != after[key]] == ([part] if part else [])
-
-
-def test_a_message_that_has_gone_is_noticed(project, setup_env):
-    before = setup_env.wanted_state()
-    (project / "msg" / "BenchState.msg").unlink()
-    assert setup_env.wanted_state()["package"] != before["package"]
-
-
-def test_no_stamp_means_not_set_up(setup_env, monkeypatch, tmp_path):
-    monkeypatch.setattr(setup_env, "STAMP", tmp_path / "setup.json")
-    assert setup_env.found_state() == {}
-    (tmp_path / "setup.json").write_text("{half a fi")
-    assert setup_env.found_state() == {}
+        ("msg/BenchState.msg", None, "package"),
+    ):
+        before, path = setup_env.wanted_state(), project / file
+        path.parent.mkdir(exist_ok=True)
+        if text is None:
+            path.unlink()
+        else:
+            path.write_text((path.read_text() if path.exists() else "") + text)
+        after = setup_env.wanted_state()
+        assert [key for key in before if before[key] != after[key]] == ([part] if part else []), (
+            file
+        )
 
 
 def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monkeypatch):
@@ -82,49 +70,44 @@ def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monk
     (project / "python").touch()
     done = []
 
+    def steps(develop):
+        done.clear()
+        setup_env.set_up(develop)
+        return done
+
     def fail(*_):
         done.append("package")
         raise setup_env.SetupError("a message is wrong")
 
     monkeypatch.setattr(setup_env, "make_venv", lambda *_: done.append("python"))
     monkeypatch.setattr(setup_env, "install_requirements", lambda *_: done.append("packages"))
+    monkeypatch.setattr(setup_env, "install_development", lambda *_: done.append("development"))
     monkeypatch.setattr(setup_env, "install_package", fail)
     for expected in (["python", "packages", "package"], ["package"]):
-        done.clear()
         with pytest.raises(setup_env.SetupError):
-            setup_env.set_up(develop=True)
+            steps(True)
         assert done == expected
     monkeypatch.setattr(setup_env, "install_package", lambda *_: done.append("package"))
-    monkeypatch.setattr(setup_env, "install_development", lambda *_: done.append("development"))
-    for develop, expected in (
-        (False, ["package"]),
-        (True, ["development"]),
-        (False, []),
-        (True, []),
-    ):
-        done.clear()
-        setup_env.set_up(develop)
-        assert done == expected
+    assert steps(False) == ["package"]
+    assert steps(True) == ["development"]
+    assert steps(False) == steps(True) == []
+    setup_env.STAMP.write_text("{half a fi")
+    assert setup_env.found_state() == {}
 
 
-def test_missing_parts_are_named_with_the_command(setup_env, monkeypatch, capsys, tmp_path):
+def test_a_machine_that_lacks_something_is_told_what(setup_env, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sys, "argv", ["setup_env.py"])
-    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
-    monkeypatch.setenv("CC", "no-such-cc")
-    monkeypatch.setenv("CXX", "no-such-c++")
-    assert setup_env.main() == 2
+    with monkeypatch.context() as lacking:
+        lacking.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+        lacking.setenv("CC", "no-such-cc")
+        assert setup_env.main() == 2
     said = capsys.readouterr().err
-    assert "Python's headers, the compiler no-such-cc, the compiler no-such-c++" in said
+    assert "Python's headers, the compiler no-such-cc" in said
     assert "apt-get install g++ python3-dev\n" in said
-
-
-@pytest.mark.parametrize(
-    "version, words", [((3, 9), "3.11 or later (this is 3.9)"), ((3, 15), "no wheels")]
-)
-def test_wrong_python_is_refused(setup_env, monkeypatch, capsys, version, words):
-    monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
-    assert not setup_env.check_machine()
-    assert words in capsys.readouterr().err
+    for version, words in (((3, 9), "3.11 or later (this is 3.9)"), ((3, 15), "no wheels")):
+        monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
+        assert not setup_env.check_machine()
+        assert words in capsys.readouterr().err
 
 
 def test_nothing_of_a_sourced_ros_gets_in(setup_env, monkeypatch):
@@ -133,26 +116,12 @@ def test_nothing_of_a_sourced_ros_gets_in(setup_env, monkeypatch):
     assert "/opt/ros/jazzy" not in setup_env.clean_environment().values()
 
 
-def test_a_failing_step_leaves_its_output_in_the_log(setup_env, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(setup_env, "LOG", tmp_path / "setup.log")
-    progress = setup_env.Progress()
-    progress.run("Good", [sys.executable, "-c", "print('fine')"])
-    with pytest.raises(setup_env.SetupError, match="Bad: failed"):
-        progress.run("Bad", [sys.executable, "-c", "print('because'); raise SystemExit(3)"])
-    assert setup_env.log_tail(1) == ["because"]
-    assert "fine" in (tmp_path / "setup.log").read_text()
-    assert "Good ..." in capsys.readouterr().out
-
-
 def test_every_requirement_is_pinned(setup_env):
     pins = (ROOT / "requirements" / "lock.txt").read_text().lower()
     pinned = set(re.findall(r"^([\w.-]+)==[\w.]+$", pins, re.MULTILINE))
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
     wanted = setup_env.requirements(project, (*setup_env.RUN_EXTRAS, *setup_env.DEVELOP_EXTRAS))
-    assert {"ros-rclpy[fastrtps]==7.1.6", "pytest>=8,<9"} <= set(wanted)
-    for_runs = setup_env.requirements(project, setup_env.RUN_EXTRAS)
-    assert {"pandas>=2.1", "pyarrow>=15", "SALib>=1.5"} <= set(for_runs)
     for extra in (*project["optional-dependencies"].values(), wanted):
         for requirement in extra:
             name = re.match(r"[\w.-]+", requirement).group().lower()
@@ -169,5 +138,3 @@ def test_mending_changes_no_shared_file(tmp_path):
     assert finish_venv.replace_text(installed, pattern, "/here")
     assert installed.read_text() == "include /here\n"
     assert cached.read_text().startswith("include /opt/python")
-    assert not finish_venv.replace_text(installed, pattern, "/here")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["cached", "installed"]

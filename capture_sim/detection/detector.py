@@ -321,8 +321,10 @@ class CaptureDetector:
             return  # noise would be taken for an approach
         if not self._memory.has_approached:
             self._t_rest_end = place.t
-        if self._place is not None and place.t - self._place.t > self._path.gap:
-            self._note_gap(self._place, place)
+        before = self._place
+        is_after_gap = before is not None and place.t - before.t > self._path.gap
+        if before is not None and is_after_gap:
+            self._note_gap(before, place)
         self._note_jump(place)
         criteria, is_still = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
@@ -334,6 +336,11 @@ class CaptureDetector:
                 speed, deviation = self._path.rate_over(begin, place.t)
                 is_still = is_still or speed + GUARD * deviation < criteria.still_speed
         _decide(criteria, self._memory, place, is_still, self._corner_time)
+        passed = self._memory.cause in (Cause.PASSED_THROAT, Cause.PASSED_BESIDE)
+        if before is not None and is_after_gap and passed and self._memory.since == place.t:
+            # it passed BE in the gap: when is interpolated, as the place of the crossing is
+            share = before.axial / (before.axial - place.axial)
+            self._memory.since = before.t + share * (place.t - before.t)
         self._doubt_miss()
         self._place = place
 

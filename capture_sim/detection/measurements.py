@@ -79,6 +79,7 @@ class Counts:
     """Numbers of measurements that were received, and of those that were not used.
 
     A measurement that is missing at an instant of the chaser's counts as a gap of its source.
+    Numbers that were received are not known of a recorded status.
     """
 
     def __init__(self) -> None:
@@ -108,14 +109,16 @@ class Counts:
         return [self._line(source) for source in Source if self._is_large(source)]
 
     def _is_large(self, source: Source) -> bool:
-        return self.of(source) > WARN_SHARE * max(self.received[source], 1)
+        received = self.received[source]
+        return received > 0 and self.of(source) > WARN_SHARE * received
 
     def _line(self, source: Source) -> str:
         numbers = [(self.rejected[source, reason], reason) for reason in Reason]
         listed = ", ".join(f"{number} {reason.value}" for number, reason in numbers if number)
         _, first = max(numbers, key=lambda item: item[0])
         cause = f" ({_LIKELY_CAUSES[first]})" if self._is_large(source) else ""
-        return f"{source.value}: {listed} of {self.received[source]}{cause}"
+        received = f" of {self.received[source]}" if self.received[source] else ""
+        return f"{source.value}: {listed}{received}{cause}"
 
 
 class Sequencer:

@@ -31,6 +31,7 @@ from capture_sim.launch.watch import (
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.scene.parts import PlanarState, Scene
+from capture_sim.touches import unseen_impact
 
 #: A fit goes over this time, s, and over this many poses at least.
 FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
@@ -52,9 +53,6 @@ MIN_MOTION = 0.01
 N_LATEST, CONTACT_DISTANCE = 5, 0.005
 #: The travel to the cone is predicted until the tip is this close to it, m.
 MIN_PREDICTION_DISTANCE = 0.02
-#: An impact speed is measured if poses come this close to the contact, m: over this distance
-#: rolling resistance changes 0.1 m/s by 2 %.
-MAX_UNSEEN_TRAVEL = 0.02
 
 Pose = tuple[float, float, float]  # x, y (m), heading (rad), in the world
 
@@ -244,10 +242,7 @@ class BenchWatch:
         """Return why nobody measured the impact speed; empty if poses cover the approach."""
         if self._late_by > 0.0 and not math.isfinite(self._fit_end):
             return f"impact speed not measured: poses begin {self._late_by:.3g} s after the release"
-        unseen = self._contact_travel - CONTACT_DISTANCE - self._fit_end
-        if unseen <= MAX_UNSEEN_TRAVEL:
-            return ""
-        return f"impact speed not measured: no poses in the last {1e3 * unseen:.3g} mm before it"
+        return unseen_impact(self._contact_travel - CONTACT_DISTANCE - self._fit_end)
 
     def _predict_contact(self, pose: Pose, travel: float) -> None:
         """Update the travel at which the tip meets the cone; infinite if it will miss it."""

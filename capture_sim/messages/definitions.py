@@ -59,10 +59,10 @@ def blank(type_name: str) -> Any:
     return typestore().types[type_name](*(kinds[kind](of) for _, (kind, of) in fields))
 
 
-def decoded(topic: Topic, data: bytes) -> Any:
+def decoded(topic: Topic, data: bytes, store: Typestore | None = None) -> Any:
     """Return a message of a topic from its bytes; MessageError if they are no such message."""
     try:
-        return typestore().deserialize_cdr(data, topic.type_name)
+        return (store or typestore()).deserialize_cdr(data, topic.type_name)
     except (SerdeError, UnicodeDecodeError) as error:
         raise MessageError(f"{topic.name}: {error}") from None
 

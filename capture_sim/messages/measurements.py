@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
+
+from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.measurements import Source, Values
 from capture_sim.errors import MessageError
@@ -34,18 +37,6 @@ OF_A_BENCH = {
 }
 
 
-def detector_sources(scene: Scene) -> dict[Topic, Source]:
-    """Return the topics that the detector decides by, and what each of them measures.
-
-    Where the scene has motion capture, the poses are its; else those of the odometry.
-    """
-    if scene.sensors is not None and scene.sensors.motion_capture is not None:
-        poses = {CHASER_POSE: Source.CHASER, TARGET_POSE: Source.TARGET}
-    else:
-        poses = {CHASER_ODOMETRY: Source.CHASER, TARGET_ODOMETRY: Source.TARGET}
-    return {**poses, BUFFER_STATE: Source.BUFFER}
-
-
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 #: What :func:`pose_values` and :func:`twist_values` take of geometry_msgs' Pose and Twist.
 POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
@@ -64,26 +55,81 @@ _NUMBERS = {
 
 
 class MeasurementReader:
-    """Reads what the messages of a topic of :data:`OF_A_BENCH` measure, from their bytes alone."""
+    """Reads what the messages of a topic of :data:`OF_A_BENCH` measure, from their bytes alone.
 
-    def __init__(self, topic: Topic) -> None:
-        self._topic = topic
+    Nodes and recordings read by it.  ``store``: knows the types; None for those of this version.
+    """
+
+    def __init__(self, topic: Topic, store: Typestore | None = None) -> None:
+        self._topic, self._store = topic, store or typestore()
         numbers = _NUMBERS.get(topic.type_name, ())
-        self._numbers = Numbers(typestore(), topic.type_name, *STAMP, *numbers)
+        self._numbers = Numbers(self._store, topic.type_name, *STAMP, *numbers)
 
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values of the topic's `Source`.
 
-        MessageError if the bytes are no such message, or it has no such joints.
+        MessageError if the bytes are no such message, NoJointsError if it has no such joints.
         """
         sec, nanosec, *numbers = self._numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec
         if self._topic is JOINT_STATES:
-            return stamp, _joints(decoded(self._topic, data))
+            return stamp, _joints(decoded(self._topic, data, self._store))
         if self._topic is BUFFER_STATE:
             return stamp, tuple(numbers)
         pose = pose_values(*numbers[:4])
         return stamp, (*pose, *twist_values(pose[2], *numbers[4:])) if numbers[4:] else pose
+
+
+class DetectorInput:
+    """The measurements that the detector decides by, out of the messages of a run.
+
+    Where the scene of a simulated run has motion capture, the poses are its; else those of the
+    odometry.  On a bench without simulator the first topic of each source that comes is used.
+    """
+
+    def __init__(
+        self,
+        scene: Scene | None,
+        *,
+        is_simulated: bool,
+        store_of: Callable[[str], Typestore] = lambda _: typestore(),
+    ) -> None:
+        self._sources = dict(OF_A_BENCH)
+        self._is_simulated = is_simulated
+        if is_simulated:
+            sensors = None if scene is None else scene.sensors
+            is_noisy = sensors is not None and sensors.motion_capture is not None
+            others = (CHASER_ODOMETRY, TARGET_ODOMETRY) if is_noisy else (CHASER_POSE, TARGET_POSE)
+            for topic in (*others, JOINT_STATES):
+                del self._sources[topic]
+        self._readers = {
+            topic: MeasurementReader(topic, store_of(topic.type_name)) for topic in self._sources
+        }
+
+    @property
+    def topics(self) -> dict[Topic, Source]:
+        """The topics that are read, and what each of them measures."""
+        return self._sources
+
+    def read(self, topic: Topic, data: bytes) -> tuple[Source, int, Values] | None:
+        """Return source, stamp (ns) and values of a message; None if it is not used.
+
+        MessageError if the bytes are no such message.
+        """
+        source = self._sources.get(topic)
+        if source is None:
+            return None
+        stamp, values = self._readers[topic](data)
+        if not self._is_simulated:
+            rivals = [other for other, kind in self._sources.items() if kind is source]
+            for other in rivals:
+                if other is not topic:
+                    del self._sources[other]
+        return source, stamp, values
+
+
+class NoJointsError(MessageError):
+    """A JointState is of other joints than the buffer's."""
 
 
 def _joints(message: Any) -> Values:
@@ -94,7 +140,7 @@ def _joints(message: Any) -> Values:
         if len(message.velocity):
             values += (message.velocity[slide], message.velocity[hinge])
     except (ValueError, IndexError):
-        raise MessageError(f"joints: must be {SLIDE_JOINT} and {HINGE_JOINT}") from None
+        raise NoJointsError(f"joints: must be {SLIDE_JOINT} and {HINGE_JOINT}") from None
     return values
 
 

@@ -180,7 +180,7 @@ class _StatusStream(_Stream):
         """
         for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
             times, some = zip(*group, strict=True)
-            columns = convert.statuses(some, *self.names)
+            columns: dict[str, Any] = dict(convert.statuses(some, *self.names))
             columns |= {name: np.array(values) for name, values in (further or {}).items()}
             sent = self._many(self.stream, np.array(times), self.frame, columns, reason=reason)
             messages = [[message] for message in sent]

@@ -16,7 +16,7 @@ from capture_sim.detection.measurements import REORDER, Source
 from capture_sim.errors import SceneError
 from capture_sim.launch.interlocks import SourceMonitor
 from capture_sim.messages.convert import EPOCH_NS, rejected
-from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, detector_sources
+from capture_sim.messages.measurements import OF_A_BENCH, DetectorInput, MeasurementReader
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import (
     BUFFER_STATE,
@@ -54,7 +54,7 @@ class CaptureDetectorNode(BenchNode):
 
     # of the run that is on
     _detector: CaptureDetector
-    _sources: dict[Topic, Source]
+    _input: DetectorInput
     _telemetry: DetectorTelemetry
     _criteria_in_force: Detector
 
@@ -106,7 +106,7 @@ class CaptureDetectorNode(BenchNode):
             zero=EPOCH_NS if run.simulated else None,
             reorder=0 if run.simulated else REORDER,
         )
-        self._sources = detector_sources(scene) if run.simulated else dict(OF_A_BENCH)
+        self._input = DetectorInput(scene, is_simulated=run.simulated)
         self._telemetry = DetectorTelemetry(self.messages, run.id)
         if criteria:
             given = ", ".join(
@@ -175,17 +175,11 @@ class CaptureDetectorNode(BenchNode):
         }
 
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
-        source = self._sources.get(topic)
-        if source is None:
+        measurement = self._input.read(topic, data)
+        if measurement is None:
             return
-        stamp, values = self._readers[topic](data)
-        if not self.run.simulated:
-            rivals = [other for other, kind in self._sources.items() if kind is source]
-            for other in rivals:
-                if other is not topic:
-                    del self._sources[other]
         arrival = None if self.run.simulated else time.monotonic_ns()
-        self._send_all(self._detector.measure(source, stamp, values, arrival))
+        self._send_all(self._detector.measure(*measurement, arrival))
         if warnings := self._detector.warnings:
             self.get_logger().warning("; ".join(warnings), throttle_duration_sec=5.0)
 

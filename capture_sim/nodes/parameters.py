@@ -43,7 +43,7 @@ class ParameterNode(Node):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        self._checks: dict[str, Callable[[Any], object]] = {}
+        self._checks: dict[str, tuple[type, Callable[[Any], object]]] = {}
         # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
         with self.handle:
             given = self.handle.get_parameters(Parameter)
@@ -94,7 +94,7 @@ class ParameterNode(Node):
         value = self._given.pop(name, _UNSET[kind] if may_be_unset else default)
         if may_be_unset and kind is list and value is None:  # given as [], which rclpy makes None
             value = _UNSET[kind]
-        unset = may_be_unset and _is_unset(value)
+        unset = may_be_unset and _is_unset(value, kind)
         right = unset or _fits(value, kind, choices)
         try:
             if right:
@@ -107,7 +107,7 @@ class ParameterNode(Node):
         if check is not None:
             if not unset:
                 check(value)
-            self._checks[name] = check
+            self._checks[name] = kind, check
         return [] if unset and kind is list else value
 
     def warn_of_unknown_parameters(self) -> None:
@@ -120,9 +120,9 @@ class ParameterNode(Node):
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
-            check = self._checks.get(parameter.name)
+            kind, check = self._checks.get(parameter.name, (object, None))
             try:
-                if check is not None and not _is_unset(parameter.value):
+                if check is not None and not _is_unset(parameter.value, kind):
                     check(parameter.value)
             except CaptureSimError as error:
                 return SetParametersResult(successful=False, reason=str(error))
@@ -138,8 +138,11 @@ def declare_scene(node: ParameterNode, description: str) -> Scene | None:
     return load_scene(name, overrides) if name else None
 
 
-def _is_unset(value: object) -> bool:
-    return value == _UNSET[list] or (isinstance(value, float) and math.isnan(value))
+def _is_unset(value: object, kind: type) -> bool:
+    """Return True if a value is the one that stands for none in a parameter of this kind."""
+    if kind is float:
+        return isinstance(value, float) and math.isnan(value)
+    return kind is list and value == _UNSET[list]
 
 
 def _fits(value: object, kind: type, choices: Sequence[str]) -> bool:

@@ -16,11 +16,13 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
+from capture_sim.detection.measurements import Counts, Reason, Source
 from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import Layout, columns, sequence_of
 from capture_sim.messages.convert import CRITERIA, LaunchAction, RunDescription
 from capture_sim.messages.definitions import schema_text, typestore
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, NoJointsError
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -132,6 +134,7 @@ class Bag:
         self._contents = contents
         self._given_release = release
         self._columns: dict[str, Columns] = {}
+        self._measured: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     @property
     def complete(self) -> bool:
@@ -373,24 +376,62 @@ class Bag:
             return {}
         type_name = self._contents.types[name]
         try:
-            return columns(self._store_for(type_name), type_name, messages)
+            return columns(self.store_for(type_name), type_name, messages)
         except RecursionError:
             raise RecordingError(
                 f"{self.path}: definition of type {type_name!r} contains itself"
             ) from None
 
-    def series(
-        self, topic: Topic, values: Callable[[Columns], np.ndarray], angle: int | None = None
-    ) -> Series:
+    def series(self, topic: Topic, values: Callable[[Columns], np.ndarray]) -> Series:
         """Return the series of a topic's stamped messages.
 
-        ``values`` computes (n,) or (n, m) values from the columns of n messages; ``angle`` is the
-        column of an angle, which is unwrapped.  Messages that cannot be decoded are left out.
-        RecordingError if none can be decoded.
+        ``values`` computes (n,) or (n, m) values from the columns of n messages.  Messages that
+        cannot be decoded are left out; MessageError if none can be decoded.
         """
         columns, log_times = self._readable(topic)
-        t = self.clock.since(stamps_of(columns))
-        return in_order(t, values(columns), self.clock.since_by_log(log_times), angle)
+        return self.in_order(stamps_of(columns), values(columns), log_times)
+
+    def in_order(
+        self,
+        stamps: np.ndarray,
+        values: np.ndarray,
+        log_times: np.ndarray,
+        angle: int | None = None,
+    ) -> Series:
+        """Return messages with stamps and log times, (n,), ns, as a series.
+
+        ``angle`` is the column of an angle, which is unwrapped.
+        """
+        times = self.clock.since(stamps), values, self.clock.since_by_log(log_times)
+        return in_order(*times, angle)
+
+    def measured(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a detector's source.
+
+        Rates that a message lacks are NaN.  Messages that cannot be decoded, and those of other
+        joints, are left out; MessageError if none can be decoded.
+        """
+        if topic.name not in self._measured:
+            self._measured[topic.name] = self._measurements(topic)
+        return self._measured[topic.name]
+
+    def _measurements(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        read = MeasurementReader(topic, self.store_for(topic.type_name))
+        rows, size, first_error = [], OF_A_BENCH[topic].size, None
+        for log_time, data in zip(self.log_times(topic).tolist(), self.raw(topic), strict=True):
+            try:
+                stamp, values = read(data)
+            except NoJointsError:
+                continue
+            except MessageError as error:  # a damaged message must not hide the others
+                first_error = first_error or error
+                continue
+            values += (math.nan,) * (2 * size - len(values))
+            rows.append((stamp, log_time, values))
+        if first_error is not None and not rows:
+            raise first_error
+        stamps, log_times = (np.array([row[i] for row in rows], dtype=np.int64) for i in (0, 1))
+        return stamps, np.array([row[2] for row in rows]).reshape(-1, 2 * size), log_times
 
     def _readable(self, topic: Topic) -> tuple[Columns, np.ndarray]:
         """Return columns and log times, ns, of the messages of a topic that fit its type."""
@@ -402,13 +443,13 @@ class Bag:
             fits = [self._fits(topic, data) for data in messages]
             if not any(fits):
                 raise
-            store = self._store_for(topic.type_name)
+            store = self.store_for(topic.type_name)
             kept = [data for data, is_kept in zip(messages, fits, strict=True) if is_kept]
             return columns(store, topic.type_name, kept), log_times[np.array(fits)]
 
     def _fits(self, topic: Topic, data: bytes) -> bool:
         try:
-            Layout(self._store_for(topic.type_name), topic.type_name, data)
+            Layout(self.store_for(topic.type_name), topic.type_name, data)
         except MessageError:
             return False
         return True
@@ -482,7 +523,8 @@ class Bag:
         by_name["t"] = self.clock.since(stamps_of(recorded)).tolist()
         by_name["state"] = [CaptureState(state) for state in by_name["state"]]
         rows = zip(*by_name.values(), strict=True)
-        return tuple(CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+        *earlier, last = (CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+        return *earlier, last._replace(not_used=_rejected_in(recorded))
 
     @cached_property
     def criteria(self) -> Detector | None:
@@ -506,7 +548,7 @@ class Bag:
                 f"{self.path}: {topic.name}: {name} = {wrong[0]}: must be 0 to {highest}"
             )
 
-    def _store_for(self, type_name: str) -> Typestore:
+    def store_for(self, type_name: str) -> Typestore:
         """Return a store that knows the type as this file defines it."""
         text = self._contents.schemas.get(type_name, "")
         store = typestore()
@@ -534,6 +576,19 @@ class Bag:
                     f"{topic.type_name}"
                 )
         return name
+
+
+def _rejected_in(recorded: Columns) -> str:
+    """Return the numbers of measurements that were not used until the last status, as a text.
+
+    Empty for an older recording, which has none.
+    """
+    counts = Counts()
+    for source in Source:
+        for numbers in recorded.get(f"{source.value}_rejected", ())[-1:]:
+            for reason, number in zip(Reason, numbers.tolist(), strict=True):
+                counts.reject(source, reason, number)
+    return counts.text
 
 
 def _seconds(text: str) -> float:

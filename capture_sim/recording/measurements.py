@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 
 import numpy as np
 
+from capture_sim.detection.measurements import Source
+from capture_sim.detection.recorded import TICK, Received, Trial
+from capture_sim.errors import MessageError, RecordingError
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.messages import topics
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messages.measurements import BUFFER, POSE, TWIST, pose_values, twist_values
+from capture_sim.messages.measurements import DetectorInput
 from capture_sim.messages.topics import Topic
-from capture_sim.recording.bag import Bag, Columns
+from capture_sim.recording.bag import Bag
 from capture_sim.scene.parts import Scene
 from capture_sim.series import (
     QUANTITIES,
@@ -66,8 +72,8 @@ def series_of(bag: Bag) -> SeriesBySource:
         for quantity in QUANTITIES:
             add(quantity, topics.BENCH_STATE, partial(_exact, exact, quantity))
     for vehicle, pose, odometry in _VEHICLES:
-        add(vehicle, pose, partial(_poses, bag, pose, "pose"))
-        add(vehicle, odometry, partial(_poses, bag, odometry, "pose.pose"))
+        add(vehicle, pose, partial(_poses, bag, pose))
+        add(vehicle, odometry, partial(_poses, bag, odometry))
         add(f"{vehicle}_rate", odometry, partial(_rates, bag, odometry))
     for column, quantity in enumerate(_BUFFER_QUANTITIES):
         for topic in (topics.BUFFER_STATE, topics.JOINT_STATES):
@@ -105,48 +111,68 @@ def _exact(exact: Deferred[dict[str, Series]], quantity: str) -> Series:
     return exact.value[quantity]
 
 
-def _poses(bag: Bag, topic: Topic, path: str) -> Series:
+def trial_in(bag: Bag) -> Trial:
+    """Return what the live detector knew of the run in a bag."""
+    last = math.inf
+    if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
+        last = bag.statuses[-1].t + TICK
+    return Trial(bag.is_simulated, last, is_cut=bag.cut)
+
+
+def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
+    """Return the measurements that the live detector has received, in the order of their arrival.
+
+    It has ignored messages before the announcement of a bench's trial, and after its end; each
+    node has its own moment of both.  RecordingError if the bag lacks a source.
+    """
+    begin, end = 0, sys.maxsize  # ns
+    if not bag.is_simulated:
+        announced = bag.log_times(topics.RUN_INFO)[:1]
+        begin = int(announced[0]) if announced.size else begin
+        if bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
+            end = int(bag.log_times(topics.CAPTURE_STATUS)[-1])
+    reader = DetectorInput(scene, is_simulated=bag.is_simulated, store_of=bag.store_for)
+    messages: list[tuple[int, Topic, bytes]] = []
+    usual: dict[Source, Topic] = {}
+    for topic, source in reader.topics.items():
+        usual.setdefault(source, topic)
+        if bag.has(topic):
+            messages += zip(bag.log_times(topic).tolist(), repeat(topic), bag.raw(topic))
+    lacking = set(usual) - {reader.topics[topic] for _, topic, _ in messages}
+    for source in Source:
+        if source in lacking:
+            raise RecordingError(
+                f"{bag.path}: contains no {usual[source].name}, which the detector needs; --remap "
+                "reads it from another topic"
+            )
+    received = []
+    for log_time, topic, data in sorted(messages, key=lambda message: message[0]):
+        if not begin <= log_time <= end:
+            continue
+        with suppress(MessageError):  # as in the node
+            if measurement := reader.read(topic, data):
+                source, stamp, values = measurement
+                arrival = None if bag.is_simulated else log_time - bag.clock.log_time
+                received.append(Received(source, stamp - bag.clock.release, values, arrival))
+    return received
+
+
+def _poses(bag: Bag, topic: Topic) -> Series:
     """Return poses (n, 3): x, y (m), heading (rad)."""
-    return bag.series(topic, lambda columns: _pose_values(columns, path), angle=_HEADING)
+    stamps, values, log_times = bag.measured(topic)
+    return bag.in_order(stamps, values[:, :3], log_times, angle=_HEADING)
 
 
 def _rates(bag: Bag, topic: Topic) -> Series:
     """Return the rates of an odometry's poses in the world, (n, 3): m/s, m/s, rad/s."""
-
-    def values(odometry: Columns) -> np.ndarray:
-        heading = _pose_values(odometry, "pose.pose")[:, _HEADING]
-        numbers = (odometry[f"twist.twist.{name}"].tolist() for name in TWIST)
-        return np.array(list(map(twist_values, heading.tolist(), *numbers)))
-
-    return bag.series(topic, values)
-
-
-def _pose_values(columns: Columns, path: str) -> np.ndarray:
-    numbers = (columns[f"{path}.{name}"].tolist() for name in POSE)
-    return np.array(list(map(pose_values, *numbers)))
+    stamps, values, log_times = bag.measured(topic)
+    return bag.in_order(stamps, values[:, 3:], log_times)
 
 
 def _buffer(bag: Bag, topic: Topic, column: int) -> Series:
     """Return stroke (m), torsion (rad) or one of their rates, (n,)."""
-    if topic is topics.BUFFER_STATE:
-        return _field(bag, topic, BUFFER[column])
-    return bag.series(topic, lambda joints: _buffer_joints(joints)[:, column])
-
-
-def _buffer_joints(joints: Columns) -> np.ndarray:
-    """Return positions and velocities of slide and hinge, (n, 4); NaN without them.
-
-    Other nodes may publish other joints on the same topic.
-    """
-    values = np.full((len(joints["name"]), 4), np.nan)
-    columns = (joints[field] for field in ("name", "position", "velocity"))
-    for row, (names, positions, velocities) in zip(values, zip(*columns, strict=True), strict=True):
-        if SLIDE_JOINT in names and HINGE_JOINT in names and len(positions) == len(names):
-            order = [names.index(SLIDE_JOINT), names.index(HINGE_JOINT)]
-            row[:2] = positions[order]
-            if len(velocities) == len(names):
-                row[2:] = velocities[order]
-    return values
+    stamps, values, log_times = bag.measured(topic)
+    return bag.in_order(stamps, values[:, column], log_times)
 
 
 def _force(bag: Bag, topic: Topic) -> Series:

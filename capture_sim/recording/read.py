@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from capture_sim.detection.recorded import TICK, Trial
 from capture_sim.errors import RecordingError
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -16,12 +14,11 @@ from capture_sim.messages.topics import (
     CAPTURE_CRITERIA,
     CAPTURE_STATUS,
     CONTACT_TRACE,
-    RUN_INFO,
     Topic,
 )
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.export import tables_of
-from capture_sim.recording.measurements import commanded_launch, series_of
+from capture_sim.recording.measurements import commanded_launch, received_in, series_of, trial_in
 from capture_sim.run import Origin, Run
 from capture_sim.scene.parts import Scene
 from capture_sim.series import Deferred
@@ -84,6 +81,7 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
         series=series_of(bag),
         located_touches=of_topic(BENCH_EVENT, "touches"),
         logged_events=of_topic(BENCH_EVENT, "events"),
+        received=Deferred(partial(received_in, bag, scene)),
         reported_statuses=of_topic(CAPTURE_STATUS, "statuses"),
         criteria=of_topic(CAPTURE_CRITERIA, "criteria"),
         located_extremes=Deferred(partial(getattr, bag, "extremes")),
@@ -100,22 +98,7 @@ def _origin_of(bag: Bag) -> Origin:
         software=tuple(filter(None, bag.metadata.get("software", "").split("\n"))),
         release=bag.clock.origin,
         after_first_pose=bag.clock.after_first_pose,
-        trial=Deferred(partial(_trial_in, bag)),
+        trial=Deferred(partial(trial_in, bag)),
         problems=bag.problems,
         left_out=bag.left_out,
     )
-
-
-def _trial_in(bag: Bag) -> Trial:
-    """Return the part of a recording that the live detector has used.
-
-    It has ignored messages before the announcement of a bench's trial, and after its end.
-    """
-    begin, end, last = -math.inf, math.inf, math.inf
-    if not bag.is_simulated:
-        announced = bag.clock.since_by_log(bag.log_times(RUN_INFO)[:1])
-        begin = float(announced[0]) if announced.size else begin
-        if bag.holds(CAPTURE_STATUS) and bag.statuses[-1].final:
-            end = float(bag.clock.since_by_log(bag.log_times(CAPTURE_STATUS)[-1:])[0])
-            last = bag.statuses[-1].t + TICK
-    return Trial(bag.is_simulated, begin, end, last, is_cut=bag.cut)

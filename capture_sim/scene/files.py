@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sized
@@ -94,10 +95,15 @@ _constructors: dict[Any, Any] = {
     for kind in ("null", "bool", "float", "str", "seq")
 } | {
     None: yaml.SafeLoader.yaml_constructors[None],
-    _TAG + "int": lambda loader, node: int(loader.construct_scalar(node)),
+    _TAG + "int": lambda loader, node: _whole(loader.construct_scalar(node)),
     _TAG + "map": _Loader.mapping,
 }
 _Loader.yaml_constructors = _constructors
+
+
+def _whole(text: str) -> int | float:
+    """Return a whole number; an infinity, which no field accepts, if Python reads none so long."""
+    return int(text) if len(text) <= 4000 else -math.inf if text[0] == "-" else math.inf
 
 
 def parse(text: str, source: str) -> Any:

@@ -76,9 +76,14 @@ def make_axis(scene: Scene, name: str, given: Any) -> Axis:
 
 def _valued(what: Declared, name: str, values: list[Any], text: str) -> Axis:
     if not 0 < len(values) <= MAX_VALUES:
-        raise SceneError(f"{name} = {text}: must be 1 to {MAX_VALUES} values")
+        raise SceneError(f"{name} = {_brief(text)}: must be 1 to {MAX_VALUES} values")
     accepted = tuple(accept(_plain(value), what, name) for value in values)
     return Axis(name, what.unit, accepted, text=text)
+
+
+def _brief(text: str) -> str:
+    """Return what was given, in a length that fits a message."""
+    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def _plain(value: Any) -> Any:
@@ -93,10 +98,12 @@ def _span(what: Declared, name: str, text: str) -> list[Any]:
     except ValueError:
         hint = max(map(comma_hint, (low, high)), key=len)
         raise SceneError(
-            f"{name} = {text}: must be LOW:HIGH:COUNT in {what.unit or '1'}{hint}"
+            f"{name} = {_brief(text)}: must be LOW:HIGH:COUNT in {what.unit or '1'}{hint}"
         ) from None
     if not 1 <= number <= MAX_VALUES:
-        raise SceneError(f"{name} = {text}: COUNT must be 1 to {MAX_VALUES}")
+        raise SceneError(f"{name} = {_brief(text)}: COUNT must be 1 to {MAX_VALUES}")
+    for end in ends[:number]:
+        accept(end, what._replace(kind=float), name)  # finite, or what is between would be NaN
     values: list[Any] = np.linspace(*ends, number).tolist()
     return values
 
@@ -150,7 +157,9 @@ def _distribution(
         loc, scale = _exactly(sizes, 2)
         return family(*shape, loc=loc, scale=scale)
     except (ValueError, ZeroDivisionError):
-        raise SceneError(f"{name} = {text}: must be {usage} in {what.unit or '1'}") from None
+        raise SceneError(
+            f"{name} = {_brief(text)}: must be {usage} in {what.unit or '1'}"
+        ) from None
 
 
 def _exactly(sizes: list[float], count: int) -> list[float]:
@@ -173,5 +182,7 @@ def _checked(distribution: Any, name: str, text: str) -> Any:
         quartiles = distribution.ppf([0.25, 0.5, 0.75])
     if not (np.all(np.isfinite(quartiles)) and np.all(np.diff(quartiles) > 0.0)):
         why = " (a percentage of 0 is 0)" if "%" in text else ""
-        raise SceneError(f"{name} = {text}: must have a width > 0, bounds in ascending order{why}")
+        raise SceneError(
+            f"{name} = {_brief(text)}: must have a width > 0, bounds in ascending order{why}"
+        )
     return distribution

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.errors import CaptureSimError
+from capture_sim.results import first_touch
 from capture_sim.run import Run
 from capture_sim.samples import Phase
 from capture_sim.scene.parts import Scene
@@ -20,7 +21,6 @@ from capture_sim.viewing import style
 from capture_sim.viewing.shapes import CHASER, TARGET
 from capture_sim.viewing.source import (
     distinct_names,
-    first_touch,
     in_contact,
     normal_force_with_peaks,
     start_word,
@@ -242,7 +242,7 @@ def plotted_runs(
         raise ValueError(f"{len(names)} labels for {len(several)} runs")
     shown = []
     for i, (run, name) in enumerate(zip(several, names, strict=True)):
-        touch = first_touch(run)
+        touch = first_touch(run.events)
         origin = touch.t if aligned and touch is not None else 0.0
         marker = style.run_marker(i) if len(several) > style.COLOURS_ALONE else None
         inside = _inside(run, window)

@@ -29,6 +29,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
+from capture_sim.results import first_touch
 from capture_sim.run import Run
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import columns_for, draw_shapes, hide_unused, subplots
@@ -58,7 +59,6 @@ from capture_sim.viewing.drawing import (
 from capture_sim.viewing.shapes import state_shapes, tip_in_world
 from capture_sim.viewing.source import (
     SHORTEST_WINDOW,
-    first_touch,
     start_word,
     time_window,
 )
@@ -307,7 +307,7 @@ def snapshots(
 def snapshot_times(run: Run, count: int) -> np.ndarray:
     """Return times worth a picture, (count,), s: start, first touch, evenly to the verdict."""
     start, end = float(run.samples["t"][0]), time_window(run)[1]
-    touch = first_touch(run)
+    touch = first_touch(run.events)
     if touch is None or touch.t - start < 0.02:
         return np.linspace(start, end, count)
     return np.concatenate([[start], np.linspace(touch.t, end, count - 1)])
@@ -339,7 +339,7 @@ def legend_above(figure: Figure) -> None:
 
 def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> None:
     run = plotted.run
-    touch = first_touch(run)
+    touch = first_touch(run.events)
     meaning = "first touch" if touch is not None and t == touch.t else ""
     if t == run.samples["t"][0]:
         meaning = start_word(plotted.scene)

@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
 from capture_sim.messages.urdf import Box, chaser_box, target_box
+from capture_sim.results import first_touch
 from capture_sim.run import Run
 from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene
@@ -271,7 +272,7 @@ def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
     Return the drawn instants in words.
     """
     run, scene, start = plotted.run, plotted.scene, plotted.samples["q"][0]
-    touch = source.first_touch(run)
+    touch = first_touch(run.events)
     then = run.samples["q"][-1] if touch is None else touch.q
     moved = bool(np.linalg.norm(then[:2] - start[:2]) > 0.01)
     bodies = shapes.rail_shapes(scene) + shapes.state_shapes(scene, then, plotted.colour)
@@ -329,7 +330,7 @@ def key_moments(run: Run) -> list[Moment]:
         place = np.array([np.interp(time, t, places[:, i]) for i in (0, 1)])
         found.append(Moment(time, place, meaning))
 
-    touch = source.first_touch(run)
+    touch = first_touch(run.events)
     if touch is not None:
         peak_time, peak = source.strongest(run)
         touches = source.every_touch(run)

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
+from capture_sim.results import first_touch
 from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
-from capture_sim.viewing.source import decided_at, every_touch, first_touch
+from capture_sim.viewing.source import decided_at, every_touch
 
 SIM_TIME = "sim_time"
 ALIGNED = "since_first_touch"
@@ -40,7 +41,7 @@ def aligned_span(run: Run, samples: np.ndarray) -> Span | None:
     For a run that is cut to a window, it is within the window: a viewer opens at the first
     sample, and events outside do not widen the axes.
     """
-    touch, t = first_touch(run), samples["t"]
+    touch, t = first_touch(run.events), samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
         return None
     ends = every_touch(run)["end"].tolist()

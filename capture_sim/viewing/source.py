@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from capture_sim.errors import CaptureSimError, SimulationError
-from capture_sim.results import impact_speed
+from capture_sim.results import first_touch, impact_speed
 from capture_sim.run import Run
-from capture_sim.samples import Event, EventKind
+from capture_sim.samples import EventKind
 from capture_sim.scene.parts import Scene, as_name
 from capture_sim.simulation import simulate
 
@@ -26,11 +26,6 @@ def verdict(run: Run) -> str:
     if not run.statuses:
         return "no verdict"
     return run.statuses[-1].label
-
-
-def first_touch(run: Run) -> Event | None:
-    """Return the event of the first touch."""
-    return next((event for event in run.events if event.kind is EventKind.TOUCH), None)
 
 
 def start_word(scene: Scene) -> str:
@@ -92,7 +87,7 @@ def time_window(run: Run) -> tuple[float, float]:
     A run without a verdict, e.g. one that ended early, is shown to its end.
     """
     t = run.samples["t"]
-    touch = first_touch(run)
+    touch = first_touch(run.events)
     whole = float(t[0]), max(float(t[-1]), float(t[0]) + SHORTEST_WINDOW)
     if touch is None:
         return whole
@@ -145,6 +140,8 @@ def headline(run: Run, label: str | None = None, width: int = 95) -> str:
         name += f" ({scene})"
     speed = impact_speed(run.events)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
+    if speed is not None and math.isnan(speed):
+        impact = "impact speed not measured"
     lines = [f"{name}: {verdict(run)}, {impact}"]
     if len(lines[0]) > width:
         # a long name is wrapped at any letter

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ import pytest
 from random_scenes import random_scenes, wide_scenes
 
 from capture_sim import Bench, SimulationError, load_scene
+from capture_sim.errors import CaptureSimError
+from capture_sim.kernels import cache_folder
 from capture_sim.scene.parts import Stops
 
 STOPS = "stops={compression: 0.1995, extension: 0.19, stiffness: 1.0e+6, damping: 10}"
@@ -97,53 +100,41 @@ def test_everything_runs_without_numba():
     assert events == len(bench.events)
 
 
-def test_unwritable_cache_falls_back_in_a_line(tmp_path):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    code = "from capture_sim.kernels import cache_folder; print(cache_folder())"
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"CAPTURE_SIM_CACHE": str(blocked), "TMPDIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert run.stderr.count("\n") == 1
-    assert "cannot be written to" in run.stderr
-    assert run.stdout.startswith(str(tmp_path))
+@pytest.fixture
+def blocked_cache(tmp_path, monkeypatch):
+    """The kernels' folder cannot be written to; the one for temporary files is this test's."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("CAPTURE_SIM_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path / f"capture_sim-{os.getuid()}"
+
+
+def test_unwritable_cache_falls_back_in_a_line(blocked_cache, capsys):
+    assert cache_folder.__wrapped__().parent == blocked_cache
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "cannot be written to" in said
 
 
 @pytest.mark.parametrize("kind", ["of another user", "open to others", "a link", "a file"])
-def test_cache_in_the_temporary_folder_must_belong_to_the_user(kind, tmp_path):
+def test_cache_in_the_temporary_folder_must_belong_to_the_user(kind, blocked_cache):
     """Compiled kernels are pickles: who writes them may run any code."""
-    own = tmp_path / f"capture_sim-{os.getuid()}"
     if kind == "a link":
-        (tmp_path / "elsewhere").mkdir()
-        own.symlink_to(tmp_path / "elsewhere")
+        elsewhere = blocked_cache.with_name("elsewhere")
+        elsewhere.mkdir()
+        blocked_cache.symlink_to(elsewhere)
     elif kind == "a file":
-        own.write_text("")
+        blocked_cache.write_text("")
     else:
-        own.mkdir(mode=0o700)
+        blocked_cache.mkdir(mode=0o700)
     if kind == "open to others":
-        own.chmod(0o777)
+        blocked_cache.chmod(0o777)
     if kind == "of another user":
         if os.getuid() != 0:
             pytest.skip("only root can give a folder away")
-        os.chown(own, 12345, 12345)
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    run = subprocess.run(
-        [sys.executable, "-m", "capture_sim.cli", "run", "paper_designed", "--out", "runs"],
-        env=os.environ | {"CAPTURE_SIM_CACHE": str(blocked), "TMPDIR": str(tmp_path)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode == 2
-    assert f"{own}: must be a folder of this user" in run.stderr
-    assert "Traceback" not in run.stderr
-    assert not list(tmp_path.rglob("*.nb?"))
+        os.chown(blocked_cache, 12345, 12345)
+    with pytest.raises(CaptureSimError, match=f"{blocked_cache}: must be a folder of this user"):
+        cache_folder.__wrapped__()
 
 
 def test_spin_counts_in_the_error_scale():

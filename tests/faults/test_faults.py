@@ -15,7 +15,9 @@ def test_a_fault_is_made_in_one_place_and_has_its_tests(name):
     assert (ROOT / fault["file"]).read_text(encoding="utf-8").count(fault["text"]) == 1
     assert fault["fault"] != fault["text"]
     for test in fault["tests"]:
-        assert (ROOT / test.partition("::")[0]).exists(), test
+        path, _, name = test.partition("::")
+        assert not name or f"def {name}(" in (ROOT / path).read_text(encoding="utf-8"), test
+        assert (ROOT / path).exists(), test
 
 
 def test_every_folder_of_the_package_has_a_fault():

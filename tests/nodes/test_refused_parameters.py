@@ -72,6 +72,7 @@ AT_THE_START = {
         {"max_still_speed": ".inf"},
         ["parameter max_still_speed = inf m/s: must be finite and > 0"],
     ),
+    "overrides are no number": ("simulator", {"overrides": ".nan"}, ["overrides = nan", "texts"]),
     "overrides of nothing": ("capture_detector", {"overrides": "[x]"}, ["overrides", "a scene"]),
     "no override of a scene": (
         "launcher",

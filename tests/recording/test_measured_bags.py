@@ -11,15 +11,16 @@ from bags import STANDARD, copied, later, of_a_bench
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.detection.measurements import Counts, Reason, Source
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.messages.convert import Messages
+from capture_sim.messages.convert import Messages, rejected
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.export import tables_of
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
-from capture_sim.results import impact_speed
+from capture_sim.results import first_touch, impact_speed, table
 from capture_sim.run import detect
 from capture_sim.studies.compare import sides
 from capture_sim.viewing import plots
@@ -27,7 +28,6 @@ from capture_sim.viewing.canvas import save
 from capture_sim.viewing.source import (
     decided_at,
     every_touch,
-    first_touch,
     has_force,
     in_contact,
     strongest,
@@ -73,14 +73,14 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         assert seen.samples[name] == pytest.approx(every[name], abs=1e-9)
     # of the bag, though the scene's geometry is of another experiment
     assert math.degrees(seen.scene.initial.target.theta) == pytest.approx(10.0)
-    before = every["t"] < first_touch(run).t
+    before = every["t"] < first_touch(run.events).t
     gap = seen.samples["penetration"][before]
     assert gap == pytest.approx(every["penetration"][before], abs=1e-9)
     whole = every["contact_force"] + every["latch_force"]
     assert seen.samples["contact_force"] == pytest.approx(whole, abs=1e-6)
     assert np.isnan(seen.samples["kinetic"]).all()
     # the gap's threshold, or the last sample before, is all that the first touch can be off by
-    assert first_touch(seen).t == pytest.approx(first_touch(run).t, abs=0.011)
+    assert first_touch(seen.events).t == pytest.approx(first_touch(run.events).t, abs=0.011)
     assert verdict(seen) == "captured"
     assert decided_at(seen) == pytest.approx(decided_at(run), abs=1e-6)
     if "/bench/contact" in topics:
@@ -89,6 +89,40 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         peak = seen.touches["peak_force"].max()
         assert peak == pytest.approx(run.touches["peak_force"].max())
         assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
+
+
+@pytest.mark.parametrize(
+    "poses",
+    [("/chaser/odom", "/target/odom"), ("/motion_capture/chaser", "/motion_capture/target")],
+)
+@pytest.mark.parametrize("lost", [0, 1], ids=["chaser lost", "target lost"])
+def test_a_gap_of_the_poses_over_the_contact_leaves_the_impact_speed_unmeasured(
+    tmp_path, poses, lost
+):
+    """0.4 s at 0.1 m/s are 40 mm; half of it before the touch is 20 mm, the limit."""
+    sensors = "sensors.motion_capture={position_noise: 0, heading_noise: 0}"
+    run = capture_sim.simulate("tilt_p10", [sensors])
+    recorded = write_run(run, tmp_path / "run.mcap")
+    touch, speed = first_touch(run.events), impact_speed(run.events)
+
+    def bag(begin, end):
+        def change(topic, data):
+            sec, nanosec = struct.unpack_from("<iI", data, 4)
+            since = sec - 1 + nanosec / 1e9 - touch.t
+            if topic != poses[lost] or not begin < since < end:
+                yield from later(topic, data)
+
+        topics = (*poses, "/joint_states", "/contact/wrench")
+        path = copied(recorded, tmp_path / f"{end}.mcap", topics=topics, change=change)
+        return read_run(path, scene=run.scene, release=0.0)
+
+    near, far = bag(-0.05, 0.3), bag(-0.3, 0.1)
+    assert near.summary["impact_speed"] == pytest.approx(speed, rel=0.02)
+    assert near.summary["impact_speed_missing"] == ""
+    assert math.isnan(impact_speed(far.events))
+    assert far.summary["impact_speed"] is None
+    assert "impact speed not measured: no poses in the last" in table([far.summary])
+    plots.plot(far)
 
 
 @pytest.mark.parametrize("noise, within", [(0.0, 1.5e-3), (1e-3, 0.02)])
@@ -104,7 +138,7 @@ def test_bag_of_motion_capture_alone_is_drawn(tmp_path, noise, within):
     assert seen.samples["q"] == pytest.approx(every["q"], abs=1e-9 + 6.0 * noise)
     # means of 0.2 s, away from the jumps of a touch; where the mass lands, the acceleration jumps
     # by 0.057 m/s^2 and a mean is off by an eighth of that times 0.2 s
-    free = (every["t"] > 0.1) & (every["t"] < first_touch(run).t - 0.1)
+    free = (every["t"] > 0.1) & (every["t"] < first_touch(run.events).t - 0.1)
     assert seen.samples["v"][free] == pytest.approx(every["v"][free], abs=within)
     assert impact_speed(seen.events) == pytest.approx(impact_speed(run.events), abs=within)
     assert verdict(seen) == "captured"
@@ -139,9 +173,14 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
 
 
 def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, tmp_path):
-    """The recorder hears of a trial's end later than the detector, and then of a contact."""
+    """The recorder hears of a trial's end later than the detector, and then of a contact.
+
+    The counts of measurements that were not used are read from the last status.
+    """
+    counts = Counts()
+    counts.reject(Source.CHASER, Reason.OUTLIER, 3)
     scene = capture_sim.load_scene("tilt_p10")
-    end = first_touch(run).t - 0.05
+    end = first_touch(run.events).t - 0.05
 
     def until(last, statuses):
         telemetry = DetectorTelemetry(Messages(), "")
@@ -152,7 +191,7 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
             t = seconds - 1 + nanoseconds * 1e-9
             if topic == "/capture/status":
                 if left and t > left[0].t - 1e-6:
-                    (sent, *_) = telemetry.status(left[0].t, left.pop(0))
+                    (sent, *_) = telemetry.status(left[0].t, left.pop(0), **rejected(counts))
                     yield topic, "cdr", sent.data
             elif t < last:
                 yield topic, "cdr", data
@@ -165,7 +204,9 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
     assert (live[-1].label, live[-1].final) == ("undecided", True)
     longer = copied(recorded, tmp_path / "on.mcap", topics=topics, change=until(end + 0.5, live))
     again = detect(read_run(longer), scene)
-    assert again[-1] == read_run(longer).reported_statuses[-1]
+    assert (
+        again[-1]._replace(not_used="chaser: 3 outlier") == (read_run(longer).reported_statuses[-1])
+    )
 
 
 @pytest.mark.parametrize("wall", [1, -1, 0])
@@ -187,7 +228,7 @@ def test_touches_are_those_that_the_load_cell_shows_everywhere(recorded, tmp_pat
     [touch] = every_touch(seen)
     assert touch["start"] == pytest.approx(begin, abs=0.011)
     assert touch["end"] - touch["start"] == pytest.approx(lasted, abs=0.021)
-    assert touch["wall"] == first_touch(seen).wall == wall
+    assert touch["wall"] == first_touch(seen.events).wall == wall
     # the normal force that the axis names, not the magnitude
     half_angle = seen.scene.cone.half_angle
     normal = 0.8 * math.sin(half_angle) + 0.6 * abs(wall) * math.cos(half_angle)

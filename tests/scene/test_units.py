@@ -74,9 +74,7 @@ def test_units_stand_in_files_and_overrides_and_python(tmp_path):
     [
         ("buffer.k_A=5 mm", "buffer.k_A = '5 mm': must be a number in N/m, >= 0"),
         ("buffer.k_A=-1 N/mm", "buffer.k_A = -1000.0 N/m: must be >= 0"),
-        ("contact.restitution=5 deg", "contact.restitution = '5 deg': must be a number, >= 0"),
         ("buffer.k_A=1e400 N/m", "must be finite and >= 0"),
-        ("buffer.k_A=0,5", "'0,5': must be a number in N/m, >= 0; decimals need a point"),
         ("buffer.k_A=0,5 N/mm", "decimals need a point, not a comma"),
         ("run.max_steps=1 km", "run.max_steps = '1 km'"),
         ("run.method=5 m", "run.method = '5 m': must be one of dop853"),

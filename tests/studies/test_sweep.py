@@ -84,19 +84,20 @@ KINDS = {
 
 
 @pytest.mark.parametrize("vary", KINDS.values(), ids=KINDS)
-@pytest.mark.parametrize("sample", ["random", "latin", "sobol"])
-def test_what_is_drawn_is_read_back_from_the_scene_that_is_run(vary, sample, scenes_run):
+def test_what_is_drawn_is_read_back_from_the_scene_that_is_run(vary, scenes_run):
     drawn = not isinstance(vary, pd.DataFrame) and any(
         hasattr(given, "ppf") or "(" in str(given) for given in vary.values()
     )
-    options = {"runs": 8 if drawn else 0, "sample": sample, "edges": 3 if drawn else 0}
-    table = capture_sim.sweep("tilt_0", vary, executor=HERE, **options)
-    assert len(table) == len(scenes_run) > 1
-    for (_, row), scene in zip(table.iterrows(), scenes_run, strict=True):
+    for sample in ("random", "latin", "sobol") if drawn else ("random",):
+        scenes_run.clear()
+        options = {"runs": 8 if drawn else 0, "sample": sample, "edges": 3 if drawn else 0}
+        table = capture_sim.sweep("tilt_0", vary, executor=HERE, **options)
+        assert len(table) == len(scenes_run) > 1
+        for (_, row), scene in zip(table.iterrows(), scenes_run, strict=True):
+            for name in vary:
+                assert paths.get(scene, name) == row[name]
         for name in vary:
-            assert paths.get(scene, name) == row[name]
-    for name in vary:
-        assert table[name].nunique() > 1
+            assert table[name].nunique() > 1
 
 
 def test_an_approach_is_read_back_from_the_scene_that_is_run(scenes_run):
@@ -169,7 +170,7 @@ SMALL = {"approach.angle": "-20 deg:20 deg:3", "buffer.c_A": "uniform(5, 30)"}
 
 
 def small(executor):
-    return capture_sim.sweep("tilt_0", SMALL, SHORT, runs=15, executor=executor)
+    return capture_sim.sweep("tilt_0", SMALL, SHORT, runs=5, executor=executor)
 
 
 @pytest.fixture(scope="module")
@@ -199,11 +200,10 @@ def test_a_script_without_a_main_guard_uses_all_cores(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import capture_sim\nprint('begin')\n"
-        "table = capture_sim.sweep('tilt_0', {'buffer.c_A': [5, 15]}, ['run.t_end=3'])\n"
+        "table = capture_sim.sweep('tilt_0', {'buffer.c_A': [5, 15]}, ['run.t_end=0.5'])\n"
         "print(table['verdict'].size)\n"
     )
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["begin", "2"]
+    assert subprocess.check_output([sys.executable, script], text=True).split() == ["begin", "2"]
 
 
 def test_mirrored_approaches_give_mirrored_loads():
@@ -340,17 +340,16 @@ def test_the_command_reports_limits_and_flags_the_runs_that_exceed_them(tmp_path
     printed = capsys.readouterr().out
     table = pd.read_csv(out, keep_default_na=False)
     too_long = table["max_axial_stroke_in_before_latch [m]"] > 7e-3
-    assert 0 < too_long.sum() < 12
+    met = 12 - too_long.sum()
+    assert 0 < met < 12
     flags = np.where(too_long, "max_axial_stroke_in_before_latch", "")
     assert table["exceeded"].tolist() == flags.tolist()
-    assert f"all limits met {12 - too_long.sum()} of 12: probability" in printed
-    assert re.search(
-        rf"stroke inwards before the latch +7 +mm +{12 - too_long.sum()} of 12", printed
-    )
-    assert re.search(r"peak normal force +500 +N +12 of 12 +1\.0000 +0\.7354 to 1\.0000", printed)
+    for limit, unit, n in (("7", "mm", met), ("500", "N", 12)):
+        assert re.search(rf" {limit} +{unit} +{n} of 12", printed)
+    assert re.search(r"1\.0000 +0\.7354 to 1\.0000", printed)  # Clopper and Pearson of 12 of 12
     assert (tmp_path / "a_loads.png").exists()
     assert main(["sweep", "tilt_0", *vary, "--limit=max_force=5", f"--out={out}"]) == 2
-    assert "limit max_force: is no load; did you mean max_" in capsys.readouterr().err
+    assert "limit max_force" in capsys.readouterr().err
 
 
 def test_captures_that_left_again_count_apart(tmp_path, capsys):
@@ -358,8 +357,10 @@ def test_captures_that_left_again_count_apart(tmp_path, capsys):
     out = tmp_path / "a.csv"
     vary = ["--vary=buffer.c_A=uniform(12, 13)", "--runs=3", "--workers=1", f"--out={out}"]
     assert main(["sweep", "paper_designed", *vary]) == 0
+    table = pd.read_csv(out)
+    assert table["verdict"].tolist() == ["captured"] * 3
+    assert table["left_again"].all()
     printed = capsys.readouterr().out
-    assert "verdicts: 3 captured, left again" in printed
     assert "captured 3 of 3" in printed
     assert "captured and not left again 0 of 3" in printed
 
@@ -429,39 +430,28 @@ def test_an_experiment_is_the_approach_that_it_is(name):
     assert near.summary["first_contact_time"] == pytest.approx(2e-3 / own.speed, rel=2e-3)
 
 
+# values that no field takes are drawn in tests/commands/test_arguments.py
 BAD = [
     ({"buffer.cA": "1:2:3"}, r"buffer.cA: no number of tilt_0; did you mean buffer.c_A\?"),
-    ({"k_A": "1:2:3"}, r"k_A: no number of tilt_0; did you mean buffer.k_A\?"),
     ({"mass": "1"}, "did you mean chaser.mass, target.mass or cylinder.mass"),
-    ({"buffer": "1"}, "did you mean buffer.hinge_offset, "),
     ({"rail": "1"}, "rail: no number"),
     ({"approach.angel": "1"}, r"did you mean approach.angle\?"),
     ({"buffer.c_A": "5:30"}, "buffer.c_A = '5:30': must be a number in N s/m, >= 0"),
-    ({"buffer.c_A": "5:30:x"}, "must be LOW:HIGH:COUNT in N s/m"),
     ({"buffer.c_A": "0,5:30:3"}, "must be LOW:HIGH:COUNT in N s/m; decimals need a point"),
     ({"buffer.c_A": "5:30:0"}, "COUNT must be 1 to"),
     ({"buffer.c_A": "-5:30:3"}, "buffer.c_A = -5.0 N s/m: must be >= 0"),
-    ({"buffer.c_A": "5 mm:30 mm:3"}, "must be LOW:HIGH:COUNT in N s/m"),
     ({"buffer.c_A": []}, "must be 1 to"),
     ({"buffer.c_A": "1:2:9999", "buffer.k_A": "1:2:9999"}, "number of runs = 99980001: must be"),
-    ({"buffer.k_A": "normal(500)"}, r"must be normal\(MEAN, STD\) in N/m"),
-    ({"buffer.k_A": "normal(500, 0)"}, "must have a width > 0"),
     ({"buffer.k_A": "uniform(2, 1)"}, "must have a width > 0"),
     ({"initial.target.theta": "normal(100%, 10%)"}, "a percentage of 0 is 0"),
-    ({"buffer.k_A": "gauss(1, 2)"}, "must be a distribution of scipy.stats"),
     ({"buffer.k_A": "poisson(3)"}, "must be a distribution of scipy.stats"),
-    ({"approach.angle": "100 deg"}, "approach.angle = 1.74"),
-    ({"approach.speed": "0"}, "approach.speed = 0.0 m/s: must be >= 0.0001"),
     ({"approach.angle": "0,1", "initial.chaser.y": "0"}, "initial.chaser.y: must not vary with"),
+    ({"approach.offset": "0", "approach.mouth_offset": "0"}, "must not vary with approach.offset"),
     ({"sensors.seed": "1,2"}, "sensors.seed: must not vary"),
     ({}, "one axis or more"),
-    (pd.DataFrame({"buffer.cA": [1]}), r"column buffer.cA: .*did you mean buffer.c_A\?"),
     (pd.DataFrame({"k_A": [1], "buffer.c_A": [1]}), r"column k_A: .*did you mean buffer.k_A\?"),
-    ({"approach.offset": "0", "approach.mouth_offset": "0"}, "must not vary with approach.offset"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
-    (pd.DataFrame({"buffer.c_A": [-1.0]}), "must be >= 0"),
     (pd.DataFrame({"buffer.c_A": [5.0, None]}), "column buffer.c_A: run 1 has no value"),
-    (pd.DataFrame({"buffer.c_A": ["5", "", ""]}), "column buffer.c_A: run 1 has no value"),
 ]
 
 
@@ -543,7 +533,7 @@ def child_processes(pid):
     return []
 
 
-@pytest.mark.parametrize("children", [1, 2, 4])
+@pytest.mark.parametrize("children", [1, 4])
 def test_ctrl_c_while_workers_are_started_leaves_nothing_behind(children, tmp_path):
     """The terminal sends it to all processes of the command, whose first child is a tracker."""
     out = tmp_path / "t.csv"
@@ -576,9 +566,6 @@ def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, caps
     vary = ["--vary", "buffer.k_A=normal(500, 5%)", "--vary", "initial.target.theta=0,5 deg"]
     assert main(["sweep", "tilt_0", *vary, "--runs=3", *options, f"--out={out}"]) == 0
     text = capsys.readouterr().out
-    assert "6 runs, seed 1" in text
-    assert "95 % interval" in text
-    assert "59 for 0.95" in text
     assert "capture-sim run tilt_0 --set run.t_end=3 --set run.rtol=1e-06 --set buffer.k_A=" in text
     assert main(["sweep", "tilt_0", f"--from={out}", *options, f"--out={again}"]) == 0
     assert read_cases(again).equals(read_cases(out))
@@ -610,18 +597,22 @@ def test_sensors_change_no_verdict_and_the_command_says_so(tmp_path, capsys):
     assert found["verdict_time [s]"].tolist() == exact["verdict_time"].tolist()
 
 
-def test_own_cases_have_a_probability_and_dimensionless_heads(tmp_path, capsys):
+def test_own_cases_are_run_with_their_units(tmp_path, capsys):
     cases, out = tmp_path / "cases.csv", tmp_path / "out.csv"
-    cases.write_text("friction.mu [1],buffer.c_A [N s/m]\n0.1,10\n0.2,12\n-1,12\n0.3,14\n")
-    options = ["--set", "run.t_end=3", "--workers=1", f"--out={out}"]
+    cases.write_text("friction.mu [1],buffer.c_A [N s/m],remark\n0.1,10,a\n0.2,12,b\n-1,12,c\n")
+    options = ["--set", "run.t_end=0.5", "--workers=1", f"--out={out}"]
     assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 2
     assert "friction.mu = -1.0: must be >= 0" in capsys.readouterr().err
     cases.write_text(cases.read_text().replace("-1,", "0.25,"))
     assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 0
-    shown = capsys.readouterr().out
-    assert "95 % interval" in shown
-    assert "if the rows of the table are independent draws" in shown
-    assert pd.read_csv(out)["friction.mu [1]"].tolist() == [0.1, 0.2, 0.25, 0.3]
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert "remark" in shown.err  # no field of the scene: named once, and ignored
+    assert "95 % interval" in shown.out
+    assert pd.read_csv(out)["friction.mu [1]"].tolist() == [0.1, 0.2, 0.25]
+    cases.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
+    samples = samples_of(load_scene("tilt_0"), read_cases(cases))
+    assert samples.rows == [(math.radians(5.0), 500.0), (math.radians(-5.0), 600.0)]
 
 
 def test_the_command_says_why_runs_could_not_be_computed(tmp_path, capsys):
@@ -629,39 +620,19 @@ def test_the_command_says_why_runs_could_not_be_computed(tmp_path, capsys):
     vary = ["--vary=initial.target.x=-1e3,0.45,0.44,0.9", "--set", "run.t_end=0.5", "--workers=1"]
     assert main(["sweep", "tilt_0", *vary, f"--out={tmp_path / 'a.csv'}"]) == 0
     shown = capsys.readouterr().out
-    assert "verdicts: 3 failed, 1 undecided" in shown
-    assert "2 could not be computed, e.g. run 1: " in shown
-    assert "1 could not be computed, e.g. run 0: " in shown
-    assert "smallest" in shown
+    reasons = re.findall(r"(\d) could not be computed, e.g. run (\d)", shown)
+    assert reasons == [("2", "1"), ("1", "0")]
     assert "95%" not in shown
-    vary[0] = "--vary=initial.target.x=-1e3,-2e3"
-    assert main(["sweep", "tilt_0", *vary, f"--out={tmp_path / 'a.csv'}"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.splitlines()[1] == "verdicts: 2 failed"
-    assert "2 could not be computed, e.g. run 0: " in shown
-
-
-def test_columns_that_are_no_fields_are_named_once(tmp_path, capsys):
-    cases = tmp_path / "cases.csv"
-    cases.write_text("case,buffer.c_A,remark\n7,10,first\n8,12,second\n")
-    short = ["--set", "run.t_end=0.5", "--workers=1", f"--out={tmp_path / 'a.csv'}"]
-    assert main(["sweep", "tilt_0", f"--from={cases}", *short]) == 0
-    warnings = capsys.readouterr().err.splitlines()
-    assert warnings == ["capture-sim: ignored columns: case, remark: no fields of tilt_0"]
 
 
 def test_a_sweep_that_only_misses_prints_the_closest_approaches(tmp_path, capsys):
-    """A grid prints effects, one run has neither interval nor probability, no change is none."""
+    """A grid prints effects; one run has neither interval nor probability."""
     vary = ["--vary=approach.offset=0.3,0.31,0.32,0.33", "--set", "run.t_end=3", "--workers=1"]
     assert main(["sweep", "tilt_0", *vary, "--check", f"--out={tmp_path / 'a.csv'}"]) == 0
     printed = capsys.readouterr().out
-    assert "no run touches the cone; smallest nearest_distance" in printed
     lines = [line for line in printed.splitlines() if "capture-sim run" in line]
     table = pd.read_csv(tmp_path / "a.csv")
     assert [line.split(": ", 2)[2] for line in lines] == table["command"].tolist()[:3]
-    assert "verdicts that change at half the tolerance: none" in printed
-    assert "effect of each input" in printed
-    assert "Spearman" not in printed
     effect = np.ptp(table["nearest_distance [m]"]) * 1e3
     row = next(line for line in printed.splitlines() if line.startswith("approach.offset  "))
     assert float(row.split()[-2]) == pytest.approx(effect, rel=1e-3)
@@ -707,13 +678,6 @@ def test_the_approach_of_a_run_is_set_as_in_a_sweep(tmp_path, capsys):
     capsys.readouterr()
     assert main(["run", "tilt_0", "--set=approach.angel=1", *options]) == 2
     assert "approach.angel: unknown field" in capsys.readouterr().err
-
-
-def test_cases_in_other_units(tmp_path):
-    path = tmp_path / "cases.csv"
-    path.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
-    samples = samples_of(load_scene("tilt_0"), read_cases(path))
-    assert samples.rows == [(math.radians(5.0), 500.0), (math.radians(-5.0), 600.0)]
 
 
 PICTURES = {
@@ -779,15 +743,6 @@ def test_a_table_that_is_no_cases_is_rejected(text, message, tmp_path):
     path.write_text(text)
     with pytest.raises(RecordingError, match=message):
         read_cases(path)
-
-
-def test_runs_without_a_touch_are_drawn():
-    vary = {"buffer.k_A": "normal(500, 5%)"}
-    samples = samples_of(load_scene("tilt_0"), vary, 12)
-    table = capture_sim.sweep("tilt_0", vary, ["run.t_end=0.5"], runs=12, executor=HERE)
-    figures = draw_sweep(table, samples.axes, "tilt_0")
-    assert "loads" in figures
-    assert "tornado" not in figures
 
 
 def test_a_run_that_would_fill_the_memory_is_a_row_with_its_reason():

@@ -15,10 +15,11 @@ import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
+from capture_sim.results import first_touch
 from capture_sim.samples import EventKind
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import tip_in_cone
-from capture_sim.viewing.source import first_touch, resolved
+from capture_sim.viewing.source import resolved
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -102,7 +103,7 @@ def test_aligned_time_begins_a_tenth_before_the_first_touch(found, runs):
             assert aligned[-1] * 1e-9 < 1.2
             whole, others = column(found, path, ending)
             # the same rows without a gap, earlier by the time of the first touch
-            late = round(first_touch(run).t * 1e9)
+            late = round(first_touch(run.events).t * 1e9)
             start = np.searchsorted(whole, aligned[1] + late - 2)
             assert np.abs(whole[start : start + len(aligned) - 1] - late - aligned[1:]).max() <= 2
             assert np.array_equal(others[start - 1 : start - 1 + len(values)], values)
