@@ -3,7 +3,7 @@
     .venv/bin/python -m benchmarks.rig_flows                        # about 3 minutes
 
 Starts the real nodes and the bench of examples/, each in a process of its own; twelve goals of
-launcher/run_trial.  Writes the table of docs/rig_flows.md.
+launcher/run_trial.  Writes the table in docs/node_suite.md.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from benchmarks.pages import table, write_parts
 from capture_sim.cli import main
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "nodes"))
-from bench_processes import processes  # noqa: E402
-from rig_session import POSES, Session  # noqa: E402
-from threads import Client  # noqa: E402
+from bench_processes import processes
+from rig_session import POSES, Session
+from threads import Client
 
 #: The topics of a driver that publishes Odometry, by the bench's names.
 ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}
@@ -70,15 +70,13 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
                     rows.append([*row, f"{1e3 * result.max_stroke:.2f}"])
     head = ["bench", "outcome", "verdict", "`detect`", "complete", "impact speed, m/s"]
     head += ["largest force, N", "stroke, mm"]
-    result = (
-        "verdict, `detect` and recording as they must be in all" if not wrong else f"{wrong} not"
-    )
-    return [f"{len(rows)} trials, {result}.", "", table(head, rows)]
+    good = f"{len(rows) - wrong} of {len(rows)} trials: the bench's outcome is the live verdict"
+    return [f"{good} and that of `detect`, and the recording is complete.", "", table(head, rows)]
 
 
 if __name__ == "__main__":
     write_parts(
-        "rig_flows",
+        "node_suite",
         __doc__,
         {"trials": measure_trials},
         untimed=("trials",),
