@@ -318,10 +318,14 @@ def measure_kills(options: Namespace, folder: Path) -> list[str]:
             time.sleep(delay)
             suite.nodes[victim].process.kill()
             sent = len(simulation.states)
+            if victim == "simulator":
+                suite.nodes["recorder"].wait_for(".mcap: ")  # DDS notices after 6 s
+            else:
+                suite.nodes["simulator"].status()
             for name, node in suite.nodes.items():
                 if name != victim:
                     # a launcher that dies after the release is missed by nobody
-                    said = node.status(60.0), "Traceback" in node.text
+                    said = node.end(), "Traceback" in node.text
                     if said not in ((0, False), (1, False)):
                         problems.append(f"kill {i} of {victim}: {name} ended with {said}")
             if victim != "simulator" and "done, " not in suite.nodes["simulator"].text:
