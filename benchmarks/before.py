@@ -2,8 +2,8 @@
 
     .venv/bin/python -m benchmarks.before --before CHECKOUT    # twenty minutes, parts: three
 
-CHECKOUT has a .venv of its own.  Writes three parts of docs/benchmark.md: the least of some rounds,
-and processor time wherever that is what counts.
+CHECKOUT has a .venv of its own.  Shows three tables: the least of some rounds, and processor time
+wherever that is what counts.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def fresh(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        "benchmark",
+        None,
         __doc__,
         {"before": commands, "before_parts": parts, "fresh": fresh},
         before=(None, "checkout of an earlier state"),

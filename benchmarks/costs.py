@@ -63,7 +63,7 @@ class RunCost:
     t_end: float
     touches: int
     evaluations: int
-    seconds: Spread  # wall time
+    seconds: Spread  # CPU time
 
 
 class Difference(NamedTuple):
@@ -93,7 +93,7 @@ class PartCost:
     name: str
     touches: tuple[int, int]
     evaluations: tuple[int, int]
-    run: Difference  # wall time
+    run: Difference  # CPU time
     free: Difference  # of one evaluation in free flight
     contact: Difference  # ... and in contact
 
@@ -103,7 +103,7 @@ class BatchCost:
     """What ``runs`` runs of as many different scenes cost."""
 
     runs: int
-    seconds: Spread  # wall time, all in all
+    seconds: Spread  # CPU time, all in all
     preparing: float  # share of it before the integration
 
 
@@ -136,9 +136,9 @@ def evaluation(scene: Scene, touching: bool) -> Callable[[], float]:
     f = np.zeros(N_TOTAL)
 
     def measured() -> float:
-        began = time.perf_counter()
+        began = time.thread_time()
         evaluate_often(system, y, f, _LOOP)
-        return (time.perf_counter() - began) / _LOOP
+        return (time.thread_time() - began) / _LOOP
 
     return measured
 
@@ -203,14 +203,14 @@ def batch_cost(scene: Scene, t_end: float, size: int, repeats: int) -> BatchCost
     for _ in range(repeats):
         preparing = running = 0.0
         for vx in np.linspace(0.05, 0.15, size).tolist():
-            began = time.perf_counter()
+            began = time.thread_time()
             chaser = dataclasses.replace(scene.initial.chaser, vx=vx)
             initial = dataclasses.replace(scene.initial, chaser=chaser)
             bench = Bench(dataclasses.replace(scene, initial=initial))
-            ready = time.perf_counter()
+            ready = time.thread_time()
             bench.advance(times)
             preparing += ready - began
-            running += time.perf_counter() - ready
+            running += time.thread_time() - ready
         totals.append(preparing + running)
         shares.append(preparing / totals[-1])
     return BatchCost(size, Spread.of(totals), statistics.median(shares))

@@ -4,7 +4,7 @@
 
 Only ``Bench.advance`` is timed, in one process per state; both stay alive.  In a round each
 state takes the least processor time of some runs of every scene.  The table has medians over the
-rounds, of the ratios too.  Writes the part ``kernels`` of docs/benchmark.md.
+rounds, of the ratios too.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ if __name__ == "__main__":
         serve(int(sys.argv[2]))
     else:
         write_parts(
-            "benchmark",
+            None,
             __doc__,
             {"kernels": kernels},
             before=(None, "checkout of an earlier state"),

@@ -1,106 +1,92 @@
-"""Other engines on the paper's scene, each as near as it can come; skipped if not installed."""
+"""Other engines on the paper's scene, configured as closely as possible: docs/engines.md.
+
+    .venv/bin/python -m benchmarks.other_engines
+
+Needs the packages of the extra ``benchmark``; what is not installed is skipped.
+"""
 
 from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from dataclasses import dataclass, replace
+import math
+from argparse import Namespace
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
-from benchmarks import work_precision
+from benchmarks import programs
 from benchmarks.engines.own import with_run
+from benchmarks.pages import error, ratio, seconds, table, write_parts
 from benchmarks.reference import load_reference
 from benchmarks.trial import Progress, Trial, run_rounds
-from capture_sim.scene.parts import Scene
+from capture_sim.launch.scenes import load_scene
 
+SCENE = "paper_designed"
+_T_END = 0.35  # s
 #: By the name of their package; each adapter has REFERENCE, NOTE, ``trials(scene, truth, quick)``.
 ENGINES = {"exudyn": "Exudyn", "mujoco": "MuJoCo", "drake": "Drake"}
-_ENOUGH = 1e-6  # m or rad: compared there, or where an engine's error ends
-
-
-@dataclass(frozen=True)
-class EngineResult:
-    """An engine's trials, ours beside them, and how they compare.
-
-    ``reason`` tells why there are none.
-    """
-
-    name: str
-    version: str
-    note: str
-    reason: str
-    trials: list[Trial]
-    comparisons: list[work_precision.Comparison]
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How far an engine with our own law comes to a reference.
-
-    Attributes
-    ----------
-    law : str
-        Of the friction, on both sides.
-    t : float
-        s.
-    error : float
-        Largest difference in any coordinate, m or rad.
-    """
-
-    law: str
-    t: float
-    error: float
 
 
 def adapter(package: str) -> tuple[ModuleType | None, str]:
-    """Return the module that drives an engine, or None and why it cannot."""
+    """Return the module that drives an engine and its version, or None and why it cannot."""
     try:
         version = importlib.metadata.version(package)
         return importlib.import_module(f"benchmarks.engines.{package}"), version
     except importlib.metadata.PackageNotFoundError:
         return None, "not installed: pip install -c requirements/lock.txt '.[benchmark]'"
-    except ImportError as error:
-        return None, f"does not load: {str(error).splitlines()[0]}"
+    except ImportError as reason:
+        return None, f"does not load: {str(reason).splitlines()[0]}"
 
 
-def measure(
-    scene: Scene, plan: work_precision.Plan, quick: bool, progress: Progress
-) -> list[EngineResult]:
-    """Try all engines that are installed, interleaved with our own integrators."""
-    results = []
-    scene = with_run(scene, t_end=plan.t_end)
+def engines(asked: Namespace, _: Path) -> list[str]:
+    """Time all engines that are installed, in turn with capture_sim."""
+    scene, lines, rows = with_run(load_scene(SCENE), t_end=_T_END), [], []
     for package, name in ENGINES.items():
         engine, version = adapter(package)
         if engine is None:
-            results.append(EngineResult(name, "", "", version, [], []))
+            lines.append(f"- {name}: {version}.")
             continue
-        truth = load_reference(scene.name).at(plan.t_end)
-        own = list(work_precision.own_trials(scene, replace(plan, steps=()), truth))
-        truth = load_reference(scene.name + engine.REFERENCE).at(plan.t_end)
-        theirs = list(engine.trials(scene, truth, quick))
-        run_rounds(theirs + own, min(plan.rounds, 5), progress, f"{name} beside ours")
-        comparisons = [
-            work_precision.compare(
-                own, family, plan.t_end, max(_ENOUGH, 1.02 * min(t.errors.position for t in family))
-            )
-            for family in work_precision.families(theirs)
-        ]
-        results.append(EngineResult(name, version, engine.NOTE, "", theirs, comparisons))
-    return results
+        truth = load_reference(SCENE + engine.REFERENCE).at(_T_END)
+        theirs = list(engine.trials(scene, truth, False))
+        plan = programs.Plan(_T_END)
+        own = list(programs.own_trials(scene, plan, load_reference(SCENE).at(_T_END)))
+        run_rounds(theirs + own, asked.rounds, Progress(), f"{name} in turn with capture_sim")
+        lines.append(f"- {name} {version}: {engine.NOTE}.")
+        rows += [_row(trial, own) for trial in theirs]
+    head = ["engine", "setting", "position error, m", "peak force, 1", "CPU time"]
+    return [*lines, "", table([*head, "ratio", "remark"], rows)]
 
 
-def exudyn_agreement(scene: Scene, progress: Progress) -> list[Agreement]:
-    """Return how Exudyn at a tight tolerance agrees with references of its own law."""
-    exudyn, _ = adapter("exudyn")
-    found = []
-    for law in ("frictionless", "clamp") if exudyn is not None else ():
-        reference = load_reference(f"{scene.name}_{law}")
-        for number, t in enumerate(reference.times):
-            progress.at(f"agreement with Exudyn, {law}", number, len(reference.times), f"{t:g} s")
+def _row(trial: Trial, own: list[Trial]) -> list[str]:
+    """Return an engine's setting, with its time per our least at the same position error."""
+    reached = [t.least for t in own if t.errors.position <= trial.errors.position]
+    ours = min(reached, default=math.nan)
+    errors = [error(trial.errors.position), error(trial.errors.peak_force)]
+    times = [seconds(trial.least), ratio(trial.least / ours), trial.failure]
+    return [trial.family, trial.setting, *errors, *times]
+
+
+def agreement(_: Namespace, __: Path) -> list[str]:
+    """Compare Exudyn at a tight tolerance with references of its own law of friction."""
+    engine, _version = adapter("exudyn")
+    rows = []
+    for law in ("frictionless", "clamp") if engine is not None else ():
+        reference = load_reference(f"{SCENE}_{law}")
+        for t in reference.times:
             mu = 0.0 if law == "frictionless" else None
-            run, read = exudyn.prepare(with_run(scene, t_end=t), 1e-10, mu)
+            run, read = engine.prepare(with_run(load_scene(SCENE), t_end=t), 1e-10, mu)
             difference = np.abs(read(run()).q - reference.at(t).q).max()
-            found.append(Agreement(law, t, float(difference)))
-    return found
+            rows.append([law, f"{t:g} s", error(float(difference))])
+    return [table(["friction", "at", "largest difference, m or rad"], rows)] if rows else []
+
+
+if __name__ == "__main__":
+    write_parts(
+        "engines",
+        __doc__,
+        {"engines": engines, "agreement": agreement},
+        untimed=("agreement",),
+        rounds=(5, "of each setting"),
+    )

@@ -31,7 +31,7 @@ Part = Callable[[argparse.Namespace, Path], Sequence[str]]
 
 
 def write_parts(
-    page: str,
+    page: str | None,
     doc: str | None,
     parts: Mapping[str, Part],
     *,
@@ -43,7 +43,7 @@ def write_parts(
     Parameters
     ----------
     page
-        In docs/ whose parts are written, without ``.md``.
+        In docs/ whose parts are written, without ``.md``; None to show them only.
     doc
         What ``--help`` shows.
     parts
@@ -67,7 +67,6 @@ def write_parts(
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     compile_kernels()
-    path = DOCS / f"{page}.md"
     for name in asked.parts or parts:
         others = OthersAtWork()
         with tempfile.TemporaryDirectory(prefix=f"{page}_") as folder:
@@ -77,7 +76,8 @@ def write_parts(
             continue
         text = "\n".join([*lines, "", stamp(others.cores(), timed=name not in untimed)])
         print(f"== {name}\n\n{text}\n", flush=True)
-        if not asked.dry:
+        if page is not None and not asked.dry:
+            path = DOCS / f"{page}.md"
             whole = filled(path.read_text(encoding="utf-8"), {name: text})
             with whole_file(path) as file:
                 file.write_text(whole, encoding="utf-8")

@@ -143,6 +143,9 @@ def before(asked: Namespace, _: Path) -> list[str]:
     if asked.before is None:
         return []
     here = Path(__file__).resolve().parent.parent
+    # packages that are not installed, but not this state in place of the other
+    given = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    given = [path for path in given if Path(path).resolve() != here]
     rows, runs = [], max(asked.runs // 50, 20)
     for name, (_scene, vary) in SWEEPS.items():
         found: dict[Path, list[float]] = {here: [], Path(asked.before): []}
@@ -151,7 +154,7 @@ def before(asked: Namespace, _: Path) -> list[str]:
                 done = subprocess.run(
                     [sys.executable, "-c", _TIME_A_RUN, repr(vary), str(runs)],
                     cwd=state,
-                    env=os.environ | {"PYTHONPATH": str(state)},
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join([str(state), *given])},
                     capture_output=True,
                     check=True,
                     text=True,

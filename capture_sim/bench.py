@@ -100,6 +100,31 @@ class Checkpoint(NamedTuple):
     last_time: float
 
 
+class Memory:
+    """Memory of one run.
+
+    ``samples`` (n,) of dtype SAMPLE is room for the samples of a call, which the next call
+    overwrites: runs of a study that are integrated one after the other share it, as new memory
+    costs time.  None for new room in each call.
+    """
+
+    def __init__(self, samples: np.ndarray | None = None) -> None:
+        self.workspace = np.zeros(1, WORKSPACE)
+        self._samples = np.empty(0, SAMPLE) if samples is None else samples
+
+    def samples(self, count: int) -> np.ndarray:
+        """Return room for samples, (count,) of dtype SAMPLE."""
+        return self._samples[:count] if count <= self._samples.size else np.empty(count, SAMPLE)
+
+
+@functools.lru_cache(maxsize=len(PAIRS))
+def _state_with_pair(method: str) -> np.ndarray:
+    """Return the bytes of a workspace up to its log, 0 but for the coefficients of a pair."""
+    workspace = np.zeros(1, WORKSPACE)
+    set_pair(workspace[0]["stepper"], PAIRS[method]())
+    return workspace.view(np.uint8)[:_STATE_BYTES]
+
+
 class Bench:
     """One run of a scene, starting at the release.
 
@@ -112,6 +137,8 @@ class Bench:
     trace
         True to keep the contact at the integrator's own steps, see :attr:`trace`;
         ``scene.run.trace`` does the same.
+    memory
+        Memory for this bench alone, which may share its room for samples; None for new memory.
 
     Examples
     --------
@@ -123,17 +150,23 @@ class Bench:
     """
 
     def __init__(
-        self, scene: Scene, plan: LaunchPlan | None = None, *, trace: bool = False
+        self,
+        scene: Scene,
+        plan: LaunchPlan | None = None,
+        *,
+        trace: bool = False,
+        memory: Memory | None = None,
     ) -> None:
         self.scene = scene
         own_plan = check_scene(scene)
         self.plan = own_plan if plan is None else plan
-        self._workspace = np.zeros(1, WORKSPACE)
+        self._memory = Memory() if memory is None else memory
+        self._workspace = self._memory.workspace
+        self._workspace.view(np.uint8)[:_STATE_BYTES] = _state_with_pair(scene.run.method)
         self._record = w = self._workspace[0]
         self._system = w["system"]
         launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
         self._system["par"] = pack(scene, *launch)[0]
-        set_pair(w["stepper"], PAIRS[scene.run.method]())
         q, v = scene.initial_coordinates()
         w["stepper"]["y"][:16] = *q, *v
         w["stepper"]["weights"] = 1.0 / error_scale(self._system["par"])
@@ -274,7 +307,7 @@ class Bench:
         if not self.done and (times.size == 0 or times[-1] >= t_stop):
             # no sample lies beyond the end: a time that is never reached runs to it
             times = np.append(times, np.inf)
-        samples = np.empty(times.shape[0], SAMPLE)  # only samples[:served] are returned
+        samples = self._memory.samples(times.shape[0])  # only samples[:served] are returned
         workspace, trace = records(self._workspace), records(self._trace_room)
         progress = self._record["progress"]
         served = 0
@@ -507,9 +540,9 @@ def error_scale(par: np.void) -> np.ndarray:
     An angle counts by the displacement that it causes at the tip.  ``par`` is of dtype PARAMETERS.
     """
     arm, at_target = float(par["a"] + par["h_0"]), float(par["L_T"] + par["R_c"])
-    levers = np.array([1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target])
-    rtol, speed = float(par["rtol"]), float(par["speed_scale"])
-    scale = np.full(N_WATCHED, rtol * float(par["m_P"]) * speed**2)
-    scale[:8] = rtol * (float(par["length_scale"]) / levers)
-    scale[8:16] = rtol * (speed / levers)
-    return scale
+    levers = (1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target)
+    rtol, speed, length = float(par["rtol"]), float(par["speed_scale"]), float(par["length_scale"])
+    lengths = [rtol * (length / lever) for lever in levers]
+    speeds = [rtol * (speed / lever) for lever in levers]
+    energy = rtol * float(par["m_P"]) * speed**2
+    return np.array([*lengths, *speeds, *(N_WATCHED - 16) * [energy]])

@@ -32,7 +32,7 @@ from capture_sim.scene.parts import Scene
 
 _A, _D = np.ascontiguousarray(table.A), table.D.copy()  # the weights are A's row 12
 _E3, _E5 = table.E3.copy(), table.E5.copy()
-_JUST_OFF = 1e-13  # m: gap at which a touch has ended, see scipy_ivp
+JUST_OFF = 1e-13  # m: gap at which a touch has ended, see scipy_ivp
 _ROOM = 4096  # touches
 
 
@@ -128,7 +128,7 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
             continue
         x_event, wall = 2.0, -1
         for i in range(2):
-            zero = _JUST_OFF if touch[i].on else 0.0
+            zero = JUST_OFF if touch[i].on else 0.0
             end, _ = wall_gap(y_new, par, i)
             if (end - zero > 0.0) != (touch[i].on == 1):
                 continue

@@ -50,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         path = write_library(unit, options.c)
     else:
         write_fmu(unit, path)
-    counts = f"{len(unit.parameters)} parameters, {len(unit.outputs)} outputs"
+    counts = f"{len(unit.parameters)} parameters, {len(unit.inputs)} inputs, "
+    counts += f"{len(unit.outputs)} outputs"
     echo(f"{scene.name}: {path}, {path.stat().st_size / 1024:.0f} KiB, {counts}")
     return OK

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.kernels import kernel, plain
+from capture_sim.kernels import kernel
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
@@ -365,10 +365,8 @@ def decide(criteria, memory, place, stood, corner_time):
         enter(memory, CaptureState.STUCK, Cause.AT_REST, t, distance)
 
 
-_hit_unseen, _enter = plain(hit_unseen), plain(enter)
-
-
-def decide_at_end(criteria: Criteria, memory: Any, corner_time: float, *, cut: bool) -> None:
+@kernel
+def decide_at_end(criteria, memory, corner_time, cut):
     """Evaluate a run without verdict that ended with its last position, see :func:`decide`.
 
     docs/detection.md has the rules.  ``cut``: the run was ended before its time, so that a tip
@@ -377,15 +375,16 @@ def decide_at_end(criteria: Criteria, memory: Any, corner_time: float, *, cut: b
     is_still = memory.speed < criteria.still_speed
     moves_out = memory.outwards > 0.0 and not is_still
     is_outside = memory.distance > criteria.radius
-    hit = _hit_unseen(criteria, memory, corner_time)
+    hit = hit_unseen(criteria, memory, corner_time)
     has_met = memory.state == CaptureState.CONTACT or (
         hit if moves_out else is_still and memory.nearest_gap < criteria.contact_gap
     )
     state = CaptureState.UNDECIDED
     has_dwelt = memory.t - memory.first_t >= criteria.dwell - _TICK
-    if not cut and not memory.has_approached and memory.has_stayed and has_dwelt:
+    approached = memory.has_approached != 0
+    if not cut and not approached and memory.has_stayed != 0 and has_dwelt:
         state, cause = CaptureState.CAPTURED, Cause.STAYED
-    elif not memory.has_approached:
+    elif not approached:
         cause = Cause.NOT_APPROACHED
     elif not cut and has_met and is_outside and is_still:
         state, cause = CaptureState.STUCK, Cause.END_AT_REST
@@ -395,7 +394,7 @@ def decide_at_end(criteria: Criteria, memory: Any, corner_time: float, *, cut: b
         state, cause = CaptureState.MISSED, Cause.END_NOT_APPROACHING
     else:
         cause = Cause.END_AFTER_CONTACT if has_met else Cause.END_BEFORE_CONTACT
-    _enter(memory, state, cause, memory.t, memory.distance)
+    enter(memory, state, cause, memory.t, memory.distance)
 
 
 _REASONS = {

@@ -62,7 +62,7 @@ _EPOCH = 1_000_000_000_000
 
 # a few hundred measurements a second: not worth compiled functions of their own
 _tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
-_enter, _wall_gap = plain(enter), plain(wall_gap)
+_enter, _wall_gap, _decide_at_end = plain(enter), plain(wall_gap), plain(decide_at_end)
 
 
 class CaptureDetector:
@@ -237,7 +237,7 @@ class CaptureDetector:
             # a source that stopped before the end: the rest of the run is unknown
             newest = self._sequencer.newest
             is_blind = newest is not None and self._seconds(newest) - last.t > self._path.gap
-            decide_at_end(self._criteria, memory, self._corner_time, cut=cut or is_blind)
+            _decide_at_end(self._criteria, memory, self._corner_time, cut or is_blind)
             self._doubt_miss()
         return [*remaining, self._status(*self._last, is_over=not cut, is_end=True)]
 

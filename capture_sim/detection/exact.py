@@ -24,11 +24,12 @@ from capture_sim.detection.criteria import (
     note_push,
     reason,
 )
-from capture_sim.kernels import entry_kernel, records
+from capture_sim.kernels import entry_kernel, plain, records
 from capture_sim.model.equations import tip_in_cone
 from capture_sim.scene.parts import Scene
 
 _STATES = tuple(CaptureState)
+_decide_at_end = plain(decide_at_end)
 #: The same with fields as attributes, for Python.
 _MEMORY_BY_NAME = np.dtype((np.record, MEMORY))
 _NUMBERS = (
@@ -36,7 +37,7 @@ _NUMBERS = (
     *("nearest_distance", "time_in_state"),
 )
 #: A status in numbers.
-_ROW = np.dtype(
+ROW = np.dtype(
     [("state", "i8"), ("cause", "i8"), ("value", "f8"), *((name, "f8") for name in _NUMBERS)]
 )
 
@@ -46,7 +47,7 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
     """Evaluate the criteria at each sample; return the number of samples used.
 
     All samples are used, or, with ``to_verdict``, those up to the verdict.  Fills ``rows`` of
-    dtype _ROW with the statuses; the last row is overwritten if there are more samples than rows.
+    dtype ROW with the statuses; the last row is overwritten if there are more samples than rows.
     ``y`` (16,) is work space for a state.
     """
     memory, c = memories[0], criteria
@@ -105,7 +106,7 @@ class ExactDetector:
         self._criteria = Criteria.of(scene)
         self._memory = new_memory(has_approached=True)
         self._y = np.zeros(16)
-        self._row = np.zeros(1, _ROW)  # the last status
+        self._row = np.zeros(1, ROW)  # the last status
         for name in _NUMBERS[1:6]:
             self._row[name] = math.nan
         self._row["nearest_distance"] = math.inf
@@ -128,7 +129,7 @@ class ExactDetector:
 
     def update(self, samples: np.ndarray) -> list[CaptureStatus]:
         """Return the status at each of the next samples, (n,) of dtype SAMPLE."""
-        rows = np.zeros(samples.size, _ROW)
+        rows = np.zeros(samples.size, ROW)
         self._follow(samples, rows, to_verdict=False)
         return [self._status(row) for row in rows.tolist()]
 
@@ -168,7 +169,7 @@ class ExactDetector:
         if math.isnan(row["distance"]):
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
         elif not self.final:
-            decide_at_end(self._criteria, memory, 0.0, cut=cut)
+            _decide_at_end(self._criteria, memory, 0.0, cut)
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
         row["time_in_state"] = row["t"] - memory.since

@@ -4,7 +4,10 @@
    nothing: the caller provides the memory of an instance. Instances share nothing that is written,
    so each may run in its own thread. Times are in s since the release; values are in SI units.
 
-   Use: cs_begin, cs_set for parameters, cs_advance to 0, then cs_advance to each next time. */
+   Use: cs_begin, cs_set for parameters, cs_advance to 0, then cs_advance to each next time.
+
+   With the parameter contact_outside set to 1, the cone's walls do not act. The inputs, a wrench on
+   the tip about its centre in the axes of target/cone, act in their place until the latch closes. */
 #ifndef CAPTURE_SIM_BENCH_H
 #define CAPTURE_SIM_BENCH_H
 
@@ -17,15 +20,18 @@ extern "C" {
 
 typedef struct cs_bench cs_bench;
 
+typedef enum { CS_REAL = 0, CS_INTEGER = 1, CS_BOOLEAN = 2 } cs_type;
+
 /* A number of the bench with its unit; a parameter has a default and a range as well. */
 typedef struct {
   const char *name;
   const char *unit;
-  const char *range; /* as text; NULL for outputs */
+  const char *meaning; /* in words; empty if the name says it */
+  cs_type type;
+  const char *range; /* as text; NULL for inputs and outputs */
   double start;
   double low, high; /* a parameter's range */
   int low_open, high_open;
-  int is_integer;
 } cs_variable;
 
 /* How cs_advance or cs_set ended. */
@@ -51,10 +57,18 @@ const cs_variable *cs_parameter(size_t index);
 cs_result cs_set(cs_bench *bench, size_t index, double value);
 double cs_get(const cs_bench *bench, size_t index);
 
+/* None for a scene with supports. */
+size_t cs_input_count(void);
+const cs_variable *cs_input(size_t index);
+/* Set an input, which keeps its value from the present time until it is set again. */
+cs_result cs_put(cs_bench *bench, size_t index, double value);
+double cs_given(const cs_bench *bench, size_t index);
+
 /* Continue to time t, which must not be before the present one.
 
    With stop_at_events, stop at the first event after the present time; outputs are then those just
-   before the event. */
+   before the event. The detector's outputs are those of its latest sample, at a multiple of
+   1 / run.rate. */
 cs_result cs_advance(cs_bench *bench, double t, int stop_at_events);
 
 double cs_time(const cs_bench *bench);

@@ -12,7 +12,7 @@ from pathlib import Path
 from capture_sim import __version__
 from capture_sim.files import whole_file
 from capture_sim.fmu.library import Unit, link, write_sources
-from capture_sim.fmu.variables import Variable
+from capture_sim.fmu.variables import Kind, Variable
 
 #: Exponents of kg, m, s and rad; FMI knows units by these.
 _UNITS = {
@@ -34,6 +34,7 @@ _UNITS = {
     "N m s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
     "N m s^2/rad^2": {"kg": 1, "m": 2, "rad": -2},
 }
+_ELEMENTS = {Kind.REAL: "Float64", Kind.INTEGER: "Int64", Kind.BOOLEAN: "Boolean"}
 #: The step that a master takes by default, s.
 _STEP = 0.001
 
@@ -66,11 +67,16 @@ def description(unit: Unit) -> str:
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
     )
-    variables = [*unit.parameters, *unit.outputs]
+    variables = unit.variables
     units = ET.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(["s", *(v.unit for v in variables if v.unit in _UNITS)]):
         exponents = {key: str(value) for key, value in _UNITS[name].items()}
         ET.SubElement(ET.SubElement(units, "Unit", name=name), "BaseUnit", exponents)
+    types = ET.SubElement(root, "TypeDefinitions")
+    for names in dict.fromkeys(v.values for v in variables if v.values is not None):
+        listed = ET.SubElement(types, "EnumerationType", name=names.__name__)
+        for value in names:
+            ET.SubElement(listed, "Item", name=value.name.lower(), value=str(value.value))
     ET.SubElement(root, "LogCategories").append(ET.Element("Category", name="logStatusError"))
     stop = f"{unit.scene.run.t_end:.17g}"
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=stop, stepSize=str(_STEP))
@@ -85,34 +91,44 @@ def description(unit: Unit) -> str:
         description="time since the release",
         unit="s",
     )
-    for reference, variable in enumerate(variables, 1):
-        _add(model, reference, variable)
+    causalities = ["parameter"] * len(unit.parameters) + ["input"] * len(unit.inputs)
+    causalities += ["output"] * len(unit.outputs)
+    for reference, (variable, causality) in enumerate(zip(variables, causalities, strict=True), 1):
+        _add(model, reference, variable, causality)
     structure = ET.SubElement(root, "ModelStructure")
     for kind in ("Output", "InitialUnknown"):
-        for reference in range(len(unit.parameters) + 1, len(variables) + 1):
+        for reference in range(len(variables) - len(unit.outputs) + 1, len(variables) + 1):
             ET.SubElement(structure, kind, valueReference=str(reference))
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _add(model: ET.Element, reference: int, variable: Variable) -> None:
+def _add(model: ET.Element, reference: int, variable: Variable, causality: str) -> None:
     """Add a variable to the ModelVariables."""
-    attributes = {"name": variable.name, "valueReference": str(reference)}
+    attributes = {"name": variable.name, "valueReference": str(reference), "causality": causality}
+    element = _ELEMENTS[variable.kind]
     if variable.doc:
         attributes["description"] = variable.doc
     if variable.unit in _UNITS:
         attributes["unit"] = variable.unit
-    if variable.allowed is not None:
-        attributes |= {"causality": "parameter", "variability": "fixed", "initial": "exact"}
-        attributes["start"] = f"{variable.start:.17g}"
-        if abs(variable.allowed.low) < 1e300:
-            attributes["min"] = f"{variable.allowed.low:.17g}"
-        if abs(variable.allowed.high) < 1e300:
-            attributes["max"] = f"{variable.allowed.high:.17g}"
+    if variable.values is not None:
+        element, attributes["declaredType"] = "Enumeration", variable.values.__name__
+    if causality == "output":
+        attributes["initial"] = "calculated"
+        attributes["variability"] = "continuous" if variable.kind is Kind.REAL else "discrete"
     else:
-        attributes |= {"causality": "output", "initial": "calculated"}
-        attributes["variability"] = "discrete" if variable.is_integer else "continuous"
-    ET.SubElement(model, "Int64" if variable.is_integer else "Float64", attributes)
+        is_parameter = causality == "parameter"
+        attributes["variability"] = "fixed" if is_parameter else "continuous"
+        if is_parameter:
+            attributes["initial"] = "exact"
+        attributes["start"] = f"{variable.start:.17g}"
+        if variable.kind is Kind.BOOLEAN:
+            attributes["start"] = "true" if variable.start else "false"
+        elif variable.allowed is not None:
+            for name, limit in (("min", variable.allowed.low), ("max", variable.allowed.high)):
+                if abs(limit) < 1e300:
+                    attributes[name] = f"{limit:.17g}"
+    ET.SubElement(model, element, attributes)
 
 
 def write_fmu(unit: Unit, path: Path) -> None:
@@ -129,9 +145,9 @@ def write_fmu(unit: Unit, path: Path) -> None:
     folder = f"binaries/{platform.machine()}-linux"
     with tempfile.TemporaryDirectory() as sources_name:
         sources = Path(sources_name)
-        write_sources(unit, sources)
+        objects = write_sources(unit, sources)
         library = sources / f"{name}.so"
-        files = [sources / file for file in ("fmi3.c", "bench.c", "kernels.o")]
+        files = [sources / "fmi3.c", sources / "bench.c", *objects]
         link(files, library, "-fvisibility=hidden")
         with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("modelDescription.xml", description(unit))

@@ -23,9 +23,10 @@ typedef struct {
   cs_bench *bench;
 } instance_t;
 
-/* Value references: 0 is the time, then parameters, then outputs. */
+/* Value references: 0 is the time, then parameters, inputs, outputs. */
 enum { TIME = 0, FIRST_PARAMETER = 1 };
-#define FIRST_OUTPUT (FIRST_PARAMETER + CS_PARAMETER_COUNT)
+#define FIRST_INPUT (FIRST_PARAMETER + CS_PARAMETER_COUNT)
+#define FIRST_OUTPUT (FIRST_INPUT + CS_INPUT_COUNT)
 #define END_OF_REFERENCES (FIRST_OUTPUT + CS_OUTPUT_COUNT)
 
 static status_t report(instance_t *instance, status_t status, const char *format, ...) {
@@ -140,19 +141,46 @@ EXPORT status_t fmi3DoStep(instance_t *instance, double t, double step, bool is_
 
 /* Values */
 
-static status_t get(instance_t *instance, reference_t reference, bool is_integer, double *value) {
-  if (reference == TIME && !is_integer) {
+static const cs_variable *variable(reference_t reference) {
+  if (reference >= FIRST_PARAMETER && reference < FIRST_INPUT)
+    return cs_parameter(reference - FIRST_PARAMETER);
+  if (reference >= FIRST_INPUT && reference < FIRST_OUTPUT) return cs_input(reference - FIRST_INPUT);
+  if (reference >= FIRST_OUTPUT && reference < END_OF_REFERENCES)
+    return cs_output(reference - FIRST_OUTPUT);
+  return NULL;
+}
+
+static status_t check_type(instance_t *instance, reference_t reference, cs_type type) {
+  static const char *const names[] = {"Float64", "Int64", "Boolean"};
+  const cs_variable *v = variable(reference);
+  if (v ? v->type == type : reference == TIME && type == CS_REAL) return OK;
+  return report(instance, ERROR, "value reference %u: no %s of this unit", (unsigned)reference,
+                names[type]);
+}
+
+static status_t get(instance_t *instance, reference_t reference, cs_type type, double *value) {
+  status_t status = check_type(instance, reference, type);
+  if (status != OK) return status;
+  if (reference == TIME)
     *value = cs_time(instance->bench);
-  } else if (reference >= FIRST_OUTPUT && reference < END_OF_REFERENCES &&
-             cs_output(reference - FIRST_OUTPUT)->is_integer == is_integer) {
-    *value = cs_read(instance->bench, reference - FIRST_OUTPUT);
-  } else if (reference >= FIRST_PARAMETER && reference < FIRST_OUTPUT && !is_integer) {
+  else if (reference < FIRST_INPUT)
     *value = cs_get(instance->bench, reference - FIRST_PARAMETER);
-  } else {
-    return report(instance, ERROR, "value reference %u: no %s of this unit", (unsigned)reference,
-                  is_integer ? "Int64" : "Float64");
-  }
+  else if (reference < FIRST_OUTPUT)
+    *value = cs_given(instance->bench, reference - FIRST_INPUT);
+  else
+    *value = cs_read(instance->bench, reference - FIRST_OUTPUT);
   return OK;
+}
+
+static status_t set(instance_t *instance, reference_t reference, cs_type type, double value) {
+  status_t status = check_type(instance, reference, type);
+  if (status != OK) return status;
+  if (reference == TIME || reference >= FIRST_OUTPUT)
+    return report(instance, ERROR, "value reference %u: not a parameter or input",
+                  (unsigned)reference);
+  return outcome(instance, reference < FIRST_INPUT
+                               ? cs_set(instance->bench, reference - FIRST_PARAMETER, value)
+                               : cs_put(instance->bench, reference - FIRST_INPUT, value));
 }
 
 static status_t check_sizes(instance_t *instance, size_t references, size_t values) {
@@ -165,7 +193,7 @@ EXPORT status_t fmi3GetFloat64(instance_t *instance, const reference_t *referenc
                                double *values, size_t n_values) {
   status_t status = check_sizes(instance, n, n_values);
   for (size_t k = 0; k < n && status == OK; k++)
-    status = get(instance, references[k], false, &values[k]);
+    status = get(instance, references[k], CS_REAL, &values[k]);
   return status;
 }
 
@@ -174,8 +202,19 @@ EXPORT status_t fmi3GetInt64(instance_t *instance, const reference_t *references
   status_t status = check_sizes(instance, n, n_values);
   for (size_t k = 0; k < n && status == OK; k++) {
     double value = 0.0;
-    status = get(instance, references[k], true, &value);
+    status = get(instance, references[k], CS_INTEGER, &value);
     values[k] = (int64_t)value;
+  }
+  return status;
+}
+
+EXPORT status_t fmi3GetBoolean(instance_t *instance, const reference_t *references, size_t n,
+                               bool *values, size_t n_values) {
+  status_t status = check_sizes(instance, n, n_values);
+  for (size_t k = 0; k < n && status == OK; k++) {
+    double value = 0.0;
+    status = get(instance, references[k], CS_BOOLEAN, &value);
+    values[k] = value != 0.0;
   }
   return status;
 }
@@ -183,12 +222,16 @@ EXPORT status_t fmi3GetInt64(instance_t *instance, const reference_t *references
 EXPORT status_t fmi3SetFloat64(instance_t *instance, const reference_t *references, size_t n,
                                const double *values, size_t n_values) {
   status_t status = check_sizes(instance, n, n_values);
-  for (size_t k = 0; k < n && status == OK; k++) {
-    if (references[k] < FIRST_PARAMETER || references[k] >= FIRST_OUTPUT)
-      return report(instance, ERROR, "value reference %u: not a parameter",
-                    (unsigned)references[k]);
-    status = outcome(instance, cs_set(instance->bench, references[k] - FIRST_PARAMETER, values[k]));
-  }
+  for (size_t k = 0; k < n && status == OK; k++)
+    status = set(instance, references[k], CS_REAL, values[k]);
+  return status;
+}
+
+EXPORT status_t fmi3SetBoolean(instance_t *instance, const reference_t *references, size_t n,
+                               const bool *values, size_t n_values) {
+  status_t status = check_sizes(instance, n, n_values);
+  for (size_t k = 0; k < n && status == OK; k++)
+    status = set(instance, references[k], CS_BOOLEAN, values[k]);
   return status;
 }
 
@@ -265,7 +308,6 @@ ABSENT_TYPE(UInt16)
 ABSENT_TYPE(Int32)
 ABSENT_TYPE(UInt32)
 ABSENT_TYPE(UInt64)
-ABSENT_TYPE(Boolean)
 ABSENT_TYPE(String)
 ABSENT_TYPE(Binary)
 ABSENT_TYPE(Clock)

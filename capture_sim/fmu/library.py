@@ -7,19 +7,21 @@ import math
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from capture_sim import __version__
 from capture_sim.bench import CAUSES, Bench
+from capture_sim.detection.criteria import MEMORY, Criteria, new_memory
+from capture_sim.detection.exact import ROW
 from capture_sim.engine.state import EVENT, WORKSPACE, Status
 from capture_sim.files import whole_file
-from capture_sim.fmu.machine_code import FmuError, instructions, machine_code
-from capture_sim.fmu.variables import Variable, offset_of, outputs, parameters
-from capture_sim.samples import SAMPLE
+from capture_sim.fmu.machine_code import ENTRIES, FmuError, instructions, machine_code
+from capture_sim.fmu.variables import Variable, inputs, offset_of, outputs, parameters
+from capture_sim.samples import SAMPLE, EventKind
 from capture_sim.scene.parts import Scene
 
 _SOURCES = Path(__file__).resolve().parent
@@ -35,7 +37,7 @@ class Unit:
     ----------
     scene
         The scene.
-    parameters, outputs
+    parameters, inputs, outputs
         Its variables, in the order of their numbers.
     header
         Text of ``scene.h``.
@@ -47,10 +49,16 @@ class Unit:
 
     scene: Scene
     parameters: list[Variable]
+    inputs: list[Variable]
     outputs: list[Variable]
     header: str
     token: str
     portable: bool
+
+    @property
+    def variables(self) -> list[Variable]:
+        """All of them."""
+        return [*self.parameters, *self.inputs, *self.outputs]
 
 
 def make_unit(scene: Scene, *, portable: bool = False) -> Unit:
@@ -61,21 +69,26 @@ def make_unit(scene: Scene, *, portable: bool = False) -> Unit:
     SceneError
         The scene is invalid.
     """
-    workspace = Bench(scene).initial_workspace()
-    found, results = parameters(scene, workspace), outputs()
-    data = _header(scene, workspace, found, results, instructions(portable=portable))
+    bench = Bench(scene)
+    workspace = bench.initial_workspace()
+    bench.set_contact(0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # what that changes is done in C, see "words"
+    unit = Unit(scene, parameters(scene, workspace), inputs(scene), outputs(), "", "", portable)
+    data = _header(unit, workspace, bench.initial_workspace())
     token = hashlib.sha256(f"{__version__}\n{data}".encode()).hexdigest()[:32]
     header = f'{data}\n#define CS_TOKEN "{token}"\n'
-    return Unit(scene, found, results, header, token, portable)
+    return replace(unit, header=header, token=token)
 
 
-def write_sources(unit: Unit, folder: Path) -> None:
-    """Write the header, the sources and the kernels' object file into a folder."""
+def write_sources(unit: Unit, folder: Path) -> list[Path]:
+    """Write the header, the sources and the kernels' object files into a folder; return these."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("bench.h", "bench.c", "fmi3.c"):
         shutil.copy(_SOURCES / name, folder)
     (folder / "scene.h").write_text(unit.header, encoding="utf-8")
-    (folder / "kernels.o").write_bytes(machine_code(portable=unit.portable))
+    objects = [folder / f"{entry}.o" for entry in ENTRIES]
+    for entry, path in zip(ENTRIES, objects, strict=True):
+        path.write_bytes(machine_code(entry, portable=unit.portable))
+    return objects
 
 
 def link(sources: Sequence[Path], library: Path, *flags: str) -> None:
@@ -100,29 +113,32 @@ def write_library(unit: Unit, folder: Path) -> Path:
     library = folder / f"lib{unit.scene.name}.so"
     with tempfile.TemporaryDirectory() as name:
         sources = Path(name)
-        write_sources(unit, sources)
+        objects = write_sources(unit, sources)
         with whole_file(library) as part:
-            link([sources / "bench.c", sources / "kernels.o"], part)
+            link([sources / "bench.c", *objects], part)
         with whole_file(folder / "bench.h") as part:
             shutil.copy(sources / "bench.h", part)
     return library
 
 
-def _header(
-    scene: Scene,
-    workspace: np.ndarray,
-    found: Sequence[Variable],
-    results: Sequence[Variable],
-    needs: Sequence[str],
-) -> str:
-    """Return the text of ``scene.h``."""
+def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str:
+    """Return the text of ``scene.h``.
+
+    ``workspace``: the initial one; ``without_walls``: the same for a contact outside.
+    """
+    scene, found = unit.scene, unit.parameters
     data = workspace.tobytes().rstrip(b"\0")
-    places = max(len(variable.places) for variable in found)
+    before, after = (record.view("u8").tolist() for record in (workspace, without_walls))
+    places_of_words = [k for k, word in enumerate(before) if word != after[k]]
+    width = max(len(variable.places) for variable in found)
     constants = {
         "WORKSPACE_SIZE": WORKSPACE.itemsize,
         "STATE_SIZE": offset_of(WORKSPACE, "log"),
         "SAMPLE_SIZE": SAMPLE.itemsize,
         "SAMPLE_TIME": offset_of(SAMPLE, "t"),
+        "MEMORY_SIZE": MEMORY.itemsize,
+        "ROW_SIZE": ROW.itemsize,
+        "RATE": _number(scene.run.rate),
         "STATUS": offset_of(WORKSPACE, "progress", "status"),
         "STATUS_SERVED": int(Status.SERVED),
         "STATUS_INTERRUPTED": int(Status.INTERRUPTED),
@@ -131,15 +147,34 @@ def _header(
         "LOG": offset_of(WORKSPACE, "log"),
         "EVENT_SIZE": EVENT.itemsize,
         "EVENT_TIME": offset_of(EVENT, "t"),
+        "EVENT_KIND": offset_of(EVENT, "kind"),
+        "EVENT_LATCHED": int(EventKind.LATCHED),
         "STEP_START": offset_of(WORKSPACE, "step", "t0"),
+        "EQUATIONS_CHANGED": offset_of(WORKSPACE, "step", "equations_changed"),
         "HAS_SHAPED_BUFFER": offset_of(WORKSPACE, "system", "par", "has_shaped_buffer"),
-        "PLACES": places,
+        "AFTER_LATCH": offset_of(WORKSPACE, "system", "par", "after_latch"),
+        "DRIVEN": offset_of(WORKSPACE, "system", "mode", "driven"),
+        "WORD_COUNT": len(places_of_words),
+        "PLACES": width,
         "PARAMETER_COUNT": len(found),
-        "OUTPUT_COUNT": len(results),
+        "INPUT_COUNT": len(unit.inputs),
+        "OUTPUT_COUNT": len(unit.outputs),
     }
+    needs = instructions(portable=unit.portable)
     checks = [f"CS_NEED({_c(name)})" for name in needs]
-    causes = [CAUSES.get(status, "") for status in Status]
-    rows = [", ".join(map(str, data[k : k + 32])) for k in range(0, len(data), 32)]
+
+    def table(declaration: str, rows: Iterable[object]) -> str:
+        """Return a table of C, which has at least one row."""
+        lines = [f"  {row}" for row in rows] or ["  {0}"]
+        return f"static const {declaration} = {{\n" + ",\n".join(lines) + "\n};"
+
+    def in_lines(values: Sequence[object]) -> list[str]:
+        return [", ".join(map(str, values[k : k + 32])) for k in range(0, len(values), 32)]
+
+    def braced(values: Iterable[object]) -> str:
+        return f"{{{', '.join(map(str, values))}}}"
+
+    memory = new_memory(has_approached=True).tobytes()
     return "\n".join(
         [
             "/* Data of one scene; made by capture-sim fmu. */",
@@ -148,41 +183,37 @@ def _header(
             *(f"#define CS_{name} {value}" for name, value in constants.items()),
             "#define CS_NEVER (1.0 / 0.0)",
             *([f"#define CS_NEEDS {' '.join(checks)}"] if needs else []),
-            "static const unsigned char cs_initial[] = {",
-            ",\n".join(rows),
-            "};",
-            "static const char *const cs_causes[] = {",
-            *(f"  {_c(cause)}," for cause in causes),
-            "};",
-            "static const cs_variable cs_parameters[] = {",
-            *(_variable(variable) for variable in found),
-            "};",
+            table("unsigned char cs_initial[]", in_lines(data)),
+            table("unsigned char cs_memory[]", in_lines(memory)),
+            table("double cs_criteria[]", map(_number, Criteria.of(scene))),
+            "/* What changes in the workspace if the contact is outside. */",
+            table(
+                "struct { size_t place; uint64_t word; } cs_words[]",
+                (braced((8 * k, f"{after[k]:#x}u")) for k in places_of_words),
+            ),
+            table("char *const cs_causes[]", (_c(CAUSES.get(status, "")) for status in Status)),
+            table("cs_variable cs_parameters[]", map(_variable, found)),
             "/* Places of a parameter in the workspace; 0: none. */",
-            f"static const size_t cs_places[][{places}] = {{",
-            *(f"  {{{', '.join(map(str, variable.places))}}}," for variable in found),
-            "};",
-            "static const int cs_shapes_buffer[] = {",
-            "  " + ", ".join(str(int(variable.shapes_buffer)) for variable in found),
-            "};",
-            "static const cs_variable cs_outputs[] = {",
-            *(_variable(variable) for variable in results),
-            "};",
-            "static const size_t cs_output_places[] = {",
-            "  " + ", ".join(str(variable.places[0]) for variable in results),
-            "};",
+            table(f"size_t cs_places[][{width}]", (braced(v.places) for v in found)),
+            table("int cs_shapes_buffer[]", (int(v.shapes_buffer) for v in found)),
+            table("cs_variable cs_inputs[]", map(_variable, unit.inputs)),
+            table("size_t cs_input_places[]", (v.places[0] for v in unit.inputs)),
+            table("cs_variable cs_outputs[]", map(_variable, unit.outputs)),
+            table("size_t cs_output_places[]", (v.places[0] for v in unit.outputs)),
         ]
     )
 
 
 def _variable(variable: Variable) -> str:
     """Return a variable as an initialiser of ``cs_variable``."""
-    allowed, cells = variable.allowed, [_c(variable.name), _c(variable.unit)]
+    allowed, cells = variable.allowed, [_c(variable.name), _c(variable.unit), _c(variable.meaning)]
+    cells.append(variable.kind.value)
     if allowed is None:
         cells += ["0"] * 6
     else:
         cells += [_c(str(allowed)), *map(_number, (variable.start, allowed.low, allowed.high))]
         cells += [str(int(allowed.low_open)), str(int(allowed.high_open))]
-    return f"  {{{', '.join([*cells, str(int(variable.is_integer))])}}},"
+    return f"{{{', '.join(cells)}}}"
 
 
 def _number(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Machine code of the engine's loop, for programs without Python.
+"""Machine code of the engine's loop and of the detector, for programs without Python.
 
 Only public parts of Numba and llvmlite are used: ``cfunc``, the text of its LLVM module, and LLVM's
 code generator.  The mangled name of the function in that text is the one thing that no
@@ -12,15 +12,17 @@ from functools import cache
 
 import llvmlite.binding as llvm
 import numba
+import numpy as np
 from numba import carray, cfunc, types
 
+from capture_sim.detection import criteria, exact
 from capture_sim.engine import loop
 from capture_sim.engine.state import WORKSPACE
 from capture_sim.errors import CaptureSimError
 from capture_sim.samples import SAMPLE
 
-#: Name of the function in the object file.
-SYMBOL = "capture_sim_advance"
+#: Functions of C: see :func:`_advance` and :func:`_detect`.
+ENTRIES = ("capture_sim_advance", "capture_sim_detect")
 #: Instructions beyond the architecture's first generation that the C compiler can ask for.
 _TESTABLE = ("avx", "avx2", "fma", "bmi", "bmi2", "avx512f", "avx512dq", "avx512bw", "avx512vl")
 _OLDEST = {"x86_64": "x86-64", "aarch64": "generic"}
@@ -39,8 +41,8 @@ def instructions(*, portable: bool) -> tuple[str, ...]:
 
 
 @cache
-def machine_code(*, portable: bool) -> bytes:
-    """Return an object file with the function :data:`SYMBOL`; compiling it needs about 8 s.
+def machine_code(entry: str, *, portable: bool) -> bytes:
+    """Return an object file with one of :data:`ENTRIES`; compiling all needs about 10 s.
 
     ``portable``: for any processor of this architecture, and not only for processors with the
     instructions of this one.  The results of the two differ by round-off.
@@ -57,8 +59,9 @@ def machine_code(*, portable: bool) -> bytes:
         )
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    module = llvm.parse_assembly(_llvm_text())
-    _keep_only_the_loop(module)
+    text = _advance() if entry == ENTRIES[0] else _detect()
+    module = llvm.parse_assembly(text)
+    _keep_only(entry, module)
     cpu, features = _OLDEST[platform.machine()], ""
     if not portable and numba.config.CPU_NAME:  # as the kernels in Python are compiled
         cpu, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES or ""
@@ -73,24 +76,50 @@ def machine_code(*, portable: bool) -> bytes:
     return bytes(target.emit_object(module))
 
 
-def _llvm_text() -> str:
+def _pointer(record: np.dtype) -> types.CPointer:
+    return types.CPointer(numba.from_dtype(record))
+
+
+_NUMBERS = types.CPointer(types.float64)
+
+
+def _advance() -> str:
     """Return the LLVM module of the loop with all its kernels, optimised by Numba."""
     advance = loop.advance.compiled  # type: ignore[attr-defined]
-    workspace, sample = (types.CPointer(numba.from_dtype(t)) for t in (WORKSPACE, SAMPLE))
-    number = types.CPointer(types.float64)
 
     def capture_sim_advance(w, times, n_times, samples, trace, n_trace):  # type: ignore[no-untyped-def]
         return advance(
             carray(w, 1), carray(times, n_times), carray(samples, n_times), carray(trace, n_trace)
         )
 
-    signature = types.int64(workspace, number, types.int64, sample, sample, types.int64)
+    workspace, sample = _pointer(WORKSPACE), _pointer(SAMPLE)
+    signature = types.int64(workspace, _NUMBERS, types.int64, sample, sample, types.int64)
     text: str = cfunc(signature)(capture_sim_advance).inspect_llvm()
     return text
 
 
-def _keep_only_the_loop(module: llvm.ModuleRef) -> None:
-    """Give the loop its name, and hide everything else, so that what it does not call goes.
+def _detect() -> str:
+    """Return the LLVM module of the criteria: at one sample, or at the end of the run."""
+    last_undecided = int(criteria.CaptureState.CONTACT)  # a verdict before the end stays
+    follow, decide_at_end = exact.follow.compiled, criteria.decide_at_end.compiled  # type: ignore[attr-defined]
+
+    def capture_sim_detect(numbers, memory, sample, y, row, is_end):  # type: ignore[no-untyped-def]
+        limits, memories = carray(numbers, 1)[0], carray(memory, 1)
+        if is_end and memories[0].state <= last_undecided:
+            decide_at_end(limits, memories[0], 0.0, False)
+        else:
+            follow(limits, memories, carray(sample, 1), carray(y, 16), carray(row, 1), False)
+        return memories[0].state
+
+    limits = _pointer(np.dtype([(name, "f8") for name in criteria.Criteria._fields]))
+    memory, sample, row = map(_pointer, (criteria.MEMORY, SAMPLE, exact.ROW))
+    signature = types.int64(limits, memory, sample, _NUMBERS, row, types.int64)
+    text: str = cfunc(signature)(capture_sim_detect).inspect_llvm()
+    return text
+
+
+def _keep_only(entry: str, module: llvm.ModuleRef) -> None:
+    """Give a function its name, and hide everything else, so that what it does not call goes.
 
     Next to the function itself, the module has a wrapper that reports exceptions to Python.
     """
@@ -98,15 +127,15 @@ def _keep_only_the_loop(module: llvm.ModuleRef) -> None:
         function
         for function in module.functions
         if not function.is_declaration
-        and SYMBOL in function.name
+        and entry in function.name
         and not function.name.startswith("cfunc")
     ]
     if len(found) != 1:
         raise FmuError(
             f"Numba {numba.__version__} names compiled functions in a way that is not known: "
-            f"{len(found)} functions contain {SYMBOL!r}, not 1"
+            f"{len(found)} functions contain {entry!r}, not 1"
         )
     for thing in (*module.functions, *module.global_variables):
         if not thing.is_declaration:
             thing.linkage = "internal"
-    found[0].name, found[0].linkage = SYMBOL, "external"
+    found[0].name, found[0].linkage = entry, "external"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
 from typing import Any
 
 import numpy as np
 
+from capture_sim.detection.criteria import MEMORY, CaptureState
 from capture_sim.engine.state import WORKSPACE
-from capture_sim.samples import SAMPLE, columns_of, unit_of_column
+from capture_sim.samples import SAMPLE, Phase, columns_of, unit_of_column
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import ANY, Range, declared
 
@@ -34,6 +36,14 @@ _INITIAL: tuple[tuple[str, Mapping[str, tuple[int, ...]]], ...] = (
 )
 
 
+class Kind(Enum):
+    """Type of a variable; the value is its name in ``bench.h``."""
+
+    REAL = "CS_REAL"
+    INTEGER = "CS_INTEGER"
+    BOOLEAN = "CS_BOOLEAN"
+
+
 @dataclass(frozen=True)
 class Variable:
     """A number of a unit.
@@ -45,27 +55,37 @@ class Variable:
     unit
         SI unit.
     places
-        Offsets in bytes: a parameter's in the workspace (one or two), an output's in a sample.
-    is_integer
-        True for int64, False for double.
+        Offsets in bytes: in the workspace (a parameter's one or two, an input's), or in a sample
+        followed by the detector's memory (an output's).
+    kind
+        Its type; INTEGER and BOOLEAN are int64 in these records.
     allowed
-        Range of a parameter; None for an output.
+        Range of a parameter; None for an input or output.
     start
         Value in the scene.
     doc
         Meaning.
     shapes_buffer
         True if the buffer's general law has to apply once this parameter is set.
+    values
+        Named values of an INTEGER; None for any.
     """
 
     name: str
     unit: str
     places: tuple[int, ...]
-    is_integer: bool = False
+    kind: Kind = Kind.REAL
     allowed: Range | None = None
     start: float = 0.0
     doc: str = ""
     shapes_buffer: bool = False
+    values: type[IntEnum] | None = None
+
+    @property
+    def meaning(self) -> str:
+        """The meaning, with the named values."""
+        named = [f"{value.value} {value.name.lower()}" for value in self.values or ()]
+        return "; ".join(filter(None, (self.doc, ", ".join(named))))
 
 
 def offset_of(record: np.dtype, *names: str) -> int:
@@ -78,8 +98,17 @@ def offset_of(record: np.dtype, *names: str) -> int:
     return offset
 
 
+#: What the detector says: its names in the memory of the criteria, and in a status.
+_DETECTED = (
+    Variable("capture_state", "1", (), Kind.INTEGER, doc="verdict", values=CaptureState),
+    Variable("capture_since", "s", (), doc="begin of the present capture_state"),
+    Variable("nearest_distance", "m", (), doc="closest approach of the tip to the centre of BE"),
+)
+_REMEMBERED = ("state", "since", "nearest")
+
+
 def outputs() -> list[Variable]:
-    """Return the numbers of a sample but for its time, named as in tables."""
+    """Return the numbers of a sample but for its time, named as in tables, and the detector's."""
     places = np.zeros(1, [(name, "i8", SAMPLE[name].shape) for name in SAMPLE.names or ()])
     for name in SAMPLE.names or ():
         n = max(1, int(np.prod(SAMPLE[name].shape)))
@@ -89,9 +118,30 @@ def outputs() -> list[Variable]:
     for column, place in columns_of(places).items():
         is_integer = SAMPLE[column.partition(".")[0]].base.kind == "i"
         if column != "t":
+            kind = Kind.INTEGER if is_integer else Kind.REAL
+            values = Phase if column == "phase" else None
             unit = unit_of_column(column)
-            found.append(Variable(column, unit, (int(place[0]),), is_integer))
+            found.append(Variable(column, unit, (int(place[0]),), kind, values=values))
+    for variable, name in zip(_DETECTED, _REMEMBERED, strict=True):
+        found.append(replace(variable, places=(SAMPLE.itemsize + offset_of(MEMORY, name),)))
     return found
+
+
+def inputs(scene: Scene) -> list[Variable]:
+    """Return the wrench on the tip from outside; none for a scene with supports.
+
+    Vehicles at rest on supports begin to move where the load on them passes a limit; the engine
+    seeks that within its steps, in which a load from outside must not jump.
+    """
+    if scene.supports is not None:
+        return []
+    place = offset_of(WORKSPACE, "system", "mode", "wrench")
+    numbers = (("force.x", "N"), ("force.y", "N"), ("torque.z", "N m"))
+    doc = "wrench on the tip, about its centre, in the axes of target/cone"
+    return [
+        Variable(f"wrench.{name}", unit, (place + 8 * k,), doc=doc)
+        for k, (name, unit) in enumerate(numbers)
+    ]
 
 
 def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
@@ -110,7 +160,7 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
         spec = declared(type(part))[name]
         start = float(raw[places[0] : places[0] + 8].view(np.float64)[0])
         allowed = spec.allowed or ANY
-        return Variable(path, spec.unit, places, False, allowed, start, spec.doc, shapes_buffer)
+        return Variable(path, spec.unit, places, Kind.REAL, allowed, start, spec.doc, shapes_buffer)
 
     def parameter(name: str) -> int:
         return offset_of(WORKSPACE, "system", "par", name)
@@ -137,4 +187,9 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
         for body, entries in _INITIAL:
             for name, numbers in entries.items():
                 found.append(variable(f"{body}.{name}", *(state + 8 * k for k in numbers)))
+    if scene.supports is None:
+        place = offset_of(WORKSPACE, "system", "mode", "driven")
+        doc = "the wrench inputs act in place of the cone's walls"
+        flag = Variable("contact_outside", "1", (place,), Kind.BOOLEAN, Range(0.0, 1.0), doc=doc)
+        found.append(flag)
     return found

@@ -15,6 +15,8 @@ from capture_sim.hardware.law import WallLaw
 _PRIOR_DEVIATIONS = np.array([2.3, 3.0, 2e-4, 5e-3])
 #: By at least so much a contact may change from touch to touch.
 _DRIFT = np.array([0.05, 0.1, 2e-6, 2e-4])
+#: Differences by which the slopes against these are found.
+_DIFFERENCES = np.diag([1e-6, 1e-6, 1e-9, 1e-5])
 #: A touch of a law is not known better than this share of its peak force.
 _MODEL_ERROR = 1e-3
 _MAX_LOSS = 30.0  # damping times speed over stiffness; restitution 0.03
@@ -61,36 +63,24 @@ def fit_touch(
     loss = min(prior.law.damping * speed / prior.law.stiffness, _MAX_LOSS)
     mean = np.array([math.log(prior.law.stiffness), loss, prior.law.offset, prior.lag])
 
-    def at(lag: float) -> tuple[np.ndarray, np.ndarray]:
-        return _interpolated(t, depth, rate, t - lag)
+    def law_of(theta: np.ndarray) -> WallLaw:
+        stiffness = float(np.exp(theta[0]))  # inf where math.exp would raise
+        damping, offset = float(theta[1]) * stiffness / speed, float(theta[2])
+        return prior.law._replace(stiffness=stiffness, damping=damping, offset=offset)
 
-    def predicted(theta: np.ndarray, path: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        inside = np.maximum(path[0] + theta[2], 0.0)
-        return np.exp(theta[0]) * inside**p * np.maximum(1.0 + theta[1] * path[1] / speed, 0.0)
+    def predicted(theta: np.ndarray) -> np.ndarray:
+        return law_of(theta).normal_forces(*_interpolated(t, depth, rate, t - theta[3]))
 
     def cost(theta: np.ndarray) -> float:
-        misfit = (force - predicted(theta, at(theta[3]))) / sigma
+        misfit = (force - predicted(theta)) / sigma
         return float(misfit @ misfit + (((theta - mean) / widths) ** 2).sum())
-
-    def jacobian(theta: np.ndarray, now: np.ndarray) -> np.ndarray:
-        path = at(theta[3])
-        inside = np.maximum(path[0] + theta[2], 0.0)
-        grip = np.maximum(1.0 + theta[1] * path[1] / speed, 0.0)
-        slope = np.exp(theta[0]) * p * np.where(inside > 0.0, inside, 1.0) ** (p - 1.0)
-        columns = (
-            now,
-            np.exp(theta[0]) * inside**p * path[1] / speed * (grip > 0.0),
-            slope * grip * (inside > 0.0),
-            (predicted(theta, at(theta[3] + 1e-5)) - now) / 1e-5,
-        )
-        return np.stack(columns, axis=1)
 
     best, least, normal = mean, math.inf, np.diag(widths**-2.0)
     for theta in _first_guesses(t, depth, rate, force, threshold, p, mean):
         reached, damping = cost(theta), 1e-3
         for _ in range(_MAX_ITERATIONS):
-            now = predicted(theta, at(theta[3]))
-            J = jacobian(theta, now)
+            now = predicted(theta)
+            J = np.stack([(predicted(theta + d) - now) / d.sum() for d in _DIFFERENCES], axis=1)
             here = J.T @ J / sigma**2 + np.diag(widths**-2.0)
             gradient = J.T @ (force - now) / sigma**2 - (theta - mean) / widths**2
             if reached < least:
@@ -111,18 +101,13 @@ def fit_touch(
         if least < _FOUND * len(t):
             break
     theta = best
-    residual = math.sqrt(float(np.mean((force - predicted(theta, at(theta[3]))) ** 2)))
+    residual = math.sqrt(float(np.mean((force - predicted(theta)) ** 2)))
     spread = max(1.0, residual / sigma)
     deviations = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    stiffness = math.exp(theta[0])
-    law = prior.law._replace(
-        stiffness=stiffness,
-        damping=float(theta[1]) * stiffness / speed,
-        offset=float(theta[2]),
-        friction=_friction(force, tangential, slip, prior.law, sigma),
-    )
+    law = law_of(theta)
+    law = law._replace(friction=_friction(force, tangential, slip, law, sigma))
     restitution = law.restitution(speed)
-    lossier = law._replace(damping=law.damping + deviations[1] * stiffness / speed)
+    lossier = law._replace(damping=law.damping + deviations[1] * law.stiffness / speed)
     return LawEstimate(
         law,
         float(theta[3]),
@@ -179,5 +164,5 @@ def _friction(
     force: np.ndarray, tangential: np.ndarray, slip: np.ndarray, prior: WallLaw, sigma: float
 ) -> float:
     """Return the coefficient of friction, by least squares with the prior as a measurement."""
-    drive = -force * np.tanh(slip / prior.slip_speed) / sigma
+    drive = -force * prior.grips(slip) / sigma
     return max(float((drive @ tangential / sigma + prior.friction) / (drive @ drive + 1.0)), 0.0)

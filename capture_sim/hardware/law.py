@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from capture_sim.kernels import plain
+import numpy as np
+
+from capture_sim.kernels import entry_kernel, plain
 from capture_sim.model.contact import (
     TANH,
     friction_coefficient,
@@ -17,6 +19,27 @@ from capture_sim.scene.parts import Scene
 
 _nearest_on_wall = plain(nearest_on_wall)
 _normal_force, _friction_coefficient = plain(normal_force), plain(friction_coefficient)
+
+
+@entry_kernel
+def _wall_forces(
+    depth: np.ndarray,
+    rate: np.ndarray,
+    stiffness: float,
+    exponent: float,
+    damping: float,
+    force: np.ndarray,
+) -> None:
+    """Write the normal force at each penetration (m) and rate (m/s) into ``force``, N."""
+    for i in range(depth.size):
+        force[i], _ = normal_force(depth[i], rate[i], stiffness, exponent, damping)
+
+
+@entry_kernel
+def _grips(slip: np.ndarray, grip: np.ndarray) -> None:
+    """Write the regularised friction of a coefficient 1 at each slip over slip_speed."""
+    for i in range(slip.size):
+        grip[i] = friction_coefficient(slip[i], 1.0, 0.0, TANH)
 
 
 class Wrench(NamedTuple):
@@ -90,6 +113,18 @@ class WallLaw(NamedTuple):
     def _peak_depth(self, mass: float, speed: float) -> float:
         n = self.exponent + 1.0
         return float((0.5 * n * mass * speed**2 / self.stiffness) ** (1.0 / n))
+
+    def normal_forces(self, depth: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the normal force (n,), N, at depths in the scene's wall (m) and rates (m/s)."""
+        force = np.empty(len(depth))
+        _wall_forces(depth + self.offset, rate, self.stiffness, self.exponent, self.damping, force)
+        return force
+
+    def grips(self, slip: np.ndarray) -> np.ndarray:
+        """Return friction (n,) as a share of mu F_n, with the sign of the slip (m/s)."""
+        grip = np.empty(len(slip))
+        _grips(slip / self.slip_speed, grip)
+        return grip
 
     def restitution(self, speed: float) -> float:
         """Return the restitution of a touch at this approach speed (m/s), in closed form."""

@@ -70,7 +70,8 @@ class Loop:
     ) -> None:
         if method == "model" and law.stiffness <= 0.0:
             raise CaptureSimError(f"stiffness = {law.stiffness:g} N/m^exponent: must be > 0")
-        WallLaw(1.0, damping=1.0).restitution(1.0)  # loads what it needs, not within a step
+        one = WallLaw(1.0, damping=1.0)  # loads what a fit needs, not within a step
+        one.restitution(1.0), one.normal_forces(np.ones(1), np.ones(1)), one.grips(np.ones(1))
         self.stage, self.method = stage, method
         self._limits, self._threshold = limits, threshold
         self._walls = Walls(stage.scene)

@@ -66,6 +66,7 @@ def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> 
         "rig_peak_force": loop.rig_peak_force,
         "vehicle_peak_force": max((e.peak_force for e in loop.episodes), default=0.0),
         "law": loop.estimate.law._asdict(),
+        "next_law": _next_law(loop),
         "contacts": [_entry(episode) for episode in loop.episodes],
     }
 
@@ -96,10 +97,22 @@ def summary(loop: Loop, report: dict[str, Any]) -> list[str]:
         lines.append(
             f"first contact: restitution {'not known' if math.isnan(value) else f'{value:.4f}'}"
         )
-    if loop.estimate.deviations is not None:
-        law = loop.estimate.law
-        lines.append(
-            f"next law: -p stiffness:={law.stiffness:.6g} -p exponent:={law.exponent:.6g} "
-            f"-p damping:={law.damping:.6g} -p wall_offset:={law.offset:.4g}"
-        )
+    if report["next_law"]:
+        lines.append(f"next law: {report['next_law']}")
     return lines
+
+
+def _next_law(loop: Loop) -> str:
+    """Return the fitted law as parameters of the node, to paste; empty without a fit."""
+    if loop.estimate.deviations is None:
+        return ""
+    law = loop.estimate.law
+    values = {
+        "stiffness": law.stiffness,
+        "exponent": law.exponent,
+        "damping": law.damping,
+        "wall_offset": law.offset,
+        "friction": law.friction,
+    }
+    # ROS takes a number without a point for an integer, and rejects it
+    return " ".join(f"-p {name}:={float(f'{value:.9g}')!r}" for name, value in values.items())

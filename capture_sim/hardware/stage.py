@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from capture_sim.hardware.law import NO_LAW, NO_WRENCH, TipState, WallLaw, Wrenc
 from capture_sim.interrupts import in_worker
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
-from capture_sim.samples import EventKind
+from capture_sim.samples import Event, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 
@@ -126,6 +127,16 @@ class LoopStage:
         """Magnitude of the force on the tip within the last step, (N_SAMPLES,), N."""
         force = self._samples["contact_force"]
         return np.hypot(force[:, 0], force[:, 1])
+
+    @property
+    def sample(self) -> np.ndarray:
+        """The present state, a copy (1,) of dtype SAMPLE."""
+        return self._samples[-1:].copy()
+
+    @property
+    def events(self) -> Sequence[Event]:
+        """What the bench has located so far."""
+        return self._bench.events
 
     @property
     def latched(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 from capture_sim.errors import SceneError
 from capture_sim.launch.plan import plan_launch, rolling_force, travel_to_touch
 from capture_sim.scene.parts import Cone, Initial, PlanarState, Scene
-from capture_sim.scene.quantities import Checked, Range, accept, declared, quantity
+from capture_sim.scene.quantities import Checked, Range, accept, declared, quantity, replaced
 
 #: Distance from the start to the first touch where the approach is given, m.
 RUN_UP = 2e-3
@@ -115,7 +115,7 @@ def placed(scene: Scene, approach: Approach, run_up: float = RUN_UP) -> Scene:
     x, y = target.x - far * c - offset * s, target.y - far * s + offset * c
     chaser = PlanarState(x, y, heading)
     turned = PlanarState(target.x, target.y, math.remainder(heading + approach.angle, math.tau))
-    scene = replace(scene, initial=Initial(chaser, turned), rail=None, string=None)
+    scene = replaced(scene, {"initial": Initial(chaser, turned), "rail": None, "string": None})
     travel = travel_to_touch(scene)
     if not math.isfinite(travel):  # the cone lies within L_T + L_c + R_c of the centre of mass
         travel = far - scene.buffer.hinge_offset - scene.rest_length - scene.cone.L_T
@@ -124,4 +124,4 @@ def placed(scene: Scene, approach: Approach, run_up: float = RUN_UP) -> Scene:
     slowing = rolling_force(scene) / scene.chaser_total_mass
     start = math.sqrt(speed * speed + 2.0 * slowing * run_up)
     chaser = PlanarState(x + distance * c, y + distance * s, heading, start * c, start * s)
-    return replace(scene, initial=Initial(chaser, turned))
+    return replaced(scene, {"initial": Initial(chaser, turned)})  # type: ignore[no-any-return]

@@ -23,6 +23,7 @@ from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_motion
 from capture_sim.model.geometry import travel_to_wall
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.remembered import depends_on
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,14 @@ class LaunchPlan:
     travel: float  # of the chaser from the release to the first touch, m; ``inf`` if there is none
 
 
+#: Fields that the tip's place at the release depends on.
+TIP_AT_RELEASE = (
+    *("initial.chaser.x", "initial.chaser.y", "initial.chaser.theta", "initial.target"),
+    *("buffer.hinge_offset", "buffer.rest_length", "probe"),
+)
+
+
+@depends_on(*TIP_AT_RELEASE)
 def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
     """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
     chaser, target = scene.initial.chaser, scene.initial.target
@@ -52,6 +61,7 @@ def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
     return plain(tip_motion)((*q, *unit_rates), arm, *sine_cosine)
 
 
+@depends_on(*TIP_AT_RELEASE, "cone")
 def travel_to_touch(scene: Scene) -> float:
     """Return the chaser's travel to the first touch of a resting target, m.
 

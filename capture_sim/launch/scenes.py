@@ -14,10 +14,16 @@ import numpy as np
 from capture_sim.errors import SceneError
 from capture_sim.kernels import plain
 from capture_sim.launch.approach import approached
-from capture_sim.launch.plan import LaunchPlan, plan_launch, tip_at_release, travel_to_touch
+from capture_sim.launch.plan import (
+    TIP_AT_RELEASE,
+    LaunchPlan,
+    plan_launch,
+    tip_at_release,
+    travel_to_touch,
+)
 from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
 from capture_sim.model.geometry import nearest_on_wall
-from capture_sim.model.parameters import loads
+from capture_sim.model.parameters import LOADS, loads
 from capture_sim.resources import config_dir
 from capture_sim.scene.files import (
     Overrides,
@@ -29,6 +35,7 @@ from capture_sim.scene.files import (
 )
 from capture_sim.scene.parts import Scene, as_mapping, as_name
 from capture_sim.scene.quantities import refuse
+from capture_sim.scene.remembered import depends_on
 
 #: Between a scene's title and the list of its changes.
 _CHANGED = "; with "
@@ -146,6 +153,7 @@ def check_scene(scene: Scene) -> LaunchPlan:
         ) from None
 
 
+@depends_on("contact")
 def _contact(scene: Scene) -> None:
     law, restitution = scene.contact.law, scene.contact.restitution
     is_given = scene.contact.hysteresis_factor is not None
@@ -153,12 +161,14 @@ def _contact(scene: Scene) -> None:
         raise refuse("contact.restitution", restitution, "", f"> 0 and <= 1 with the law {law}")
 
 
+@depends_on("friction")
 def _friction(scene: Scene) -> None:
     mu, mu_s = scene.friction.mu, scene.friction.mu_s
     if mu_s is not None and mu_s < mu:
         raise refuse("friction.mu_s", mu_s, "", f">= {mu:g}, friction.mu, or null")
 
 
+@depends_on("cone", "probe", "buffer.rest_length")
 def _throat(scene: Scene) -> None:
     R_c, R_t, rest_length = scene.cone.R_c, scene.probe.tip_radius, scene.buffer.rest_length
     if R_c < R_t:
@@ -168,6 +178,7 @@ def _throat(scene: Scene) -> None:
         raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
 
 
+@depends_on("buffer")
 def _force_table(scene: Scene) -> None:
     buffer, table = scene.buffer, scene.buffer.force_table
     if table is None:
@@ -189,6 +200,7 @@ def _force_table(scene: Scene) -> None:
             raise refuse(f"{name}[{k}], force", force, "N", ">= 0")
 
 
+@depends_on("stops", "buffer.preload", "buffer.force_table")
 def _stops(scene: Scene) -> None:
     stops, preload = scene.stops, scene.buffer.seat_force
     if stops is not None and stops.extension is not None and preload > 0.0:
@@ -197,6 +209,7 @@ def _stops(scene: Scene) -> None:
         raise refuse("stops.extension", stops.extension, "m", why)
 
 
+@depends_on("run", "sensors")
 def _rates(scene: Scene) -> None:
     state_rate, sensors = scene.run.state_rate, scene.sensors
     rates = {"run.rate": scene.run.rate}
@@ -211,6 +224,7 @@ def _rates(scene: Scene) -> None:
             raise refuse(name, rate, "Hz", allowed)
 
 
+@depends_on(*LOADS, "supports")
 def _supports(scene: Scene) -> None:
     if scene.supports is None:
         return
@@ -232,6 +246,7 @@ def _supports(scene: Scene) -> None:
             raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)
 
 
+@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail")
 def _rail(scene: Scene) -> None:
     if scene.rail is None:
         return
@@ -255,6 +270,7 @@ def _rail(scene: Scene) -> None:
         raise refuse("rail.length", length, "m", f"< {travel:.6g}, {why}")
 
 
+@depends_on("string", "rail", "initial")
 def _string(scene: Scene) -> None:
     string = scene.string
     if string is None:
@@ -276,12 +292,14 @@ def _string(scene: Scene) -> None:
         )
 
 
+@depends_on("cone", "latch")
 def _latch(scene: Scene) -> None:
     mouth = scene.cone.L_c * math.cos(scene.cone.half_angle)
     if scene.latch is not None and scene.latch.radius >= mouth:
         raise refuse("latch.radius", scene.latch.radius, "m", f"< {mouth:.6g}, the cone's depth")
 
 
+@depends_on(*TIP_AT_RELEASE, "cone")
 def _start(scene: Scene) -> None:
     px, py, _, _ = tip_at_release(scene)
     cone, initial = scene.cone, scene.initial

@@ -12,6 +12,7 @@ from capture_sim.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
 from capture_sim.model.force_table import FORCE_TABLE, force_table
 from capture_sim.model.supports import ball_loads
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.remembered import depends_on
 
 #: Constants of a run; the kernels only read them.
 PARAMETERS = np.dtype(
@@ -101,6 +102,13 @@ def chaser_com_offset(scene: Scene) -> float:
     return moment / scene.chaser_total_mass
 
 
+#: Fields that the loads of the balls depend on.
+LOADS = (
+    *("chaser.mass", "cylinder", "probe", "buffer.hinge_offset", "buffer.rest_length"),
+    *("target.mass", "gravity"),
+)
+
+
 def loads(scene: Scene, vehicle: str) -> np.ndarray:
     """Return the loads (3,) of the balls under ``"chaser"`` or ``"target"``, N.
 
@@ -128,60 +136,97 @@ def _cached_loads(
     return load
 
 
-def pack(
-    scene: Scene, hanging_mass: float, drop_height: float, impact_speed: float = 0.0
-) -> np.ndarray:
-    """Return the (1,) record of a scene with the launch's hanging mass (kg) and drop height (m).
+@depends_on("chaser", "cylinder", "probe", "target")
+def _bodies(scene: Scene) -> dict[str, Any]:
+    cylinder, probe, target = scene.cylinder, scene.probe, scene.target
+    l_C = -cylinder.length / 2.0
+    return {
+        "m_S": scene.chaser.mass,
+        "I_S": scene.chaser.inertia,
+        "m_T": target.mass,
+        "I_T": target.inertia,
+        "m_C": cylinder.mass,
+        "m_P": probe.mass,
+        "m_total": scene.chaser_total_mass,
+        "inverse_m_total": 1.0 / scene.chaser_total_mass,
+        "inverse_m_SC": 1.0 / (scene.chaser.mass + cylinder.mass),
+        "inverse_m_P": 1.0 / probe.mass,
+        "inverse_m_T": 1.0 / target.mass,
+        "inverse_I_T": 1.0 / target.inertia,
+        "d": probe.com_offset,
+        "first_moment_0": cylinder.mass * l_C - probe.mass * probe.com_offset,
+        "hinge_inertia_0": cylinder.inertia + cylinder.mass * l_C**2 + probe.inertia,
+    }
 
-    ``impact_speed`` (m/s) is that of the launch plan, for the error scale.
-    """
-    # written into the record at once: its fields one by one take four times as long
-    p: dict[str, Any] = dict.fromkeys(PARAMETERS.names or (), 0)
-    l_C = -scene.cylinder.length / 2.0
-    p["m_S"], p["I_S"] = scene.chaser.mass, scene.chaser.inertia
-    p["m_T"], p["I_T"] = scene.target.mass, scene.target.inertia
-    p["m_C"], p["m_P"] = scene.cylinder.mass, scene.probe.mass
-    p["m_total"] = scene.chaser_total_mass
-    p["inverse_m_total"] = 1.0 / scene.chaser_total_mass
-    p["inverse_m_SC"] = 1.0 / (scene.chaser.mass + scene.cylinder.mass)
-    p["inverse_m_P"], p["inverse_m_T"] = 1.0 / scene.probe.mass, 1.0 / scene.target.mass
-    p["inverse_I_T"] = 1.0 / scene.target.inertia
-    p["a"], p["d"] = scene.buffer.hinge_offset, scene.probe.com_offset
-    p["first_moment_0"] = scene.cylinder.mass * l_C - scene.probe.mass * scene.probe.com_offset
-    p["hinge_inertia_0"] = (
-        scene.cylinder.inertia + scene.cylinder.mass * l_C**2 + scene.probe.inertia
-    )
+
+@depends_on("buffer", "probe")
+def _buffer(scene: Scene) -> dict[str, Any]:
     buffer = scene.buffer
-    for name in ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "k_T3", "c_T2"):
-        p[name] = getattr(buffer, name)
+    linear = ("k_A", "c_A", "k_T", "c_T")
+    shaped = ("k_A3", "c_A2", "k_T3", "c_T2")
+    p = {name: getattr(buffer, name) for name in (*linear, *shaped)}
     p["preload"] = buffer.seat_force
+    p["a"], p["h_0"] = buffer.hinge_offset, scene.rest_length
     p["c_A_rebound"] = buffer.c_A if buffer.c_A_rebound is None else buffer.c_A_rebound
     p["has_shaped_buffer"] = (
         buffer.force_table is not None
         or p["c_A_rebound"] != p["c_A"]
-        or any(p[name] > 0.0 for name in ("k_A3", "c_A2", "k_T3", "c_T2", "preload"))
+        or any(p[name] > 0.0 for name in (*shaped, "preload"))
     )
-    p["h_0"], p["R_t"] = scene.rest_length, scene.probe.tip_radius
-    p["L_T"] = scene.cone.L_T
-    p["R_c"], p["L_c"], p["cos_b"], p["sin_b"] = scene.cone.wall
-    p["K"], p["exponent"] = scene.contact_stiffness, HERTZ
-    p["hysteresis"] = scene.contact.hysteresis_factor
-    if scene.contact.hysteresis_factor is None:
-        p["hysteresis"] = HYSTERESIS_FACTOR[scene.contact.law](scene.contact.restitution)
-    p["v_0_floor"] = scene.contact.min_approach_speed
-    p["mu"] = scene.friction.mu if scene.friction.law != "none" else 0.0
-    p["mu_s"] = p["mu"] if scene.friction.mu_s is None else scene.friction.mu_s
-    p["friction_law"] = FRICTION_LAWS[scene.friction.law]
-    p["inverse_v_eps"] = 1.0 / scene.friction.slip_regularization_speed
-    p["gravity"] = scene.gravity
-    if scene.supports is not None:
-        p["has_supports"] = 1
-        p["v_eps_ball"] = scene.supports.rolling_regularization_speed
-        for vehicle, name in (("chaser", "balls_S"), ("target", "balls_T")):
-            support = getattr(scene.supports, vehicle)
-            limits = (support.c_rr * loads(scene, vehicle)).tolist()
-            p[name] = [(x, y, limit) for (x, y), limit in zip(support.balls, limits, strict=True)]
-        p["rolling_limit_S"] = sum(limit for _, _, limit in p["balls_S"])
+    return p
+
+
+@depends_on("cone")
+def _cone(scene: Scene) -> dict[str, Any]:
+    R_c, L_c, cos_b, sin_b = scene.cone.wall
+    return {"L_T": scene.cone.L_T, "R_c": R_c, "L_c": L_c, "cos_b": cos_b, "sin_b": sin_b}
+
+
+@depends_on("contact", "probe")
+def _contact(scene: Scene) -> dict[str, Any]:
+    contact, R_t = scene.contact, scene.probe.tip_radius
+    hysteresis = contact.hysteresis_factor
+    if hysteresis is None:
+        hysteresis = HYSTERESIS_FACTOR[contact.law](contact.restitution)
+    return {
+        "R_t": R_t,
+        "length_scale": R_t,
+        "K": scene.contact_stiffness,
+        "exponent": HERTZ,
+        "hysteresis": hysteresis,
+        "v_0_floor": contact.min_approach_speed,
+    }
+
+
+@depends_on("friction")
+def _friction(scene: Scene) -> dict[str, Any]:
+    friction = scene.friction
+    mu = friction.mu if friction.law != "none" else 0.0
+    return {
+        "mu": mu,
+        "mu_s": mu if friction.mu_s is None else friction.mu_s,
+        "friction_law": FRICTION_LAWS[friction.law],
+        "inverse_v_eps": 1.0 / friction.slip_regularization_speed,
+    }
+
+
+@depends_on(*LOADS, "supports")
+def _supports(scene: Scene) -> dict[str, Any]:
+    if scene.supports is None:
+        return {}
+    p: dict[str, Any] = {"has_supports": 1}
+    p["v_eps_ball"] = scene.supports.rolling_regularization_speed
+    for vehicle, name in (("chaser", "balls_S"), ("target", "balls_T")):
+        support = getattr(scene.supports, vehicle)
+        limits = (support.c_rr * loads(scene, vehicle)).tolist()
+        p[name] = [(x, y, limit) for (x, y), limit in zip(support.balls, limits, strict=True)]
+    p["rolling_limit_S"] = sum(limit for _, _, limit in p["balls_S"])
+    return p
+
+
+@depends_on("latch", "stops")
+def _latch_and_stops(scene: Scene) -> dict[str, Any]:
+    p: dict[str, Any] = {}
     if scene.latch is not None:
         p["has_latch"] = 1
         p["latch_radius"] = scene.latch.radius
@@ -193,22 +238,56 @@ def pack(
         if scene.stops.extension is not None:
             p["stop_extended"] = scene.stops.extension
         p["k_stop"], p["c_stop"] = scene.stops.stiffness, scene.stops.damping
-    heading = scene.initial.chaser.theta
-    p["rail_x"], p["rail_y"] = math.cos(heading), math.sin(heading)
-    p["rail_length"] = scene.rail.length if scene.rail is not None else 0.0
+    return p
+
+
+@depends_on("initial.chaser.theta", "rail", "string")
+def _launch(scene: Scene) -> dict[str, Any]:
+    heading, string = scene.initial.chaser.theta, scene.string
+    return {
+        "rail_x": math.cos(heading),
+        "rail_y": math.sin(heading),
+        "rail_length": scene.rail.length if scene.rail is not None else 0.0,
+        "pulley_mass": 0 if string is None else string.pulley_inertia / string.pulley_radius**2,
+    }
+
+
+@depends_on("run")
+def _run(scene: Scene) -> dict[str, Any]:
+    run = scene.run
+    return {
+        "t_end": run.t_end,
+        "after_latch": math.inf if run.after_latch is None else run.after_latch,
+        "rtol": run.rtol,
+        "max_steps": run.max_steps,
+        "fixed_step": run.step if run.method == "rk4" else 0.0,
+    }
+
+
+#: The groups of parameters, each by the fields that it depends on.
+_GROUPS = (
+    *(_bodies, _buffer, _cone, _contact, _friction, _supports, _latch_and_stops, _launch, _run),
+)
+_ZEROS: dict[str, Any] = dict.fromkeys(PARAMETERS.names or (), 0)
+
+
+def pack(
+    scene: Scene, hanging_mass: float, drop_height: float, impact_speed: float = 0.0
+) -> np.ndarray:
+    """Return the (1,) record of a scene with the launch's hanging mass (kg) and drop height (m).
+
+    ``impact_speed`` (m/s) is that of the launch plan, for the error scale.
+    """
+    # written into the record at once: its fields one by one take four times as long
+    p = _ZEROS.copy()
+    for group in _GROUPS:
+        p.update(group(scene))
+    p["gravity"] = scene.gravity
     p["m_hanging"], p["drop_height"] = hanging_mass, drop_height
-    if scene.string is not None:
-        p["pulley_mass"] = scene.string.pulley_inertia / scene.string.pulley_radius**2
-    p["t_end"] = scene.run.t_end
-    p["after_latch"] = math.inf if scene.run.after_latch is None else scene.run.after_latch
-    p["rtol"] = scene.run.rtol
-    p["length_scale"] = scene.probe.tip_radius
     p["speed_scale"] = speed_scale(scene, impact_speed)
-    p["max_steps"] = scene.run.max_steps
-    p["fixed_step"] = scene.run.step if scene.run.method == "rk4" else 0.0
     record = np.array([tuple(p.values())], PARAMETERS)
-    if buffer.force_table is not None:
-        record["force_table"] = force_table(buffer.force_table)
+    if scene.buffer.force_table is not None:
+        record["force_table"] = force_table(scene.buffer.force_table)
     return record
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
-from capture_sim.files import why_no_file
+from capture_sim.files import why_no_file, why_not_writable
 from capture_sim.hardware.guard import LIMITS, Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
@@ -27,17 +27,22 @@ from capture_sim.hardware.messages import (
     stamp_of,
     tip_message,
     tip_of,
+    wrench_message,
     wrench_of,
 )
 from capture_sim.hardware.pacing import Pacer, request_priority
+from capture_sim.hardware.record import LoopRecord
 from capture_sim.hardware.report import Timing, report_of, summary
 from capture_sim.hardware.stage import LoopStage, SafeStopError
 from capture_sim.launch.scenes import load_scene
+from capture_sim.messages.topics import Topic
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import FAILED, OK
+from capture_sim.recording.offline import write_run
+from capture_sim.simulation import check_memory
 
 #: The tip's first position is sent this often, s (wall).
 FIRST_POSE_PERIOD = 0.005
@@ -107,6 +112,7 @@ class LoopSimulatorNode(BenchNode):
             low=-0.1,
             high=0.1,
         )
+        friction = number("friction", 0.0, "model: first coefficient of friction", high=10.0)
         self._start_timeout = self.declare(
             "start_timeout", 60.0, "wait for the answers at rest, s (wall)", low=0.1, high=86400.0
         )
@@ -116,9 +122,10 @@ class LoopSimulatorNode(BenchNode):
             raise ParameterError(
                 f"parameter report = '{report}': must be a file that can be written: {reason}"
             )
+        self._record_path = self._checked_record()
         scene = load_scene(name, overrides)
         self._t_end = scene.run.t_end
-        law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset)
+        law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset, friction)
         if method != "model" and not stiffness:
             law = WallLaw(0.0, exponent, offset=offset)  # nothing is known of the rig's walls
         self._loop = Loop(LoopStage(scene, 1.0 / rate), method, law, limits, threshold, run_up)
@@ -126,10 +133,28 @@ class LoopSimulatorNode(BenchNode):
         self._rig_tips: dict[float, TipState] = {}
         self._timing = Timing()
         self._pacer: Pacer | None = None
+        self._record: LoopRecord | None = None  # from the first step on
+        self._exchanged: dict[Topic, list[tuple[float, Any]]] = {
+            topic: [] for topic in (TIP, TIP_WRENCH, RIG_TIP)
+        }
         self._reported_notes = 0
         self.open((TIP, HOLD))
         self.listen(RIG_TIP, self._receive_tip)
         self.listen(TIP_WRENCH, self._receive_wrench)
+
+    def _checked_record(self) -> Path | None:
+        """Return where the run is to be recorded; ParameterError if that cannot be written."""
+        text = self.declare("record", "runs", "MCAP file of the run, or its folder; empty: none")
+        if not text:
+            return None
+        path = Path(text)
+        reason = why_no_file(path) if path.suffix == ".mcap" else why_not_writable(path)
+        if reason:
+            raise ParameterError(
+                f"parameter record = '{text}': must be a file or folder that can be written: "
+                f"{reason}"
+            )
+        return path
 
     def _receive_tip(self, message: Any) -> None:
         tip = tip_of(message)
@@ -149,7 +174,12 @@ class LoopSimulatorNode(BenchNode):
         while self._inbox:
             arrival, stamp, wrench = self._inbox.popleft()
             key = round(stamp, 9) if math.isfinite(stamp) else 0.0
-            self._loop.receive(stamp, wrench, self._rig_tips.pop(key, None))
+            tip = self._rig_tips.pop(key, None)
+            self._loop.receive(stamp, wrench, tip)
+            if self._record is not None:
+                self._exchanged[TIP_WRENCH].append((stamp, wrench))
+                if tip is not None:
+                    self._exchanged[RIG_TIP].append((stamp, tip))
             self._timing.answered(key, arrival)
 
     def work(self) -> int:
@@ -173,7 +203,25 @@ class LoopSimulatorNode(BenchNode):
         self._loop.end()
         self._log_notes()
         self._report_result(stopped)
+        self._write_record(stopped)
         return FAILED if stopped else OK
+
+    def _write_record(self, stopped: str) -> None:
+        """Write the run with what was exchanged with the rig; RecordingError if that fails."""
+        if self._record is None or self._record_path is None:
+            return
+        make, run = self.messages, self._record.run(stopped)
+        others = {
+            topic: [
+                (t, (wrench_message if topic is TIP_WRENCH else tip_message)(make, t, value))
+                for t, value in exchanged
+            ]
+            for topic, exchanged in self._exchanged.items()
+        }
+        path = self._record_path
+        if path.suffix != ".mcap":
+            path = path / f"{run.name}.mcap"
+        self.get_logger().info(f"recorded: {write_run(run, path, others=others)}")
 
     def _hold(self, reason: str) -> None:
         self.send(HOLD, message_class(HOLD.type_name)(data=reason))
@@ -215,6 +263,9 @@ class LoopSimulatorNode(BenchNode):
         if self._priority and (reason := request_priority(self._priority)):
             log.warning(reason)
         period = loop.stage.step / self._rtf
+        if self._record_path is not None:
+            check_memory(loop.stage.scene.run, self._t_end / loop.stage.step)
+            self._record = LoopRecord(loop.stage)
         pacer = self._pacer = Pacer(period, self._max_lateness, self._max_late_share)
         while loop.t < self._t_end - 1e-9:
             self.wait(limit=pacer.time_to_work())
@@ -225,6 +276,10 @@ class LoopSimulatorNode(BenchNode):
             self.wait(limit=pacer.time_to_send())
             pacer.release()
             self.send(TIP, tip_message(self.messages, pose.t, pose))
+            if self._record is not None:
+                self._exchanged[TIP].append((pose.t, pose))
+                if pose.t > 0.5 * loop.stage.step:
+                    self._record.add()
             self._timing.sent(round(pose.t, 9), time.monotonic())
             self._log_notes()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from capture_sim.messages.convert import (
     RunDescription,
     StringPhase,
     speeds_along_rail,
+    stamp_ns,
     stamp_seconds,
     stamps_ns,
     string_phases,
@@ -32,7 +33,7 @@ from capture_sim.messages.telemetry import (
     Sent,
     samples_per_message,
 )
-from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR, TOPICS, Topic
 from capture_sim.recording.scan import Damage, scan
 from capture_sim.recording.write import RUN_METADATA, RunWriter, describing
 from capture_sim.results import extremes_to_text
@@ -50,13 +51,19 @@ BLOCK = 4096
 
 
 def write_run(
-    result: Run, path: Path | str, run_id: str | None = None, *, overwrite: bool = False
+    result: Run,
+    path: Path | str,
+    run_id: str | None = None,
+    *,
+    overwrite: bool = False,
+    others: Mapping[Topic, Sequence[tuple[float, bytes]]] | None = None,
 ) -> Path:
     """Write a simulated run as one MCAP file: what simulator, launcher and detector send.
 
     The file gets its name when it is complete.  An earlier file of that name is replaced if it is
     the same simulated run, of one scene and software, or any simulated run with ``overwrite``.
     Next to any other recording the file gets a number after its name.  Return its path.
+    ``others``: messages of other topics, with their times, s since the release.
     RecordingError if it cannot be written, or if the result is not sampled on the grid of
     ``scene.run.state_rate``.
     """
@@ -68,17 +75,28 @@ def write_run(
         target = path if replaced else free_path(path)
         try:
             with whole_file(target, replace=replaced) as part:
-                _write(result, run, part, target.name)
+                _write(result, run, part, target.name, others or {})
         except FileExistsError:
             continue  # another command was faster
         return target
 
 
-def _write(result: Run, run: RunDescription, part: Path, name: str) -> None:
-    with RunWriter(part, run, {"origin": SIMULATED}, name=name) as writer:
+def _write(
+    result: Run,
+    run: RunDescription,
+    part: Path,
+    name: str,
+    others: Mapping[Topic, Sequence[tuple[float, bytes]]],
+) -> None:
+    topics = (*TOPICS, *others)
+    with RunWriter(part, run, {"origin": SIMULATED}, topics=topics, name=name) as writer:
+        for topic, messages in others.items():
+            for t, data in messages:
+                writer.write(topic, data, stamp_ns(t))
         for topic, stamp, data in run_stream(result, run):
             writer.write(topic, data, stamp)
-        writer.closing["wall_time"] = repr(result.wall_time)
+        if result.wall_time is not None:
+            writer.closing["wall_time"] = repr(result.wall_time)
         writer.closing["extremes"] = extremes_to_text(result.extremes)
 
 

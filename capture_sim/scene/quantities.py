@@ -254,13 +254,16 @@ def replaced(part: Any, fields: Mapping[str, Any]) -> Any:
     """
     kind = type(part)
     declarations = declared(kind)
+    # a check of a part's own is one of its texts, not of the parts in it
     has_own_check = kind.__post_init__ is not Checked.__post_init__
-    if has_own_check and not all(isinstance(value, Checked) for value in fields.values()):
+    if has_own_check and any(isinstance(value, str) for value in fields.values()):
         return dataclasses.replace(part, **fields)
     copy = object.__new__(kind)
     values = copy.__dict__
-    # without what was computed from the fields and is cached
-    values.update((name, part.__dict__[name]) for name in declarations)
+    values.update(part.__dict__)
+    if len(values) > len(declarations):  # what was computed from the fields and is cached
+        for name in values.keys() - declarations.keys():
+            del values[name]
     for name, value in fields.items():
         if name not in declarations:
             return dataclasses.replace(part, **fields)  # raises

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench, drive
+from capture_sim.bench import Bench, Memory, drive
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.exact import ExactDetector
 from capture_sim.errors import SimulationError
@@ -74,13 +74,13 @@ class StudyRun:
     """A run that is prepared, integrated and evaluated in three steps.
 
     A study of many runs takes each step for several of them in a row: a kernel displaces Python's
-    code from the processor's caches, after which it is three times as slow.  Raises SceneError if
-    the scene breaks a rule.
+    code from the processor's caches, after which it is three times as slow.  ``memory`` is as for
+    :class:`capture_sim.bench.Bench`.  Raises SceneError if the scene breaks a rule.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, memory: Memory | None = None) -> None:
         check_memory(scene.run, scene.run.t_end * scene.run.rate, "rate")
-        self._bench, self._detector = Bench(scene), ExactDetector(scene)
+        self._bench, self._detector = Bench(scene, memory=memory), ExactDetector(scene)
         self._times = _measured_at(scene.run.t_end, scene.run.rate)
         self._energy_residual, self._failure = 0.0, ""
 

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.bench import Memory
 from capture_sim.errors import MissingPackageError, SceneError, install_hint
 from capture_sim.launch.approach import APPROACH, Approach, approach_of, placed, with_approach
 from capture_sim.launch.scenes import change_scene, load_scene
 from capture_sim.results import LOADS, loads_of
-from capture_sim.samples import EXTREMES, TOUCH, Extremes
+from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Extremes
 from capture_sim.scene import paths
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.parts import Scene
@@ -352,7 +353,8 @@ def run_rows(
 ) -> list[tuple[Any, ...]]:
     """Return the results of some runs, each in the order of :func:`result_columns`."""
     columns = result_columns(check=check, limited=bool(limits))
-    prepared = [_prepared(recipe, row, check=check) for row in rows]
+    samples = np.empty(_ROOM, SAMPLE)  # of one run after the other
+    prepared = [_prepared(recipe, row, samples, check=check) for row in rows]
     for runs in prepared:
         if not isinstance(runs, SceneError):
             for run in runs:
@@ -361,14 +363,18 @@ def run_rows(
     return [tuple([of_row.get(name, math.nan) for name in columns]) for of_row in results]
 
 
+#: Samples that the runs of a sweep have room for; those of longer runs take new memory.
+_ROOM = 4096
+
+
 def _prepared(
-    recipe: Recipe, row: tuple[Any, ...], *, check: bool
+    recipe: Recipe, row: tuple[Any, ...], samples: np.ndarray, *, check: bool
 ) -> tuple[StudyRun, ...] | SceneError:
     """Return a row's run, with ``check`` also that at half the tolerance, or why it has none."""
     try:
         scene = recipe.scene_of(row)
         scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)
-        return tuple(map(StudyRun, scenes))
+        return tuple(StudyRun(scene, Memory(samples)) for scene in scenes)
     except SceneError as error:
         return error
 

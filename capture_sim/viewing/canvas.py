@@ -6,7 +6,7 @@ import io
 import itertools
 from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -19,7 +19,9 @@ from PIL import Image
 
 from capture_sim.files import whole_file
 from capture_sim.viewing import style
-from capture_sim.viewing.shapes import Shape
+
+if TYPE_CHECKING:
+    from capture_sim.viewing.shapes import Shape
 
 # the same figure gives the same bytes; letters are drawn, so that they need no font
 _SAVING: Any = {"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}

@@ -55,6 +55,7 @@ LEFT_OUT = {"ros2": 10, "terminals": 7, "minutes": 5, "make": 2}
 EVIDENCE = {
     "benchmark",
     "detection_checked",
+    "engines",
     "hardware_checked",
     "node_suite",
     "random_scenes",

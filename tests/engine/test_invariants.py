@@ -20,13 +20,13 @@ STOPS = "stops={compression: 1.0e-3, extension: 0.01, stiffness: 1.0e+5, damping
 @pytest.mark.parametrize(
     "scene, overrides, expected",
     [
-        ("paper_designed", ["run.t_end=0.06"], {"touch", "lift_off"}),
+        ("paper_designed", ["run.t_end=0.016"], {"touch", "lift_off"}),
         (
             "paper_designed",
-            ["run.t_end=0.06", "friction.law=coulomb", "friction.mu=1.5"],
+            ["run.t_end=0.016", "friction.law=coulomb", "friction.mu=1.5"],
             {"stick", "slip", "lift_off"},
         ),
-        ("paper_designed", ["run.t_end=0.08", STOPS], {"stop_hit"}),
+        ("paper_designed", ["run.t_end=0.026", STOPS], {"stop_hit", "stop_left"}),
         ("paper_designed", ["run.t_end=0.02", "buffer.preload=20"], {"unseated", "seated"}),
         ("tilt_0", ["run.t_end=3"], {"landed", "rail_end", "moving", "touch", "latched"}),
         # seated in segments that events cut: the rate of the seat's load is read after extremes

@@ -15,10 +15,12 @@ from fmpy.validation import validate_fmu
 from capture_sim import load_scene, scene_names, simulate
 from capture_sim.bench import Bench
 from capture_sim.cli import main
+from capture_sim.detection.criteria import CaptureState
 from capture_sim.fmu.description import write_fmu
 from capture_sim.fmu.library import make_unit
 from capture_sim.fmu.machine_code import instructions
-from capture_sim.samples import SAMPLE, columns_of
+from capture_sim.hardware.law import TipState, WallLaw, Walls
+from capture_sim.samples import SAMPLE, Phase, columns_of
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Every instance that runs the same machine code does the same operations; 1e-12 is the promise.
@@ -31,11 +33,12 @@ def unit(tmp_path_factory):
     """A function that returns a scene's unit, made once."""
     folder, made = tmp_path_factory.mktemp("units"), {}
 
-    def path_of(name):
-        if name not in made:
-            made[name] = folder / f"{name}.fmu"
-            write_fmu(make_unit(load_scene(name)), made[name])
-        return made[name]
+    def path_of(name, changes=()):
+        key = f"{name}{dict(changes)}"
+        if key not in made:
+            made[key] = folder / f"{len(made)}.fmu"
+            write_fmu(make_unit(load_scene(name, changes)), made[key])
+        return made[key]
 
     return path_of
 
@@ -59,10 +62,11 @@ class Instance:
 
     def set(self, values):
         for name, value in values.items():
-            self.slave.setFloat64([self.references[name]], [value])
+            kind = "Boolean" if isinstance(value, bool) else "Float64"
+            getattr(self.slave, f"set{kind}")([self.references[name]], [value])
 
-    def get(self, name):
-        return self.slave.getFloat64([self.references[name]])[0]
+    def get(self, name, kind="Float64"):
+        return getattr(self.slave, f"get{kind}")([self.references[name]])[0]
 
     def begin(self, **values):
         self.slave.enterInitializationMode()
@@ -106,6 +110,8 @@ def test_a_unit_is_valid_and_equals_the_run_in_python(unit, name):
     assert validate_fmu(str(path)) == []
     names = [v.name for v in fmpy.read_model_description(path).modelVariables]
     outputs = [n for n in names if n.partition(".")[0] in SAMPLE.names]
+    detected = ["capture_state", "capture_since", "nearest_distance"]
+    assert not set(detected) - set(names)
     t_end = min(load_scene(name).run.t_end, 4.0)
     rows = fmpy.simulate_fmu(
         str(path), stop_time=t_end, output_interval=0.004, step_size=0.004, output=outputs
@@ -117,10 +123,42 @@ def test_a_unit_is_valid_and_equals_the_run_in_python(unit, name):
         assert np.abs(rows[output] - samples[output]).max() <= EQUAL * scale, output
 
 
-def columns_of_sample():
-    return {
-        name.partition(".")[0] for name in columns_of(Bench(load_scene("tilt_0")).advance([0.0]))
-    }
+def statuses_of(unit, instances, name, changes):
+    """Return the run's last status and, of a unit, what its detector says at each of its times."""
+    scene = load_scene(name, changes)
+    result = simulate(scene)
+    instance = instances(unit(name, changes))
+    instance.begin()
+    found, t, is_over = [], 0.0, False
+    while not is_over:
+        row = [instance.get("capture_state", "Int64")]
+        found.append((t, *row, instance.get("capture_since"), instance.get("nearest_distance")))
+        t, _, is_over = instance.step(t, 1.0 / scene.run.rate)
+    return result, found, instance
+
+
+@pytest.mark.parametrize(
+    "name, changes, verdict",
+    [
+        ("tilt_0", {}, "captured"),
+        ("paper_designed", {"run.t_end": 6.0}, "captured"),
+        ("paper_case_1", {}, "rebound"),
+        ("paper_designed", {"initial.chaser.vx": 0.02, "run.t_end": 0.5}, "undecided"),
+        ("paper_designed", {"initial.target.y": 0.4, "run.t_end": 6.0}, "missed"),
+    ],
+)
+def test_the_units_verdict_is_that_of_the_run_at_the_same_time(
+    unit, instances, name, changes, verdict
+):
+    """Status by status, and at the end of a run that had no verdict before."""
+    result, found, instance = statuses_of(unit, instances, name, changes)
+    *during, last = result.statuses
+    assert last.state.label == verdict
+    own = [(s.t, int(s.state), s.t - s.time_in_state, s.nearest_distance) for s in during]
+    assert np.array(found) == pytest.approx(np.array(own[: len(found)]), abs=1e-9)
+    assert len(found) >= len(own) - 1
+    assert instance.get("capture_state", "Int64") == int(last.state)
+    assert instance.get("capture_since") == pytest.approx(last.t - last.time_in_state, abs=1e-9)
 
 
 def test_a_step_returns_early_at_each_event(unit, instances):
@@ -172,6 +210,81 @@ def test_parameters_are_those_of_the_scene(unit, instances, name, changes):
     assert abs(unchanged["q"][5] - own["q"][5]) > 1e-5
 
 
+WRENCH = ("wrench.force.x", "wrench.force.y", "wrench.torque.z")
+
+
+def driven(instance, scene, n, step=1e-3):
+    """Move a unit and a bench n steps under the wrench of a plate; return both ends and the time.
+
+    The wrench is that of an elastic wall where the bench's tip is.
+    """
+    bench, walls, t = Bench(scene), Walls(scene), 0.0
+    bench.set_contact(0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    bench.drive_tip((0.0, 0.0, 0.0), t)
+    sample = bench.advance([t])[-1]
+    for _ in range(n):
+        tip = TipState(t, -sample["tip_axial"], sample["tip_lateral"], 0.0, 0.0, 0.0, 0.0)
+        wrench = walls.wrench(WallLaw(2e4), tip)
+        given = (wrench.fx, wrench.fy, 1e-3 * wrench.fx)
+        instance.set(dict(zip(WRENCH, given, strict=True)))
+        bench.drive_tip(given, t + step)
+        sample = bench.advance([t + step])[-1]
+        t, _, _ = instance.step(t, step)
+    return sample, t
+
+
+def test_a_wrench_from_outside_moves_the_unit_as_the_bench(unit, instances):
+    """A plate, off the axis: through the touch, in every output."""
+    instance = instances(unit("_loop"))
+    instance.begin(contact_outside=True)
+    sample, _ = driven(instance, load_scene("_loop"), 300)
+    for name, value in columns_of(np.array([sample])).items():
+        kind = "Int64" if name in ("phase", "walls", "at_rest", "touches") else "Float64"
+        if name != "t":
+            assert instance.get(name, kind) == pytest.approx(value[0], rel=EQUAL, abs=EQUAL), name
+    assert instance.get("capture_state", "Int64") == CaptureState.CONTACT
+    assert sample["v"][0] < 0.09  # of 0.1 m/s
+
+
+def test_a_unit_with_the_contact_outside_has_no_walls_and_ends_after_its_latch(unit, instances):
+    """Pressed on by 2 N, the tip goes through where the walls were, and is caught."""
+    changes = {"run.after_latch": 0.3, "initial.target.y": 0.0, "friction.law": "none"}
+    changes["latch"] = {"radius": 0.003, "stiffness": 2e4, "damping": 80.0}
+    instance = instances(unit("paper_designed", changes))
+    instance.begin(contact_outside=True)
+    t, is_over = 0.0, False
+    while not is_over:
+        instance.set({"wrench.force.x": 2.0})
+        t, _, is_over = instance.step(t, 0.03)
+        assert instance.get("touches", "Int64") == 0
+        latched = instance.get("phase", "Int64") == Phase.LATCHED
+    assert latched
+    assert instance.get("capture_state", "Int64") == CaptureState.CAPTURED
+    other = instances(unit("paper_designed", changes), earlyReturnAllowed=True)
+    other.begin(contact_outside=True, **{"wrench.force.x": 2.0})
+    end, events, is_over = 0.0, [], False
+    while not is_over:
+        end, is_early, is_over = other.step(end, 10.0)
+        events += [end] * is_early
+    assert end == pytest.approx(events[-1] + 0.3, abs=1e-9)
+    assert t == pytest.approx(end, abs=1e-6)
+
+
+def test_inputs_that_cannot_act_are_reported(unit, instances):
+    assert "contact_outside" not in instances(unit("tilt_0")).references  # on its supports
+    inside = instances(unit("_loop"))
+    with raises(instances.messages, "wrench.force.y = nan N: must be finite"):
+        inside.set({"wrench.force.y": float("nan")})
+    with raises(instances.messages, "no Boolean of this unit"):
+        inside.set({"wrench.force.x": True})
+    inside.begin()
+    with raises(instances.messages, "contact_outside = 1 1: must be set before the release"):
+        inside.set({"contact_outside": True})
+    inside.set({"wrench.force.x": 3.0})
+    with raises(instances.messages, "wrench.force.x = 3 N: must be 0 unless contact_outside"):
+        inside.step(0.0, 0.1)
+
+
 def test_two_instances_do_not_disturb_each_other(unit, instances):
     one, other = (instances(unit(name)) for name in ("tilt_0", "tilt_p10"))
     one.begin()
@@ -196,6 +309,22 @@ def test_a_state_that_was_kept_continues_in_another_instance(unit, instances):
     assert other.get("impulse.+y") == one.get("impulse.+y") > 0.0
 
 
+def test_a_state_has_the_inputs_and_the_detector(unit, instances):
+    """Kept in the middle of a touch; the other instance has had none and its contact inside."""
+    one, other = (instances(unit("_loop")) for _ in range(2))
+    one.begin(contact_outside=True)
+    other.begin()
+    _, t = driven(one, load_scene("_loop"), 70)
+    kept = one.slave.serializeFMUState(one.slave.getFMUState())
+    other.slave.setFMUState(other.slave.deserializeFMUState(kept))
+    for instance in (one, other):
+        instance.step(t, 0.05)
+    assert one.get("wrench.force.x") == other.get("wrench.force.x") < 0.0
+    for name in ("q.x_T", "v.x_S", "capture_since", "nearest_distance"):
+        assert other.get(name) == one.get(name)
+    assert one.get("capture_since") > 0.0
+
+
 def test_wrong_use_is_reported_with_value_unit_and_range(unit, instances):
     instance = instances(unit("tilt_0"))
     instance.slave.enterInitializationMode()
@@ -203,7 +332,7 @@ def test_wrong_use_is_reported_with_value_unit_and_range(unit, instances):
         ("buffer.k_A", -5.0, "buffer.k_A = -5 N/m: must be >"),
         ("buffer.c_A", float("nan"), "buffer.c_A = nan N s/m: must be >= 0"),
         ("friction.mu", float("inf"), "friction.mu = inf 1: must be >= 0"),
-        ("tip_axial", 0.1, "not a parameter"),
+        ("tip_axial", 0.1, "not a parameter or input"),
     ):
         with raises(instances.messages, text):
             instance.set({name: value})
@@ -250,16 +379,31 @@ def test_the_library_runs_in_a_program_in_c_and_allocates_nothing(tmp_path):
     symbols = set(re.findall(r"U (\w+)", needed))
     assert {"pow", "memcpy"} <= symbols
     assert not {s for s in symbols if re.match(r"(m|c|re)alloc|free|Py|_Py|NRT|numba", s)}
-    page = (ROOT / "docs" / "fmu.md").read_text()
-    [source] = re.findall(r'^```c title="host.c"\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
-    (tmp_path / "host.c").write_text(source)
-    build = ["cc", "-Wall", "-Werror", "-o", "host", "host.c", "-L.", "-ltilt_0", "-Wl,-rpath,."]
-    subprocess.run(build, cwd=tmp_path, check=True)
-    done = subprocess.run(["./host"], cwd=tmp_path, capture_output=True, text=True, check=True)
-    t, x, force = map(float, done.stdout.split()[-3:])
+    t, x, force = host_of_the_page("host.c", "tilt_0", tmp_path)
     own = Bench(load_scene("tilt_0")).advance([t])[0]
     assert x == pytest.approx(own["q"][0], abs=1e-9)  # as printed
     assert force >= 0.0
+
+
+def host_of_the_page(name, scene, folder):
+    """Compile and run a program of the page with a library in a folder; return its numbers."""
+    page = (ROOT / "docs" / "fmu.md").read_text()
+    [source] = re.findall(rf'^```c title="{name}"\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
+    (folder / name).write_text(source)
+    build = ["cc", "-Wall", "-Werror", "-o", "host", name, "-L.", f"-l{scene}", "-Wl,-rpath,."]
+    subprocess.run(build, cwd=folder, check=True)
+    done = subprocess.run(["./host"], cwd=folder, capture_output=True, text=True, check=True)
+    return map(float, done.stdout.partition(": ")[2].split())
+
+
+def test_the_contact_may_be_in_the_program_in_c(tmp_path):
+    """That of the page is an elastic wall, felt a step late: the tip comes back."""
+    assert main(["fmu", "_loop", "--c", str(tmp_path)]) == 0
+    t, axial, verdict = host_of_the_page("rig.c", "_loop", tmp_path)
+    assert t == 1.0
+    # back from the wall at 0.1 m/s, after 5 mm of way and a touch of pi sqrt(m / k)
+    assert axial == pytest.approx(0.015 + 0.1 * (1.0 - 0.05 - 0.235), abs=0.005)
+    assert verdict == CaptureState.REBOUND
 
 
 def test_bad_arguments_are_reported_in_one_line(tmp_path, capsys):

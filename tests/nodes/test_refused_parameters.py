@@ -108,6 +108,11 @@ AT_THE_START = {
         {"report": "/no/such/r.json"},
         ["parameter report = '/no/such/r.json'", "/no/such is not a folder"],
     ),
+    "no folder of the record": (
+        "loop_simulator",
+        {"record": "/no/such/r.mcap"},
+        ["parameter record = '/no/such/r.mcap'", "/no/such is not a folder"],
+    ),
     "report is a folder": ("loop_simulator", {"report": "/"}, ["report = '/'", "it is a folder"]),
     "no such actuator": ("launcher", {"actuator": "hand"}, ["'hand'", "simulated, output, none"]),
     "scene of a simulator": ("launcher", {"scene": "tilt_0"}, ["scene = 'tilt_0'", "be empty"]),
