@@ -47,7 +47,7 @@ from capture_sim.samples import (
     columns_of,
     unit_of_column,
 )
-from capture_sim.series import NO_SERIES, STATE, Deferred, Series, SeriesBySource, series_in
+from capture_sim.series import NO_SERIES, STATE, Deferred, Series, SeriesBySource
 from capture_sim.software import scene_hash
 from capture_sim.touches import MIN_SAMPLES, Touches, first_above, in_force, in_messages, located
 
@@ -617,11 +617,6 @@ def scene_origin(scene: Scene) -> dict[str, Any]:
         "scene_sha256": scene_hash(scene.to_yaml()),
         "seed": None if scene.sensors is None else scene.sensors.seed,
     }
-
-
-def state_series(state: np.ndarray) -> dict[str, dict[str, Series]]:
-    """Return the series of exact samples by quantity and source."""
-    return {name: {STATE: series} for name, series in series_in(state).items()}
 
 
 def _event_columns(events: Sequence[Event]) -> dict[str, Any]:

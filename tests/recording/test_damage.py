@@ -8,9 +8,11 @@ from collections import Counter
 
 import pytest
 from bags import copied, in_two_files
-from damage import expected
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 import capture_sim
@@ -42,6 +44,29 @@ def chunks(path):
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory):
     return tmp_path_factory.mktemp("broken") / "broken.mcap"
+
+
+def expected(path):
+    """Return start, end and messages of each chunk of a file, by the library's own readers."""
+    topics, contents = {}, []
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        file.seek(0)
+        for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+            if not isinstance(record, Chunk):
+                continue
+            messages = []
+            for inner in breakup_chunk(record):
+                if isinstance(inner, Channel):
+                    topics[inner.id] = inner.topic
+                elif isinstance(inner, Message):
+                    messages.append((topics[inner.channel_id], inner.data))
+            contents.append(messages)
+    places = [(i.chunk_start_offset, i.chunk_length) for i in summary.chunk_indexes]
+    return [
+        (start, start + length, messages)
+        for (start, length), messages in zip(places, contents, strict=True)
+    ]
 
 
 def damaged(file, data):

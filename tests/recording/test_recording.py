@@ -1,4 +1,4 @@
-"""Recordings: what is written comes back, by our own and by others' readers, also when cut."""
+"""Recordings: what is written comes back, by our own and by others' readers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import yaml
 from bags import copied, in_two_files
-from damage import cuts, expected
 from full_disk import file_size_limit
 from mcap.reader import make_reader
 from mcap.records import Channel, DataEnd, Message
@@ -265,29 +264,7 @@ def test_rosbag2_metadata_is_embedded_and_right(path):
     )
 
 
-# cut and damaged files
-
-
-def test_file_cut_anywhere_gives_its_complete_chunks_and_says_so(path, result, tmp_path):
-    chunks, broken = expected(path), tmp_path / "cut.mcap"
-    data, (_, first, _), (_, second, _) = path.read_bytes(), *chunks[:2]
-    ends = [(data[:at], at) for at in (0, 8, 30, first, second, len(data) - 1)]
-    for left, cut in (*ends, *cuts(path, 12, 2)):
-        broken.write_bytes(left)
-        if cut < 8:
-            with pytest.raises(RecordingError, match="not an MCAP file"):
-                read_bag(broken)
-            continue
-        run = read_bag(broken)
-        assert not run.complete
-        assert run.damage
-        n = len(run.samples)
-        assert bits(run.samples) == bits(result.samples[:n])
-        whole = sum(len(messages) for _, end, messages in chunks if end <= cut)
-        assert sum(run.topics.values()) == whole
-        if n:
-            assert run.scene == result.scene
-            assert run.name == NAME
+# order, and what is no recording
 
 
 def test_messages_come_in_the_order_of_their_times_whatever_the_files(path, tmp_path):
@@ -492,20 +469,26 @@ def test_waiting_messages_without_content_are_bounded_too(tmp_path):
             recorder.take(CLOCK, data)
 
 
-def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, monkeypatch):
-    """The first call waits, every later one fails at once with the same line."""
-    monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
-    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+def stalling_at(is_due, monkeypatch):
+    """Let the disk stall where ``is_due(count, topic)``, until the returned event is set."""
     stalled, write, written = threading.Event(), RunWriter.write, []
 
     def write_or_stall(writer, topic, data, stamp):
-        if len(written) == 1000:
+        if is_due(len(written), topic):
             writer.flush()
             stalled.wait(30.0)
         write(writer, topic, data, stamp)
         written.append(topic)
 
     monkeypatch.setattr(RunWriter, "write", write_or_stall)
+    return stalled
+
+
+def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, monkeypatch):
+    """The first call waits, every later one fails at once with the same line."""
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
+    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    stalled = stalling_at(lambda count, _: count == 1000, monkeypatch)
     recorder = LiveRecorder(tmp_path, queue_bytes=300_000)
     with pytest.raises(RecordingError, match=r"nothing for 0.3 s: the recording ends") as first:
         for topic, data in sent:
@@ -541,15 +524,8 @@ def test_disk_that_fills_stops_the_live_recorder(sent, tmp_path):
 def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     """It neither hangs nor loses what the disk has taken."""
     monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
-    stalled, write = threading.Event(), RunWriter.write
-
-    def write_or_stall(writer, topic, data, stamp):
-        if topic is STREAM_COUNTS:
-            writer.flush()
-            stalled.wait(30.0)
-        write(writer, topic, data, stamp)
-
-    monkeypatch.setattr(RunWriter, "write", write_or_stall)
+    counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
+    stalled = stalling_at(lambda _, topic: topic is STREAM_COUNTS, monkeypatch)
     recorder = record(tmp_path, sent)
     with pytest.raises(
         RecordingError, match=r"written nothing for 0.3 s: the recording ends there"
@@ -558,23 +534,22 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
     stalled.set()
-    counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
     assert sum(read_bag(copy).topics.values()) == len(sent) - counts
 
 
 def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 1.5)  # s, longer than a busy machine pauses
     write = RunWriter.write
 
     def write_slowly(writer, *message):
-        time.sleep(0.01)
+        time.sleep(0.02)
         write(writer, *message)
 
     monkeypatch.setattr(RunWriter, "write", write_slowly)
     began = time.monotonic()
     counts = [message for message in sent if message[0] is STREAM_COUNTS]
     report = record(tmp_path, [*sent[:100], *counts]).close()
-    assert time.monotonic() - began > 1.0
+    assert time.monotonic() - began > 1.5
     assert sum(read_bag(report.path).topics.values()) == 100 + len(counts)
 
 

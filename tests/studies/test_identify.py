@@ -11,9 +11,9 @@ from noisy_bench import NAMES, POSE_NOISE, noisy_run
 import capture_sim
 from capture_sim.bench import Bench
 from capture_sim.errors import SceneError
-from capture_sim.run import Run, state_series
+from capture_sim.run import Run
 from capture_sim.samples import TOUCH
-from capture_sim.series import Series
+from capture_sim.series import STATE, Series, series_in
 from capture_sim.studies.identify import identify, is_explained, scatter
 from capture_sim.touches import located
 
@@ -67,7 +67,8 @@ def test_any_number_of_the_scene():
     true = dataclasses.replace(
         scene, buffer=dataclasses.replace(scene.buffer, k_A=530.0, k_T=190.0)
     )
-    run = Run(HERE, series=state_series(Bench(true).advance(t)))
+    exact = series_in(Bench(true).advance(t))
+    run = Run(HERE, series={name: {STATE: series} for name, series in exact.items()})
     fit = identify(scene, run, ("buffer.k_A", "buffer.k_T"))
     assert fit.values == pytest.approx([530.0, 190.0], rel=1e-4)
     assert fit.scene.buffer.k_A == fit.values[0]
