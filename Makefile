@@ -81,7 +81,8 @@ lint: develop
 	$(BIN)/lint-imports
 
 docs: develop
-	$(BIN)/mkdocs build
+	$(BIN)/mkdocs build --strict
+	@echo "look: $(BIN)/python -m http.server -d build/site 8000, then http://127.0.0.1:8000"
 
 benchmark: develop
 	$(BIN)/python -m benchmarks.speed
@@ -96,6 +97,8 @@ picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	$(BIN)/python -m tools.explain docs
 	$(BIN)/python -m tools.diagrams docs
+	$(BIN)/python -m tools.reference docs --pictures
+	cp build/picture/tilt_p10.png docs/tilt_p10.png
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 lock: develop

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -101,7 +102,8 @@ class Assumption:
     def tried(self) -> str:
         """What is tried, in words."""
         if isinstance(self.values[0], str):
-            return f"{len(self.values)} laws"
+            laws = [value for value in self.values if value != "none"]
+            return f"{len(laws)} laws" + (" and none" if "none" in self.values else "")
         low, high = (float(end(self.values)) * self.factor for end in (min, max))
         return f"{low:.4g} to {high:.4g} {self.unit}".rstrip()
 
@@ -359,35 +361,46 @@ class Evidence:
         }
 
 
-class Claim(NamedTuple):
-    """A statement of the paper beside what comes out here.
+class Agreement(StrEnum):
+    """How far a statement of the paper agrees with the result here."""
 
-    ``agrees`` is None where the paper gives nothing to compare with.
-    """
+    NUMBERS = "agrees in numbers"
+    SHAPE = "agrees in shape"  # in a verdict or an order of events, of which no number is given
+    NOT_COMPARABLE = "cannot be compared"
+    DIFFERS = "differs"
+
+
+def _or_differs(agrees: bool, kind: Agreement = Agreement.SHAPE) -> Agreement:
+    return kind if agrees else Agreement.DIFFERS
+
+
+class Claim(NamedTuple):
+    """A statement of the paper, the result here, and how far they agree."""
 
     where: str
     paper: str
     here: str
     difference: str
     why: str
-    agrees: bool | None
+    agreement: Agreement
 
 
 def claims(evidence: Evidence) -> Iterator[Claim]:
     """Yield every statement, in the paper's order."""
     yield from impact(evidence.run("paper_clamped"), evidence.run("paper_undamped"))
-    says = "captured, the distance tends to 0"
-    why = "nearly at rest there, then drifts out slowly: in the text no latch holds the tip"
-    yield _verdict(evidence.run("paper_designed"), "Fig. 8", says, True, why)
+    designed = evidence.run("paper_designed")
+    yield _verdict(designed, "Fig. 8", "captured", True)
+    yield _tends_to_zero(designed)
     yield from design_flow()
     yield from velocities(evidence.engine)
     yield from docking(evidence.run(DOCKING))
     radius = next(s for s in evidence.scans if s.assumption.field == "detector.capture_radius")
     both = evidence.joint_variation.share("paper_designed", "paper_case_2")
+    count = evidence.joint_variation.count
     why_2 = (
-        "comes nearer than the designed buffer: agrees for a radius of capture of "
+        "comes closer than the designed buffer: agrees for a radius of capture of "
         f"{radius.where('paper_case_2')} only, where the designed one is not captured either; both "
-        f"agree in {both:.0%} of {evidence.joint_variation.count} samples of all that is open"
+        f"agree in {round(both * count)} of {count} samples of all open assumptions"
     )
     why_3 = (
         f"turns back short of BE: agrees for a radius of capture of {radius.where('paper_case_3')}"
@@ -405,10 +418,19 @@ def claims(evidence: Evidence) -> Iterator[Claim]:
 
 
 def _verdict(run: Run, where: str, says: str, captured: bool, why: str = "") -> Claim:
-    agrees = (run.verdict == "captured") == captured
-    here = f"{run.verdict}; nearest {run.summary['nearest_distance'] * 1e3:.2f} mm"
-    paper = f"{run.scene.name}: {says}"
-    return Claim(where, paper, here, "" if agrees else "differs", why, agrees)
+    agrees = _or_differs((run.verdict == "captured") == captured)
+    here = f"{run.verdict}; closest approach {run.summary['nearest_distance'] * 1e3:.2f} mm"
+    return Claim(where, f"{run.scene.name}: {says}", here, "", why, agrees)
+
+
+def _tends_to_zero(run: Run) -> Claim:
+    """Figure 8: the distance after the closest approach."""
+    distance = run.samples["tip_distance"]
+    farthest = float(distance[int(distance.argmin()) :].max())
+    here = f"{distance.min() * 1e3:.2f} mm, then up to {farthest * 1e3:.1f} mm"
+    why = "nearly at rest there, then drifts out slowly: in the text no latch holds the tip"
+    agrees = _or_differs(farthest <= run.scene.detector.capture_radius)
+    return Claim("Fig. 8", f"{run.scene.name}: the distance tends to 0", here, "", why, agrees)
 
 
 def impact(clamped: Run, undamped: Run) -> Iterator[Claim]:
@@ -419,23 +441,24 @@ def impact(clamped: Run, undamped: Run) -> Iterator[Claim]:
     )
     says = "clamped probe: high, short force (a curve, no numbers in the text)"
     here = f"{force:.0f} N over {lasts * 1e3:.1f} ms"
-    yield Claim("Fig. 5", says, here, "-", "nothing to compare with in the text", None)
+    yield Claim("Fig. 5", says, here, "-", "no number in the text", Agreement.NOT_COMPARABLE)
     says = "the buffer considerably reduces the impact force"
     here = f"{soft_force:.0f} N: {force / soft_force:.2f} times less"
     why = "the buffer decouples the tip's own mass, so only its first touch remains"
-    yield Claim("Fig. 5, 6", says, here, "-", why, force / soft_force >= 2.0)
+    yield Claim("Fig. 5, 6", says, here, "", why, _or_differs(force / soft_force >= 2.0))
     says = "and remarkably increases the contact time"
     here = f"{soft_lasts * 1e3:.1f} ms: {soft_lasts / lasts:.1f} times longer"
     why = "vehicles on the axial spring instead of on the probe's own stiffness"
-    yield Claim("Fig. 5, 6", says, here, "-", why, soft_lasts / lasts >= 20.0)
+    yield Claim("Fig. 5, 6", says, here, "", why, _or_differs(soft_lasts / lasts >= 20.0))
     scenes = {e: scene_of("paper_undamped", [f"contact.restitution={e}"]) for e in RESTITUTIONS}
     durations = {e: run_first_contact(scene).duration for e, scene in scenes.items()}
     best = min(durations, key=lambda e: abs(durations[e] - FIRST_CONTACT))
     measured = ", ".join(f"{t * 1e3:.1f} ms at e = {e:g}" for e, t in durations.items())
     off = soft_lasts / FIRST_CONTACT - 1.0
     says, here = f"first contact lasts {FIRST_CONTACT} s", f"{soft_lasts:.4f} s (e = 0.5)"
-    why = f"e is not given; {measured}: nearest at e = {best:g}"
-    yield Claim("Fig. 6, 7", says, here, f"{off:+.2%}", why, abs(off) <= 0.005)
+    why = f"e is not given; {measured}: best at e = {best:g}"
+    agrees = _or_differs(abs(off) <= 0.005, Agreement.NUMBERS)
+    yield Claim("Fig. 6, 7", says, here, f"{off:+.2%}", why, agrees)
     first = first_cluster(undamped.touches)
     end = first["end"].max()
     later = undamped.touches[undamped.touches["start"] > end]
@@ -445,7 +468,7 @@ def impact(clamped: Run, undamped: Run) -> Iterator[Claim]:
         wall = "the other" if other else "the same"
         here = f"next touch on {wall} wall, {(later['start'][0] - end) * 1e3:.0f} ms later"
     says = "then the tip rebounds, and hits the cone again on its upper wall"
-    yield Claim("Fig. 7", says, here, "", "", other)
+    yield Claim("Fig. 7", says, here, "", "", _or_differs(other))
     yield _verdict(undamped, "Fig. 6, 7", "not captured", False)
 
 
@@ -465,7 +488,7 @@ def design_flow() -> Iterator[Claim]:
         here,
         "",
         "with the springs for the strokes of (500, 200); 13 lies near the lower end",
-        low <= 13.0 <= high,
+        _or_differs(low <= 13.0 <= high),
     )
 
 
@@ -480,14 +503,15 @@ def velocities(engine: SecondEngine) -> Iterator[Claim]:
         "Exudyn, to the end of the first contact: chaser and target within "
         f"{off[places].max():.1e} m/s and {off[angles].max():.1e} rad/s",
         f"{off[vehicles].max():.0e}",
-        "both with friction clamped at v_eps; tanh instead moves the vehicles' rates by up to "
+        "the paper's program is SimMechanics, and its curves have no numbers; both here with "
+        "friction clamped at v_eps; tanh instead moves the vehicles' rates by up to "
         f"{law[places].max():.0e} m/s and {law[angles].max():.0e} rad/s",
-        bool(off[vehicles].max() <= 1e-5),
+        Agreement.NOT_COMPARABLE,
     )
     here = f"stroke rate within {off[4]:.1e} m/s, probe within {off[3]:.1e} rad/s"
     why = "as above; the probe is the lightest part, so each touch affects it most"
     largest = off[3:5].max()
-    yield Claim("Fig. 11", says, here, f"{largest:.0e}", why, bool(largest <= 1e-5))
+    yield Claim("Fig. 11", says, here, f"{largest:.0e}", why, Agreement.NOT_COMPARABLE)
 
 
 def docking(run: Run) -> Iterator[Claim]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.pages import DOCS
-from benchmarks.paper import CASES, OPEN, Claim, Evidence, claims
+from benchmarks.paper import CASES, OPEN, Agreement, Claim, Evidence, claims
 from benchmarks.paper_figures import FIGURES
 from capture_sim.bench import compile_kernels
 from capture_sim.files import whole_file
@@ -65,7 +65,7 @@ def page(claims: Sequence[Claim], evidence: Evidence, titles: dict[str, str]) ->
     environment.filters["percent"] = "{:.0%}".format
     return environment.get_template("reproduction.md.j2").render(
         claims=claims,
-        agreed=[claim.agrees for claim in claims],
+        agreements=[(kind, [c.agreement for c in claims].count(kind)) for kind in Agreement],
         evidence=evidence,
         names={case: case.removeprefix("paper_") for case in CASES},
         open=OPEN,
@@ -78,10 +78,9 @@ def terminal_table(claims: Sequence[Claim]) -> str:
     """Return the claims as text for a terminal."""
     lines = []
     for claim in claims:
-        mark = {True: "agrees", False: "DIFFERS", None: "-"}[claim.agrees]
-        lines.append(f"{claim.where:10} {mark:8} {claim.paper}")
+        lines.append(f"{claim.where:10} {claim.agreement:18} {claim.paper}")
         detail = "; ".join(part for part in (claim.here, claim.difference, claim.why) if part)
-        lines.append(f"{'':19} {detail}")
+        lines.append(f"{'':29} {detail}")
     return "\n".join(lines)
 
 

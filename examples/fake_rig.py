@@ -22,8 +22,8 @@ CLOCK = 1.2e9  # s, by the bench's clock at its start
 
 
 class FakeRig(Node):
-    def __init__(self):
-        super().__init__("fake_rig")
+    def __init__(self, **options):
+        super().__init__("fake_rig", **options)
         self.declare_parameter("outcomes", ["captured"])  # of the releases in turn: captured,
         self.declare_parameter("rate", 100.0)  # ... rebound, missed; Hz
         self.declare_parameter("pace", 1.0)  # s of the bench in a second: saves waiting in tests

@@ -41,7 +41,7 @@ A plain number is in the unit given here. A text may have another unit. `extends
 whose values apply to all fields that the file does not contain; `null` removes an optional part
 from the bench.
 
-```yaml
+```yaml title="softer.yaml"
 extends: tilt_p10
 title: "A softer buffer, no latch"
 buffer: {k_A: '0.4 N/mm', c_A: 20.0}

@@ -2,34 +2,39 @@
 
 import itertools
 import re
-import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
 from action_msgs.msg import GoalStatus
 from capture_sim.action import RunTrial
-from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from std_msgs.msg import Bool
-from threads import wait_until
 
 from capture_sim.cli import main
 from capture_sim.hardware.messages import stamp_of
+from tests.nodes.bench_client import give_back, ros_arguments, take_participant, wait_until
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+sys.path.append(str(Path(__file__).parents[2] / "examples"))
+from disturbed_rig import DisturbedRig
+from fake_rig import FakeRig
+
 STREAMS = ["/joint_states", "/load_cell/wrench", "/launcher/command", "/launcher/hold"]
 STREAMS += ["/capture/status", "/capture/criteria"]
 POSES = ["/motion_capture/chaser", "/motion_capture/target"]
-#: Speed of the bench's clock compared with ours, except in tests of the clocks.
-PACE = 3.0
+#: The bench's clock compared with ours, and its measurements in a second of it.
+PACE, RATE = 5.0, 50.0
 #: After the chaser was held, the bench has pulled it back by then, s of the bench.
 BACK = 2.0
 SUCCEEDED, CANCELED, ABORTED = (
     *(GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED),
 )
+#: A busy machine is no dead camera, and no absent node.
+PATIENT = {"start_timeout": 120.0, "max_pose_age": 10.0, "max_buffer_age": 10.0}
+PATIENT |= {"max_hold_silence": 10.0, "time_limit": 600.0, "closing_timeout": 120.0}
 
 
 def asked(actions, send, *arguments, **options):
@@ -84,9 +89,34 @@ class Goal:
 def actions_of(client):
     """Return an action client of launcher/run_trial."""
     actions = ActionClient(client.node, RunTrial, "/launcher/run_trial")
-    assert actions.wait_for_server(60.0)
+    wait_until(actions.server_is_ready, "no launcher/run_trial")
     client.await_answers_of("/launcher")
     return actions
+
+
+@contextmanager
+def rig(kind, parameters):
+    """Run a bench of the examples in a thread; give its node."""
+    context, over = take_participant(), threading.Event()
+    node = kind(context=context, cli_args=ros_arguments(parameters), use_global_arguments=False)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+
+    def spin():
+        while not over.is_set():
+            executor.spin_once(0.05)
+        executor.remove_node(node)
+        executor.shutdown()
+        node.destroy_node()
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield node
+    finally:
+        over.set()
+        thread.join()
+        give_back(context)
 
 
 class Session:
@@ -101,53 +131,56 @@ class Session:
         actuator="output",
         poses=POSES,
         launcher=None,
-        launcher_change="",
+        change=None,
         **options,
     ):
         self.client, self.folder = client, folder
         streams = f"[{', '.join([*poses, *STREAMS])}]"
         self.detector = start("capture_detector", **options)
         self.recorder = start("recorder", out=folder, topics=streams, **options)
-        # a busy machine is no dead camera: 0.3 s is for the tests of this limit
-        settings = {"scene": "tilt_0", "start_timeout": 5.0, "after_verdict": 0.3}
-        settings |= {"max_pose_age": 1.0, "max_hold_silence": 5.0}
-        settings |= launcher or {}
-        self.launcher = start("launcher", launcher_change, actuator=actuator, **settings | options)
+        settings = {**PATIENT, "scene": "tilt_0", "after_verdict": 0.1}
+        settings |= (launcher or {}) | options
+        self.launcher = start("launcher", change, actuator=actuator, **settings)
         self.launcher.wait_for("ready for trials")
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
         self.holds = []  # s (wall) and value of launcher/hold
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        client.node.create_subscription(
-            Bool,
+        client.subscribe(
+            "std_msgs/msg/Bool",
             "launcher/hold",
             lambda message: self.holds.append((time.monotonic(), message.data)),
-            latched,
+            QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self.stamps = []  # s by the bench's clock, of the load cell, which never falls silent
-        client.node.create_subscription(
-            WrenchStamped,
+        client.subscribe(
+            "geometry_msgs/msg/WrenchStamped",
             "load_cell/wrench",
             lambda sample: self.stamps.append(stamp_of(sample)),
             qos_profile_sensor_data,
         )
         self.actions = actions_of(client)
+        if actuator == "output":  # a topic that is not ours: the recorder looks for it
+            wait_until(lambda: self._is_read_by("recorder", "/launcher/hold"))
+
+    def _is_read_by(self, node, topic):
+        readers = self.client.node.get_subscriptions_info_by_topic(topic)
+        return node in {reader.node_name for reader in readers}
 
     @contextmanager
-    def bench(self, *remaps, script="disturbed_rig.py", pace=PACE, **disturbances):
-        """Run the bench, disturbed."""
-        disturbances = {"pace": pace, "hold_timeout": 5.0, **disturbances}
-        values = [w for key, value in disturbances.items() for w in ("-p", f"{key}:={value}")]
-        command = [sys.executable, str(EXAMPLES / script), "--ros-args", *values, *remaps]
-        rig = subprocess.Popen(command)
-        try:
-            self.stamps.clear()
-            wait_until(lambda: self.stamps or rig.poll() is not None)
-            assert rig.poll() is None, "the bench has ended"
-            yield
-        finally:
-            rig.kill()  # plain rclpy may not come to its end: see capture_sim.interrupts.end_within
-            rig.wait()
+    def bench(self, remaps=(), *, is_disturbed=True, **disturbances):
+        """Run the bench, disturbed; give its node, to look at."""
+        parameters = {
+            "pace": PACE,
+            "rate": RATE,
+            "hold_timeout": 60.0,
+            **disturbances,
+            **dict(remaps),
+        }
+        kind = DisturbedRig if is_disturbed else FakeRig
+        self.stamps.clear()
+        with rig(kind, parameters) as node:
+            wait_until(lambda: self.stamps)
+            yield node
 
     def wait(self, seconds):
         """Wait by the bench's clock (s), which is slower than its pace on a busy machine."""

@@ -6,26 +6,23 @@ sends that many.  All nodes are started once and see all of them, within runs an
 
 import os
 import re
-import time
 
 import pytest
 import rclpy
-from bench_processes import Client, Simulation, processes, wait_until
-from forked import Forked
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from ports import free_port
-from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
+from threads import threads
 
-from capture_sim import load_scene, simulate
-from capture_sim.control.simulation import State
+from capture_sim import load_scene
+from capture_sim.control.simulation import Code, State
 from capture_sim.hardware.messages import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS, RunSource
 from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.recording.bag import read_bag
-from capture_sim.recording.offline import write_run
+from tests.nodes.bench_client import Client, Simulation, give_back, take_participant, wait_until
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
 READY = ("launcher", "capture_detector", "recorder", "viewer", CONTACT_RIG)
@@ -114,10 +111,9 @@ def not_finite(wrench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """All nodes, the simulation stopped, and a client."""
+    """All nodes that read runs, the simulation stopped, and a client."""
     out = tmp_path_factory.mktemp("foreign") / "out"
-    bag = write_run(simulate(load_scene("tilt_0")), tmp_path_factory.mktemp("bag") / "run.mcap")
-    with processes(Forked) as start, Client() as client:
+    with threads() as start, Client() as client:
         nodes = {
             # short runs: nobody is outrun, not this process either
             "simulator": start(
@@ -137,9 +133,6 @@ def bench(tmp_path_factory):
         for name in READY:
             nodes[name].wait_for("ready")
         nodes[LOOP_SIMULATOR].wait_for("waiting")
-        # last: one that starts with the simulator would be its rival
-        nodes["player"] = start("player", bag=bag, topics="[bench/state]", paused="true")
-        wait_until(lambda: client.node.count_publishers("/bench/state") == 2)
         yield nodes, client, out
 
 
@@ -149,9 +142,11 @@ def foreign(bench):
 
     An executor that waits for the events of a publisher fails when that is destroyed meanwhile.
     """
-    node = rclpy.create_node("foreign")
+    context = take_participant()
+    node = rclpy.create_node("foreign", context=context)
     yield node
     node.destroy_node()
+    give_back(context)
 
 
 def test_three_thousand_refusals_are_few_lines(bench, foreign):
@@ -164,7 +159,7 @@ def test_three_thousand_refusals_are_few_lines(bench, foreign):
         publisher.publish(kind(run_id=f"{number}", name="x", scene="a: ["))
     assert publisher.wait_for_all_acked(Duration(seconds=60))
     for name, since in began.items():
-        client.ask(ListParameters, f"/{name}/list_parameters")
+        client.await_answers_of(f"/{name}")
         nodes[name].wait_for("bench/run_info: rejected: ", since=since)
         assert len(nodes[name].lines) - since < 3, name
 
@@ -182,7 +177,6 @@ def test_odd_messages_end_no_node(bench, foreign):
                 f"loop/{topic.name}" if topic is TIP_WRENCH else topic.name,
                 qos_of(topic, latched=topic.latched),
             )
-            time.sleep(0.1)
         publishers[topic].publish(message)
 
     @settings(
@@ -199,8 +193,7 @@ def test_odd_messages_end_no_node(bench, foreign):
         publish(*drawn)
         count += 1
         if count % 20 == 0:
-            ended = [name for name, node in nodes.items() if node.process.poll() is not None]
-            assert not ended, "\n".join(nodes[name].text[-3000:] for name in ended)
+            assert not (ended := [n for n, node in nodes.items() if not node.is_alive]), ended
 
     kind = message_class(RUN_INFO.type_name)
     rates = {"state_rate": 1000.0, "rate": 100.0}
@@ -210,11 +203,10 @@ def test_odd_messages_end_no_node(bench, foreign):
     send()
     for name, node in nodes.items():
         full = f"/loop/{name}" if name == LOOP_SIMULATOR else f"/{name}"
-        client.ask(ListParameters, f"{full}/list_parameters")
-        assert node.process.poll() is None, node.text
-        assert "Traceback" not in node.text, node.text
+        client.await_answers_of(full)
+        assert node.is_alive, node.text
         assert len(node.lines) < FEW + EXAMPLES / 4, (name, len(node.lines))
-        assert all(line.rstrip("\n").isprintable() for line in node.lines), name
+        assert all(line.isprintable() for line in node.lines), name
         assert max(map(len, node.lines), default=0) < 1200
     assert set(out.parent.iterdir()) == {out}, nodes["recorder"].text
     # and they do what they are there for, once the foreign publishers have gone
@@ -229,9 +221,9 @@ def test_odd_messages_end_no_node(bench, foreign):
     for _ in range(2):  # the first takes in what came before it
         wait_until(lambda: simulation.state is State.STOPPED)
         began = len(nodes["recorder"].lines)
-        assert simulation.set(State.PLAYING)[0] == 1
+        assert simulation.set(State.PLAYING)[0] == Code.OK
         nodes["recorder"].wait_for(".mcap: ", since=began)
-    last = "".join(nodes["recorder"].lines[began:])
+    last = "\n".join(nodes["recorder"].lines[began:])
     recorded = re.search(r": (\S*/tilt_0\S*\.mcap): \d+ messages, complete", last)
     assert recorded, nodes["recorder"].text
     run = read_bag(recorded[1])

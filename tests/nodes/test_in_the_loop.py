@@ -142,7 +142,7 @@ def test_a_silent_rig_and_a_stiff_one_stop_the_vehicles(start):
         loop.wait_for("the loop is closed")
         rig.process.kill()
         assert loop.status() == 1
-        wait_until(lambda: len(holds) == 2, 10.0, "no reason on loop/hold")
+        wait_until(lambda: len(holds) == 2, "no reason on loop/hold")
         assert holds[0] == ""
         assert "latency of the wrench = " in holds[1]
     assert "latency of the wrench = " in loop.text
@@ -182,8 +182,8 @@ def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
 
     They are sent as fast as the machine can.
     """
-    with Client():
-        idle = rclpy.create_node("idle")
+    with Client() as client:
+        idle = rclpy.create_node("idle", context=client.node.context)
         qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_ALL)
         idle.create_subscription(message_class(TIP.type_name), TIP.name, print, qos)
         start("contact_rig", ideal="true")
@@ -236,9 +236,10 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     assert f"recorded: {recorded}" in third.text
     run = read_run(recorded)
     assert run.problems == ()
-    [touch], [contact] = run.touches, found["contacts"]
-    assert touch["peak_force"] == pytest.approx(contact["peak_force"], rel=0.01)
-    assert touch["approach_speed"] == pytest.approx(contact["approach_speed"], rel=0.01)
+    contact = found["contacts"][0]  # of one touch, or more if the residual is late
+    assert run.touches["peak_force"].max() == pytest.approx(contact["peak_force"], rel=0.01)
+    speed = run.touches["approach_speed"][0]
+    assert speed == pytest.approx(contact["approach_speed"], rel=0.01)
     rig = run.to_dataframe("loop/wrench")["wrench.force.x"]
     assert rig.min() == pytest.approx(0.5 - found["rig_peak_force"], rel=0.05)
     assert len(run.to_dataframe("loop/tip")) > 1000  # with the run-up

@@ -4,10 +4,11 @@ import json
 
 import pytest
 import yaml
-from threads import Client, threads, wait_until
+from threads import threads
 
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.resources import config_dir
+from tests.nodes.bench_client import Client, wait_until
 
 #: What a display of RViz draws.
 DRAWN = {

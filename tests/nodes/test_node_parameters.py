@@ -7,24 +7,30 @@ import sys
 import pytest
 import rclpy
 import yaml
-from bench_processes import join_dds
 
 from capture_sim.nodes.capture_detector import CaptureDetectorNode
 from capture_sim.nodes.launcher import LauncherNode
 from capture_sim.nodes.recorder import RecorderNode
 from capture_sim.nodes.simulator import SimulatorNode
 from capture_sim.resources import config_dir
+from tests.nodes.bench_client import give_back, take_participant
 
 UNSET = ("['']", "nan")
 IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
 
 
-def test_file_and_nodes_agree(tmp_path, monkeypatch):
+@pytest.fixture
+def context():
+    context = take_participant()
+    yield context
+    give_back(context)
+
+
+def test_file_and_nodes_agree(context, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # below which the recorder has its folder
     declared = {}
-    join_dds()
     for make in (SimulatorNode, LauncherNode, CaptureDetectorNode, RecorderNode):
-        node = make()
+        node = make(context=context)
         names = node.list_parameters([], 0).names
         values = {n: node.get_parameter(n).value for n in names if not IGNORED.match(n)}
         # one that is not set is not given in the file either
@@ -34,10 +40,9 @@ def test_file_and_nodes_agree(tmp_path, monkeypatch):
     assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared
 
 
-def test_nodes_keep_nothing_under_a_name_of_rclpys_node():
-    join_dds()
-    plain = rclpy.create_node("plain")
-    node = SimulatorNode()
+def test_nodes_keep_nothing_under_a_name_of_rclpys_node(context):
+    plain = rclpy.create_node("plain", context=context)
+    node = SimulatorNode(context=context)
     for name, value in vars(plain).items():
         assert type(vars(node)[name]) is type(value), name
     plain.destroy_node()

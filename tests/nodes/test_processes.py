@@ -10,10 +10,13 @@ import time
 from pathlib import Path
 
 import pytest
-from bench_processes import Started, fresh, statuses, wait_until
+from bench_processes import Client, Started, fresh, statuses, wait_until
+from capture_sim.action import RunTrial
+from rig_session import FakeRig, Goal, actions_of, rig
 
 import capture_sim
 from capture_sim import load_scene, simulate
+from capture_sim.messages.topics import CHASER_POSE
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.read import run_of
@@ -89,6 +92,7 @@ def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
     suite = Started(fresh(textwrap.dedent(program), [str(tmp_path)]))
     try:
         suite.wait_for("released")
+        wait_until((tmp_path / "tilt_0.mcap").is_file)
         time.sleep(1.0)
         assert suite.end() == 130, suite.text
     finally:
@@ -182,6 +186,24 @@ def test_own_detector_of_the_page_misses_no_sample(start):
     start_of_dwell = samples["t"][int(count) - 1] - 0.2
     assert float(since) == pytest.approx(start_of_dwell, abs=2e-3)
     assert inside[round(float(since) * 1000) : int(count)].all()
+
+
+def test_a_driver_holds_when_the_launcher_is_killed(start):
+    """launcher/hold is repeated; without it, the bench stops its chaser by itself."""
+    with Client() as client:
+        poses = client.listen(CHASER_POSE)
+        options = {"start_timeout": 120.0, "max_pose_age": 10.0, "max_hold_silence": 10.0}
+        launcher = start("launcher", actuator="output", scene="tilt_0", **options)
+        launcher.wait_for("ready for trials")
+        with rig(FakeRig, {"hold_timeout": 1.0}) as node:
+            goal = Goal(actions_of(client))
+            goal.await_phase(RunTrial.Feedback.APPROACH)
+            launcher.process.kill()
+            wait_until(lambda: node.released is None and node.trial == 1)
+            began = node.t
+            wait_until(lambda: node.t > began + 2.0)  # pulled back by then
+            assert poses[-1].pose.position.x < 0.01
+            assert max(pose.pose.position.x for pose in poses) < 0.2
 
 
 # the command line

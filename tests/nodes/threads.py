@@ -5,18 +5,24 @@ exit statuses need processes: see bench_processes.
 """
 
 import gc
+import sys
 import threading
-import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 
-import rclpy
-from bench_processes import PATIENCE, Asking
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-
-from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.nodes.process import live
+from tests.nodes.bench_client import (
+    PATIENCE,
+    Client,
+    give_back,
+    ros_arguments,
+    statuses,
+    take_participant,
+    wait_until,
+)
+
+__all__ = ["Client", "Running", "statuses", "threads", "wait_until"]
 
 CLASSES = {
     "simulator": "SimulatorNode",
@@ -28,40 +34,27 @@ CLASSES = {
     "contact_rig": "ContactRigNode",
     "loop_simulator": "LoopSimulatorNode",
 }
-
-
-def new_context():
-    """Return a context, which is a DDS participant of its own once it has a node."""
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    return context
-
-
-def wait_until(condition, what="waited in vain", timeout=PATIENCE):
-    """Wait until a condition holds."""
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, what() if callable(what) else what
-        time.sleep(0.002)
+#: rclpy allows one severity for each line of code that logs.
+LOG = {
+    "info": lambda logger, text: logger.info(text),
+    "warning": lambda logger, text: logger.warning(text),
+    "error": lambda logger, text: logger.error(text),
+}
 
 
 class Running:
     """A node in its thread; :attr:`node` is the node itself, to look at."""
 
     def __init__(self, name, parameters, change):
-        arguments = ["--ros-args"]
-        for key, value in parameters.items():
-            is_remap = key.startswith("__") or "/" in key
-            arguments += ["-r" if is_remap else "-p", f"{key}:={value}"]
         self.name = name
         self.lines = []
-        self._context = new_context()
+        self._context = take_participant()
         make = getattr(import_module(f"capture_sim.nodes.{name}"), CLASSES[name])
-        options = {"cli_args": arguments, "use_global_arguments": False}
+        options = {"cli_args": ros_arguments(parameters), "use_global_arguments": False}
         try:
             self.node = make(context=self._context, **options)
         except BaseException:
-            rclpy.shutdown(context=self._context)
+            give_back(self._context)
             raise
         self.end_request = self.node.end_request = threading.Event()
         self._keep_lines()
@@ -72,24 +65,22 @@ class Running:
         self._thread.start()
 
     def _keep_lines(self):
-        """Keep what the node logs, beside logging it."""
-        logger, lines = self.node.get_logger(), self.lines
+        """Keep what the node logs, beside logging it; what is throttled is logged once."""
+        logger, lines, throttled = self.node.get_logger(), self.lines, set()
 
-        class Kept:  # rclpy allows one severity for each line of code that logs
-            def __getattr__(self, name):
-                return getattr(logger, name)
+        def log(severity, text, **options):
+            caller = sys._getframe(1)
+            place = caller.f_code.co_filename, caller.f_lineno
+            if place in throttled:
+                return
+            if options:
+                throttled.add(place)
+            lines.append(f"{severity}: {text}")
+            LOG[severity](logger, text)
 
-            def info(self, text, **options):
-                lines.append(f"info: {text}")
-                logger.info(text, **options)
-
-            def warning(self, text, **options):
-                lines.append(f"warning: {text}")
-                logger.warning(text, **options)
-
-            def error(self, text, **options):
-                lines.append(f"error: {text}")
-                logger.error(text, **options)
+        class Kept:
+            debug = logger.debug
+            info, warning, error = (partial(log, severity) for severity in LOG)
 
         self.node.get_logger = Kept
 
@@ -97,9 +88,10 @@ class Running:
         try:
             self._status = live(self.node)
         finally:
+            for part in list(self.node.waitables):  # of an action: destroy_node leaves them
+                getattr(part, "destroy", lambda: None)()
             self.node.close()
-            with suppress(RuntimeError):
-                rclpy.shutdown(context=self._context)
+            give_back(self._context)
 
     @property
     def text(self):
@@ -112,9 +104,10 @@ class Running:
     def wait_for(self, words, since=0):
         """Wait until the node logs something, in the lines from ``since`` on."""
         wait_until(
-            lambda: words in "\n".join(self.lines[since:]),
+            lambda: words in "\n".join(self.lines[since:]) or not self.is_alive,
             lambda: f"{self.name} never logged {words!r}:\n{self.text}",
         )
+        assert words in "\n".join(self.lines[since:]), f"{self.name} has ended:\n{self.text}"
 
     def status(self):
         """Wait for the node's end and return its exit status."""
@@ -146,53 +139,6 @@ def threads():
             running.end_request.set()
         for running in started:
             running.status()
+        started.clear()
+        gc.unfreeze()  # nodes freeze what is there when they begin
         gc.collect()
-
-
-def statuses(nodes, first="simulator"):
-    """Wait for the end of one node, then end the others; return all exit statuses by name."""
-    found = {first: nodes[first].status()}
-    return found | {name: node.end() for name, node in nodes.items() if name != first}
-
-
-class Client(Asking):
-    """A plain node of this process that calls services, sets parameters and listens."""
-
-    def __init__(self, name="experimenter", **options):
-        self._context = new_context()
-        self.node = rclpy.create_node(name, context=self._context, **options)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._clients = {}
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
-
-    def _spin(self):
-        while not self._closing.is_set():
-            self._executor.spin_once(timeout_sec=0.02)
-
-    def __enter__(self):
-        return self
-
-    def stop(self):
-        """Run no callback any more."""
-        self._closing.set()
-        self._thread.join()
-
-    def __exit__(self, *error):
-        self.stop()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
-
-    def listen(self, topic, is_wanted=lambda message: True, qos=None):
-        """Return a list that collects a topic's messages from now on, those that are wanted."""
-        messages = []
-        self.node.create_subscription(
-            message_class(topic.type_name),
-            topic.name,
-            lambda message: messages.append(message) if is_wanted(message) else None,
-            qos or qos_of(topic),
-        )
-        return messages
