@@ -42,6 +42,35 @@ print(*numpy.percentile(late, (50, 99, 99.9, 100)).round().astype(int))
 """
 
 
+#: As BARE, each second in turn by time.sleep and in the executor of a node; ticks are s / 1000.
+WAITS = """
+import sys, time, numpy
+import rclpy
+from rclpy.experimental import EventsExecutor
+rclpy.init()
+executor = EventsExecutor()
+executor.add_node(rclpy.create_node("waiting"))
+late = {"time.sleep": [], "executor": []}
+for how in [*late] * int(sys.argv[1]):
+    start = time.monotonic()
+    for i in range(1000):
+        due = start + i * 1e-3
+        while (left := due - time.monotonic()) > 0.0:
+            time.sleep(left) if how == "time.sleep" else executor.spin_once(left)
+        late[how].append(1e6 * (time.monotonic() - due))
+for how, values in late.items():
+    print(how, *numpy.percentile(values, (50, 99, 99.9, 100)).round().astype(int))
+"""
+
+
+def burn(stack: ExitStack, count: int) -> None:
+    """Keep the machine busy until the stack is left."""
+    for _ in range(count):
+        burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        stack.callback(burner.wait)
+        stack.callback(burner.kill)
+
+
 class Suite:
     """Nodes of a bench, the simulator waiting for the others.
 
@@ -130,10 +159,7 @@ def measure_paced(options: Namespace, folder: Path, burners: int = 0) -> list[st
     rows, factors, messages, lost = [], [], [], []
     for i in range(options.times):
         with ExitStack() as stack:
-            for _ in range(burners):
-                burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-                stack.callback(burner.wait)
-                stack.callback(burner.kill)
+            burn(stack, burners)
             start = stack.enter_context(processes())
             suite = Suite(start, folder / str(i), rtf=1.0, overrides=endless(options.seconds))
             suite.nodes["simulator"].wait_for("released")
@@ -175,11 +201,39 @@ def measure_unpaced(options: Namespace, folder: Path) -> list[str]:
             factors.append(f"{achieved(suite.end()):.1f}")
             lost += suite.recorded().problems
     shares = ", ".join(f"{name} {value:.2f}" for name, value in spent.items())
+    short, missing = 0, []
+    for i in range(options.suites):  # under load
+        with ExitStack() as stack:
+            burn(stack, 2)
+            start = stack.enter_context(processes())
+            out = folder / f"short_{i}"
+            Suite(start, out, rtf=0.0, scenes="[tilt_0, tilt_p10]").end()
+        runs = [read_bag(path) for path in sorted(out.glob("*.mcap"))]
+        short += len(runs)
+        missing += [problem for run in runs for problem in run.problems]
     return [
         f"{options.seconds:g} simulated seconds, {options.times} times: {', '.join(factors)} times "
         f"real time, lost: {'; '.join(lost) or 'none'}. CPU time of the nodes in the last run, "
-        f"s: {shares}."
+        f"s: {shares}.",
+        "",
+        f"Beside two busy processes, {options.suites} suites of two runs each (tilt_0, tilt_p10): "
+        f"{short} recordings, lost: {'; '.join(missing) or 'none'}.",
     ]
+
+
+def measure_waits(options: Namespace, folder: Path) -> list[str]:
+    rows = []
+    for i in range(2 * options.times):
+        with ExitStack() as stack:
+            busy = 2 * (i % 2)
+            burn(stack, busy)
+            command = [sys.executable, "-c", WAITS, str(max(1, int(options.seconds / 2)))]
+            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        for line in said.splitlines():
+            how, *values = line.split()
+            rows.append([f"{how}, {busy} busy processes, run {i // 2 + 1}", *values])
+    rows.sort(key=lambda row: row[0].split(", ")[1:])
+    return [table(["lateness of a tick, us", "p50", "p99", "p99.9", "max"], rows)]
 
 
 def measure_same_bits(options: Namespace, folder: Path) -> list[str]:
@@ -264,10 +318,14 @@ def measure_kills(options: Namespace, folder: Path) -> list[str]:
             time.sleep(delay)
             suite.nodes[victim].process.kill()
             sent = len(simulation.states)
+            if victim == "simulator":
+                suite.nodes["recorder"].wait_for(".mcap: ")  # DDS notices after 6 s
+            else:
+                suite.nodes["simulator"].status()
             for name, node in suite.nodes.items():
                 if name != victim:
                     # a launcher that dies after the release is missed by nobody
-                    said = node.status(60.0), "Traceback" in node.text
+                    said = node.end(), "Traceback" in node.text
                     if said not in ((0, False), (1, False)):
                         problems.append(f"kill {i} of {victim}: {name} ended with {said}")
             if victim != "simulator" and "done, " not in suite.nodes["simulator"].text:
@@ -295,6 +353,7 @@ if __name__ == "__main__":
             "start": measure_start,
             "paced": measure_paced,
             "busy": measure_busy,
+            "waits": measure_waits,
             "unpaced": measure_unpaced,
             "same_bits": measure_same_bits,
             "resets": measure_resets,
@@ -302,6 +361,7 @@ if __name__ == "__main__":
         },
         seconds=(60.0, "of a paced or unpaced run"),
         times=(3, "that it is repeated"),
+        suites=(20, "of two runs without pacing, beside two busy processes"),
         resets=(2000, "runs in one process"),
         kills=(30, "of a node at a random moment"),
         seed=(1, "of the random moments"),

@@ -21,6 +21,7 @@ from PIL import Image
 
 from capture_sim.files import whole_file
 from capture_sim.launch.scenes import load_scene
+from capture_sim.results import first_touch
 from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
@@ -45,7 +46,7 @@ from capture_sim.viewing.shapes import (
     tip_in_world,
     wall,
 )
-from capture_sim.viewing.source import decided_at, first_touch, verdict
+from capture_sim.viewing.source import decided_at, verdict
 
 # of the drawing, so that small motions are seen
 _STROKE, _TORSION = -0.035, 0.14  # m, rad
@@ -274,7 +275,7 @@ def save_capture_gif(run: Run, path: Path | str, pictures: int | None = None) ->
         The file cannot be written.
     """
     path = Path(path)
-    touch, decided = first_touch(run), decided_at(run)
+    touch, decided = first_touch(run.events), decided_at(run)
     begin = 0.0 if touch is None else max(touch.t - 0.15, 0.0)
     end = float(run.samples["t"][-1]) if decided is None else decided
     count = pictures or int((end - begin) * _FPS * _SLOWER) + 1

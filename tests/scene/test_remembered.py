@@ -13,9 +13,7 @@ from capture_sim.launch.scenes import check_scene
 from capture_sim.model import parameters
 from capture_sim.model.parameters import pack
 from capture_sim.scene import paths
-from capture_sim.scene.files import build
-from capture_sim.scene.parts import as_mapping
-from capture_sim.scene.quantities import Checked
+from capture_sim.scene.quantities import Checked, declared
 from capture_sim.scene.remembered import Remembered
 
 _MODULES = (plan, scenes, parameters)
@@ -65,16 +63,18 @@ def reads(monkeypatch):
         return object.__getattribute__(self, name)
 
     def fields_read(function, scene):
-        fresh = build(as_mapping(scene))  # without computed properties that are cached
-        paths = {id(part): path for part, path in parts_of(fresh)}
+        paths = {id(part): path for part, path in parts_of(scene)}
+        for part, _ in parts_of(scene):  # computed properties that are cached read nothing
+            for name in part.__dict__.keys() - declared(type(part)).keys():
+                del part.__dict__[name]
         with monkeypatch.context() as patch:
             patch.setattr(Checked, "__getattribute__", note, raising=False)
             noted.clear()
-            function(fresh)
+            function(scene)
         return {
             f"{paths[id(part)]}.{name}".lstrip(".")
             for part, name in noted
-            if id(part) in paths and name in {field.name for field in dataclasses.fields(part)}
+            if id(part) in paths and name in declared(type(part))
         }
 
     return fields_read

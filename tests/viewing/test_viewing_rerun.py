@@ -155,7 +155,7 @@ def test_window_is_drawn_finely_and_opens_at_its_first_sample(runs, tmp_path):
     assert drawn[[0, -1]] * 1e-9 == pytest.approx(window, abs=2e-6)
     assert np.diff(drawn).max() < 1000  # ns
     aligned, _ = column(found, "/plots/axial_stroke/tilt_p10", "scalars", "since_first_touch")
-    late = first_touch(runs[1]).t
+    late = first_touch(runs[1].events).t
     assert aligned[[0, -1]] * 1e-9 == pytest.approx(np.subtract(window, late), abs=2e-6)
 
 
