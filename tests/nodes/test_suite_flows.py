@@ -235,6 +235,31 @@ def test_of_two_simulators_on_the_same_topics_the_older_one_runs(start):
     assert "another simulator" not in older.text
 
 
+def test_another_announcer_is_named_once_and_takes_nothing_away(start, tmp_path):
+    """A run elsewhere in the domain is announced a dozen times while one is on."""
+    recorder = start("recorder", out=tmp_path)
+    kind = message_class(RUN_INFO.type_name)
+    with Client() as client:
+        announced = client.listen(RUN_INFO, lambda info: info.run_id)
+        simulator = start("simulator", rtf=0.01, wait_for="[recorder]", overrides=SHORT)
+        simulator.wait_for("released")
+        wait_until(lambda: announced, "the run was not announced")
+        publisher = client.node.create_publisher(kind, RUN_INFO.name, qos_of(RUN_INFO))
+        wait_until(lambda: publisher.get_subscription_count() >= 2, "the recorder was not found")
+        info = announced[0]
+        info.announcer = "/elsewhere/player#1"
+        for k in range(12):
+            info.run_id, info.source = f"{k:032x}", ("simulation", "replay")[k % 2]
+            publisher.publish(info)
+            recorder.wait_for("/elsewhere/player announces tilt_0: ignored")
+        assert client.set("simulator", rtf=0.0)[0]
+    assert simulator.status() == 0
+    assert recorder.end() == 0
+    assert recorder.text.count("/elsewhere/player") == 1
+    assert read_bag(tmp_path / "tilt_0.mcap").problems == ()
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["tilt_0.mcap"]
+
+
 def test_run_waits_for_its_release_and_a_latecomer_gets_how_it_ended(start_all):
     nodes = start_all(
         launcher={"auto_release": "false"},
