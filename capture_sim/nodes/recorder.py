@@ -30,7 +30,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.endpoints import from_bytes, is_own
-from capture_sim.nodes.follower import EndKind, Follower, Run, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -104,7 +104,7 @@ class RecorderNode(BenchNode):
         """Take part in runs until the process is to end; return the exit status."""
         return self._follower.work()
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Open the file and write the run's description."""
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
@@ -119,14 +119,14 @@ class RecorderNode(BenchNode):
         if not self._failure:
             self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Publish nothing: a recorder has no stream."""
 
     def is_complete(self) -> bool:
         """Return True if all publishers have ended the run and all their messages have come."""
         return bool(self._failure) or (self._recorder is not None and self._recorder.done)
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Close the file and report what is missing."""
         problems = [f"{name}: no message" for name in sorted(self._sought)]
         path = None if self._recorder is None else self._recorder.path
