@@ -176,7 +176,7 @@ class SimulationControl:
             if t == self.pacer.t:
                 return
             if self.state is not State.PLAYING:
-                self.pacer.hold()
+                self.pacer.pause()
                 self._serve(math.inf)
                 continue
             now = time.monotonic()
@@ -194,7 +194,7 @@ class SimulationControl:
     def end(self) -> None:
         """Note that the run is over."""
         self._is_running = False
-        self.pacer.hold()
+        self.pacer.pause()
 
     def finish(self) -> None:
         """Stop, as nothing is left to run, unless something else was requested meanwhile."""
