@@ -84,10 +84,10 @@ class RecorderNode(BenchNode):
         self.create_service(Trigger, "~/pause", self.guarded(partial(self._pause, True)))
         self.create_service(Trigger, "~/resume", self.guarded(partial(self._pause, False)))
         self._sources = SourceDiagnostics(self)
-        self._kept: dict[Topic, bytes] = {}  # last message of topics of others that are latched
+        self._kept: dict[Topic, bytes] = {}  # last message of transient-local topics of others
         for topic in {*self._topics, STREAM_COUNTS} - {RUN_INFO}:
             # what is kept for latecomers may be of a run before
-            self.listen(topic, partial(self._record, topic), latched=False, raw=True)
+            self.listen(topic, partial(self._record, topic), transient_local=False, raw=True)
             if not is_own(topic) and wanted:
                 self._sources.watch(topic)
         self._follower.join()
@@ -188,10 +188,17 @@ class RecorderNode(BenchNode):
                     self.get_logger().warning(f"{name}: {type_name} is not installed: not recorded")
                     continue
                 ends = self.get_publishers_info_by_topic(name)
-                latched = any(
+                transient_local = any(
                     end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for end in ends
                 )
-                topic = Topic(name, type_name, (), Rate.EVENT, latched=latched, stamp=Stamp.NONE)
+                topic = Topic(
+                    name,
+                    type_name,
+                    (),
+                    Rate.EVENT,
+                    transient_local=transient_local,
+                    stamp=Stamp.NONE,
+                )
                 self.listen(topic, partial(self._record, topic), raw=True)
                 self._sources.watch(topic)
                 self._topics.append(topic)
@@ -207,7 +214,7 @@ class RecorderNode(BenchNode):
 
     def _record(self, topic: Topic, data: bytes) -> None:
         self._sources.note(topic)
-        if topic.latched and not topic.publishers:
+        if topic.transient_local and not topic.publishers:
             self._kept[topic] = data
         if self._recorder is None or self.run is None:
             return

@@ -94,7 +94,7 @@ class LauncherLink:
     def receive(self, command: Any) -> None:
         """Take a LaunchCommand; MessageError if it cannot be used."""
         if command.run_id != self._run_id or self._scene is None:
-            return  # latched by an earlier run
+            return  # kept from an earlier run, for late subscribers
         if command.action == LaunchAction.ARM:
             try:
                 _plan(self._scene, command)
