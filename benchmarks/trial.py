@@ -96,9 +96,9 @@ Prepare = Callable[[], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
 STOPPED = (SimulationError, RuntimeError)
 
 #: CPU time below which a run, ours or another engine's, is done once before it is timed, s.
-WARMED = 0.1
+MAX_WARMED_TIME = 0.1
 #: CPU time after which a setting is not run again, s.
-ENOUGH = 1.5
+MAX_SETTING_TIME = 1.5
 
 
 def timed(job: Callable[[], Any], warm: Callable[[], Any] | None = None) -> tuple[float, Any]:
@@ -152,7 +152,7 @@ class Trial:
 
     def run(self) -> None:
         """Run once more."""
-        warm = self.prepare()[0] if self.seconds and self.seconds[-1] < WARMED else None
+        warm = self.prepare()[0] if self.seconds and self.seconds[-1] < MAX_WARMED_TIME else None
         job, read = self.prepare()
         try:
             seconds, result = timed(job, warm)
@@ -169,13 +169,13 @@ class Trial:
 def run_rounds(trials: Sequence[Trial], rounds: int, progress: Progress, stage: str) -> None:
     """Run all trials some times, in turn: what disturbs one round disturbs all alike.
 
-    What has taken :data:`ENOUGH` is not repeated any more; where two of a kind took too long, the
-    tighter ones are not tried.
+    A setting that has taken :data:`MAX_SETTING_TIME` is not repeated any more; where two of a kind
+    took too long, the tighter ones are not tried.
     """
     late: dict[tuple[str, str], list[str]] = {}
     for k in range(rounds):
         for number, trial in enumerate(trials):
-            if k and (trial.failure or sum(trial.seconds) > ENOUGH):
+            if k and (trial.failure or sum(trial.seconds) > MAX_SETTING_TIME):
                 continue
             done, total = k * len(trials) + number, rounds * len(trials)
             progress.at(stage, done, total, f"{trial.family}, {trial.setting}")

@@ -231,6 +231,6 @@ class Event:
     t: float  # s, since the release
     q: np.ndarray  # (8,)
     v: np.ndarray  # (8,)
-    wall: int = 0
+    wall: int = 0  # of a touch, lift_off, stick or slip: +1 or -1; 0: none, or unknown
     detail: str = ""
     touch: np.void | None = field(default=None, compare=False)

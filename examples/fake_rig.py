@@ -35,8 +35,8 @@ class FakeRig(Node):
         self.t = self.x = self.y = self.speed = 0.0
         self.released, self.held, self.trial, self.last_hold = None, -1.0, 0, -math.inf
         self.armed = False  # a true was heard since the start, and since the last silence
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(Bool, "launcher/hold", self.on_hold, latched)
+        transient_local = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(Bool, "launcher/hold", self.on_hold, transient_local)
         self.open_sensors()
         self.create_timer(self.dt / self.pace, self.step)
 

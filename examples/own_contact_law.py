@@ -44,7 +44,7 @@ def first_peak(scene, law, step):
         if peak > 0.0 and fx == fy == 0.0:
             break
         peak = max(peak, math.hypot(fx, fy))
-        stage.go(Wrench(fx, fy))
+        stage.take_step(Wrench(fx, fy))
     return peak
 
 

@@ -71,8 +71,10 @@ class Adapter:
         self.tips = node.create_publisher(Odometry, "loop/rig_tip", qos)
         self.wrenches = node.create_publisher(WrenchStamped, "loop/wrench", qos)
         node.create_subscription(Odometry, "loop/tip", self.follow, qos)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(String, "loop/hold", lambda text: self.hold(text.data), latched)
+        transient_local = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(
+            String, "loop/hold", lambda text: self.hold(text.data), transient_local
+        )
         node.create_timer(0.25 * HEARTBEAT, self.watch)
 
     def hold(self, reason):

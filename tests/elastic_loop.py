@@ -10,5 +10,5 @@ def advanced(scene: Scene, until: float) -> tuple[LoopStage, float]:
     stage = LoopStage(scene, 1e-3)
     stage.set_law(WallLaw(scene.contact_stiffness, 1.5))
     for _ in range(round(until / 1e-3)):
-        stage.go()
+        stage.take_step()
     return stage, stage.energy

@@ -60,7 +60,7 @@ def restitution_on(law, t_end=1.0, scene=None):
     stage = LoopStage(scene or SCENE, STEP)
     stage.set_law(law)
     while stage.t < t_end:
-        stage.go()
+        stage.take_step()
     return vehicles_restitution(stage)
 
 

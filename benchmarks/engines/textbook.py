@@ -78,13 +78,13 @@ def square(values, atol):
 
 
 @kernel
-def interpolate(y, F, x, y_x):
-    """Write the dense output at the fraction ``x`` of a step into ``y_x``."""
+def interpolate(y, F, x, y_inside):
+    """Write the dense output at the fraction ``x`` of a step into ``y_inside``."""
     for i in range(N_STATE):
         value = 0.0
         for k in range(6, -1, -1):
             value = (value + F[k, i]) * (x if k % 2 == 0 else 1.0 - x)
-        y_x[i] = y[i] + value
+        y_inside[i] = y[i] + value
 
 
 @entry_kernel
@@ -100,7 +100,7 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
     system = systems[0]
     par, touch = system.par, system.mode.touch
     K, F = room[0], room[1]
-    y_stage, y_new, y_x = work[0], work[1], work[2]
+    y_stage, y_new, y_inside = work[0], work[1], work[2]
     t, h, n_touches, count = 0.0, 1e-6, 0, 1
     rate_of_change(t, y, K[0], system)
     while t < t_end:
@@ -113,10 +113,10 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
         stage(y, K, A, 12, 12, h, y_new)
         rate_of_change(t, y_new, K[12], system)
         count += 12
-        weighted_sum(E3, K, 13, y_x)
-        error_3 = square(y_x, atol)
-        weighted_sum(E5, K, 13, y_x)
-        error_5 = square(y_x, atol)
+        weighted_sum(E3, K, 13, y_inside)
+        error_3 = square(y_inside, atol)
+        weighted_sum(E5, K, 13, y_inside)
+        error_5 = square(y_inside, atol)
         error = 0.0
         if error_5 != 0.0:
             error = h * error_5 / math.sqrt((error_5 + 0.01 * error_3) * N_STATE)
@@ -141,8 +141,8 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
             low, high = 0.0, 1.0
             for _ in range(60):
                 middle = 0.5 * (low + high)
-                interpolate(y, F, middle, y_x)
-                gap, _ = wall_gap(y_x, par, i)
+                interpolate(y, F, middle, y_inside)
+                gap, _ = wall_gap(y_inside, par, i)
                 if (gap - zero > 0.0) == (touch[i].on == 1):
                     high = middle
                 else:
@@ -156,10 +156,10 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
             for i in range(N_STATE):
                 y[i], K[0, i] = y_new[i], K[12, i]
         else:
-            interpolate(y, F, x_event, y_x)
+            interpolate(y, F, x_event, y_inside)
             t += x_event * h
             for i in range(N_STATE):
-                y[i] = y_x[i]
+                y[i] = y_inside[i]
             if touch[wall].on:
                 touch[wall].on = 0
                 touch[wall].chi = 0.0

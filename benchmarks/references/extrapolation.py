@@ -129,14 +129,14 @@ class Extrapolation:
                 high, low = low, low / 2
         x = high
         for _ in range(60):
-            y_x, _ = self.leap(x, f_0)
-            g, d = self._signed_gap(y_x, wall)
+            y_inside, _ = self.leap(x, f_0)
+            g, d = self._signed_gap(y_inside, wall)
             low, high = (x, high) if g > 0 else (low, x)
             new = x - g / d if d != 0 else (low + high) / 2
             if abs(new - x) < 1e-18:
                 break
             x = new if low <= new <= high else (low + high) / 2
-        return x, y_x
+        return x, y_inside
 
     def _watch(self, h: Any, f_0: np.ndarray, y_new: np.ndarray) -> None:
         """Keep the peaks of force."""

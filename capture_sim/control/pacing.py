@@ -60,10 +60,10 @@ class Pacer:
 
     @factor.setter
     def factor(self, value: float) -> None:
-        self.hold()
+        self.pause()
         self._factor = value
 
-    def hold(self) -> None:
+    def pause(self) -> None:
         """Let time stand still until the next :meth:`delay`."""
         if self._origin is not None:
             passed = self._clock() - self._origin

@@ -55,7 +55,7 @@ class Scope(IntEnum):
     ALL = 255
 
 
-class Answer(NamedTuple):
+class Reply(NamedTuple):
     """Result of a request."""
 
     code: Code
@@ -110,37 +110,37 @@ class SimulationControl:
 
     # requests
 
-    def set_state(self, target: int) -> Answer:
+    def set_state(self, target: int) -> Reply:
         """Change the state; a run that is on ends where it is stopped."""
         if target not in self._states:
             states = ", ".join(f"{state:d} {state.name.lower()}" for state in self._states)
             text = f"state {target}: must be one of {states}"
-            return Answer(Code.INCORRECT_TRANSITION, text)
+            return Reply(Code.INCORRECT_TRANSITION, text)
         if self.state is State.QUITTING:
-            return Answer(Code.INCORRECT_STATE, "already quitting")
+            return Reply(Code.INCORRECT_STATE, "already quitting")
         if target == self.state:
-            return Answer(Code.ALREADY_IN_TARGET_STATE, f"already {self.state.name.lower()}")
+            return Reply(Code.ALREADY_IN_TARGET_STATE, f"already {self.state.name.lower()}")
         self.state = State(target)
         if self.state in (State.STOPPED, State.QUITTING):
             self._cut_for(self.state)
-        return Answer(Code.OK)
+        return Reply(Code.OK)
 
-    def reset(self, scope: int) -> Answer:
+    def reset(self, scope: int) -> Reply:
         """Begin again, with time and state together.
 
         A playing or paused run stays so; a stopped one is at its start already.
         """
         if not self._may_reset:
-            return Answer(Code.FEATURE_UNSUPPORTED, "there is no reset: start the replay again")
+            return Reply(Code.FEATURE_UNSUPPORTED, "there is no reset: start the replay again")
         if self.state is State.QUITTING:
-            return Answer(Code.INCORRECT_STATE, "already quitting")
+            return Reply(Code.INCORRECT_STATE, "already quitting")
         both = Scope.TIME | Scope.STATE
         if scope != Scope.DEFAULT and scope & both != both:
             text = f"scope {scope}: time and state are reset together, by 0, 3, 7 or 255"
-            return Answer(Code.FEATURE_UNSUPPORTED, text)
+            return Reply(Code.FEATURE_UNSUPPORTED, text)
         if self._is_running and self.state is not State.STOPPED:
             self._cut = RunCut(CutKind.RESET)
-        return Answer(Code.OK)
+        return Reply(Code.OK)
 
     def abort(self, reason: str) -> None:
         """End the run that is on, since something has gone wrong."""
@@ -176,7 +176,7 @@ class SimulationControl:
             if t == self.pacer.t:
                 return
             if self.state is not State.PLAYING:
-                self.pacer.hold()
+                self.pacer.pause()
                 self._serve(math.inf)
                 continue
             now = time.monotonic()
@@ -194,7 +194,7 @@ class SimulationControl:
     def end(self) -> None:
         """Note that the run is over."""
         self._is_running = False
-        self.pacer.hold()
+        self.pacer.pause()
 
     def finish(self) -> None:
         """Stop, as nothing is left to run, unless something else was requested meanwhile."""

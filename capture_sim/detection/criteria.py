@@ -280,13 +280,13 @@ def watch_capture(criteria, memory, distance, unsure, axial, margin):
 
 
 @kernel
-def decide(criteria, memory, place, stood, corner_time):
+def decide(criteria, memory, place, has_rested, corner_time):
     """Evaluate the criteria at one position of the tip, later than the one before.
 
     Nothing is evaluated before ``memory.has_approached``; a simulated run starts with the
     release and so has it from the start.
 
-    ``stood``: the tip has been at rest for long enough, where one position says nothing about
+    ``has_rested``: the tip has been at rest for long enough, where one position says nothing about
     that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
@@ -360,8 +360,8 @@ def decide(criteria, memory, place, stood, corner_time):
         moved = math.hypot(axial - memory.still_axial, lateral - memory.still_lateral)
         if math.isnan(memory.still_since) or moved > criteria.still_speed * criteria.still_time:
             memory.still_since, memory.still_axial, memory.still_lateral = t, axial, lateral
-    stood = stood and is_outside
-    if stood or t - memory.still_since >= criteria.still_time - _TICK:
+    has_rested = has_rested and is_outside
+    if has_rested or t - memory.still_since >= criteria.still_time - _TICK:
         enter(memory, CaptureState.STUCK, Cause.AT_REST, t, distance)
 
 

@@ -209,7 +209,7 @@ class Episodes:
                 return math.nan  # they meet no such wall, or do not leave it
             for _ in range(TWIN_STEPS):
                 try:
-                    twin.go()
+                    twin.take_step()
                 except SafeStopError:
                     return math.nan
                 is_loaded = bool(twin.forces.any())

@@ -1,8 +1,8 @@
 """The guard of the loop: nothing reaches rig or vehicles but through its checks.
 
 The loop has no other way to send a position (:meth:`Guard.send`), to use a wrench
-(:meth:`Guard.check_wrench`, :meth:`Guard.check_answer`) or to move the vehicles (:meth:`Guard.go`).
-Each raises SafeStopError beyond a limit.
+(:meth:`Guard.check_wrench`, :meth:`Guard.check_answer`) or to move the vehicles
+(:meth:`Guard.take_guarded_step`).  Each raises SafeStopError beyond a limit.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Guard:
         """Note the energy before a step outside of a touch."""
         self._reference = min(self._reference, self._stage.energy)
 
-    def go(self, wrench: Wrench, *, is_correction: bool = False) -> None:
+    def take_guarded_step(self, wrench: Wrench, *, is_correction: bool = False) -> None:
         """Move the vehicles a step under a wrench; one that would add too much is scaled down.
 
         A correction of a law may add nothing.  Of other wrenches, SafeStopError if as much again as
@@ -161,11 +161,11 @@ class Guard:
         stage, limit = self._stage, self._limits.energy
         before, energy = stage.saved(), stage.energy
         self.history.append(before)
-        stage.go(wrench)
+        stage.take_step(wrench)
         allowed = (_MARGIN if is_correction else 1.0) * limit
         if not stage.peak_energy <= self._reference + allowed:
             demanded = stage.energy - energy
-            self._go_within(self._reference + allowed - _MARGIN * limit, wrench, before)
+            self._repeat_step_within(self._reference + allowed - _MARGIN * limit, wrench, before)
             self.withheld += max(demanded - (stage.energy - energy), 0.0)
         self.excess = max(self.excess, stage.peak_energy - self._reference)
         _check("energy added to the vehicles", self.excess, "J", limit, " (energy_limit)")
@@ -175,7 +175,7 @@ class Guard:
                 f"{self.excess:.3g} J added: must be <= {limit:g} (energy_limit)"
             )
 
-    def _go_within(self, limit: float, wrench: Wrench, before: StageState) -> None:
+    def _repeat_step_within(self, limit: float, wrench: Wrench, before: StageState) -> None:
         """Repeat a step with a share of the wrench that keeps the energy below a limit, J.
 
         The peak energy is a convex function of the share, as of a linear system's: the chord
@@ -183,12 +183,12 @@ class Guard:
         """
         stage, high, share = self._stage, self._stage.peak_energy, 0.0
         stage.restore(before)
-        stage.go(NO_WRENCH)
+        stage.take_step(NO_WRENCH)
         within, low = stage.saved(), stage.peak_energy
         for _ in range(_TRIALS if high > limit > low else 0):
             trial = share + (1.0 - share) * (limit - low) / (high - low)
             stage.restore(before)
-            stage.go(Wrench(trial * wrench.fx, trial * wrench.fy, tz=trial * wrench.tz))
+            stage.take_step(Wrench(trial * wrench.fx, trial * wrench.fy, tz=trial * wrench.tz))
             if not stage.peak_energy <= limit:
                 break
             within, low, share = stage.saved(), stage.peak_energy, trial

@@ -186,7 +186,7 @@ class Loop:
         self.answers.check_latency(self.t)
         self._ages.append(self.t - self.answers.latest.stamp)
         if self._index >= 0:
-            self._go()
+            self._move_vehicles()
         self._index += 1
         pose = self._run_up_pose() if self._index < 0 else self.stage.tip
         self._past.appendleft(pose)
@@ -197,7 +197,7 @@ class Loop:
         self._sent.pop(self._index - len(self._past) + 1, None)
         return self.pose
 
-    def _go(self) -> None:
+    def _move_vehicles(self) -> None:
         """Move the vehicles one step, and follow the contact."""
         episodes = self._episodes
         if episodes.present is None:
@@ -211,7 +211,7 @@ class Loop:
                 self._update_residual_share()
         is_model, had_withheld = self.method == "model", self._guard.withheld > 0.0
         try:
-            self._guard.go(self._wrench(), is_correction=is_model)
+            self._guard.take_guarded_step(self._wrench(), is_correction=is_model)
         finally:
             if self._guard.withheld > 0.0 and not (had_withheld or is_model):
                 limit = self._limits.energy

@@ -36,7 +36,7 @@ RIG_TIP = Topic("loop/rig_tip", "nav_msgs/msg/Odometry", (CONTACT_RIG,), Rate.CO
 
 #: Why the rig must hold its position; empty while the loop runs.
 HOLD = Topic(
-    "loop/hold", "std_msgs/msg/String", (LOOP_SIMULATOR,), Rate.ONCE, depth=1, latched=True
+    "loop/hold", "std_msgs/msg/String", (LOOP_SIMULATOR,), Rate.ONCE, depth=1, transient_local=True
 )
 
 

@@ -203,8 +203,8 @@ class LoopStage:
         self._bench.restore(state.bench)
         self._count, self._samples = state.steps, state.samples
 
-    def go(self, wrench: Wrench = NO_WRENCH) -> None:
-        """Go one step with this wrench held; SafeStopError where the bench cannot go on."""
+    def take_step(self, wrench: Wrench = NO_WRENCH) -> None:
+        """Move one step with this wrench held; SafeStopError where the bench cannot go on."""
         times = (self._count + self._fractions) * self.step
         self._bench.drive_tip((wrench.fx, wrench.fy, wrench.tz), times[-1])
         try:

@@ -158,10 +158,10 @@ class _Stream:
 
 
 class _StatusStream(_Stream):
-    """A stream of statuses, and a latched topic for those that change the state."""
+    """A stream of statuses, and a transient-local topic for those that change the state."""
 
     stream: Topic
-    latched: Topic
+    changes: Topic  # transient local
     frame: str
     names: tuple[str, ...]  # fields of a status, as the message calls them
     _last_state: Any = None
@@ -175,7 +175,7 @@ class _StatusStream(_Stream):
     ) -> Iterator[list[Sent]]:
         """Yield the messages of each status, at times since the release, s.
 
-        One of the stream, and one of the latched topic where the state has changed.  ``further``:
+        One of the stream, and one of the other topic where the state has changed.  ``further``:
         columns of each message besides those of the statuses.
         """
         for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
@@ -188,7 +188,7 @@ class _StatusStream(_Stream):
                 self._last_state = state
                 first = {name: values[:1] for name, values in columns.items()}
                 t = np.array(times[:1])
-                messages[0] += self._many(self.latched, t, self.frame, first, reason=reason)
+                messages[0] += self._many(self.changes, t, self.frame, first, reason=reason)
             yield from messages
 
     @staticmethod
@@ -359,7 +359,7 @@ class LauncherTelemetry(_StatusStream):
     """What the launcher sends: commands and its state."""
 
     publisher = topics.LAUNCHER
-    stream, latched, frame = topics.LAUNCHER_STATE, topics.LAUNCHER_PHASE, WORLD
+    stream, changes, frame = topics.LAUNCHER_STATE, topics.LAUNCHER_PHASE, WORLD
     names = (
         *("state", "hanging_mass", "drop_height", "wanted_speed", "landing_speed"),
         "measured_speed",
@@ -375,7 +375,7 @@ class DetectorTelemetry(_StatusStream):
     """What the capture detector sends: its criteria, then its status at every instant."""
 
     publisher = topics.CAPTURE_DETECTOR
-    stream, latched, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME
+    stream, changes, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME
     names = (
         *("state", "final", "distance", "axial_offset", "lateral_offset", "relative_attitude"),
         *("relative_speed", "nearest_distance", "time_in_state"),

@@ -56,8 +56,8 @@ class Topic:
     type_name: str  # message type as ``package/msg/Name``
     publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
-    depth: int = 1000  # messages that are kept of a latched topic
-    latched: bool = False  # transient local: late subscribers get the last ``depth`` messages
+    depth: int = 1000  # messages that a transient-local topic keeps
+    transient_local: bool = False  # late subscribers get the last ``depth`` messages
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
 
@@ -73,7 +73,7 @@ def _ours(
     return Topic(name, f"capture_sim/msg/{message}", (publisher,), rate, **more)
 
 
-_KEPT: dict[str, Any] = {"depth": 1, "latched": True}
+_KEPT: dict[str, Any] = {"depth": 1, "transient_local": True}
 _NUMBERED: dict[str, Any] = {"sequenced": True}
 
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
@@ -84,7 +84,9 @@ CONTACT_TRACE = _ours("bench/contact_trace", "ContactTrace", SIMULATOR, Rate.EVE
 BUFFER_STATE = _ours("bench/buffer", "BufferState", SIMULATOR, **_NUMBERED)
 CONTACT_STATE = _ours("bench/contact", "ContactState", SIMULATOR, **_NUMBERED)
 STRING_STATE = _ours("bench/string", "StringState", SIMULATOR, **_NUMBERED)
-BENCH_EVENT = _ours("bench/event", "BenchEvent", SIMULATOR, Rate.EVENT, latched=True, **_NUMBERED)
+BENCH_EVENT = _ours(
+    "bench/event", "BenchEvent", SIMULATOR, Rate.EVENT, transient_local=True, **_NUMBERED
+)
 CHASER_ODOMETRY = Topic("chaser/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
 TARGET_ODOMETRY = Topic("target/odom", "nav_msgs/msg/Odometry", (SIMULATOR,), Rate.PERIODIC)
 CONTACT_WRENCH = Topic(
@@ -100,7 +102,7 @@ TARGET_POSE = Topic(
 )
 LOAD_CELL = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.SENSOR)
 LAUNCH_COMMAND = _ours(
-    "launcher/command", "LaunchCommand", LAUNCHER, Rate.EVENT, depth=10, latched=True
+    "launcher/command", "LaunchCommand", LAUNCHER, Rate.EVENT, depth=10, transient_local=True
 )
 LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_NUMBERED)
 # the messages of a stream that change its state, for late subscribers
@@ -120,13 +122,19 @@ STREAM_COUNTS = Topic(
     (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR),
     Rate.ONCE,
     depth=10,
-    latched=True,
+    transient_local=True,
     stamp=Stamp.NONE,
 )
 
 #: What nodes report of their part in runs; not part of a run, so not recorded.
 ROLL = Topic(
-    "bench/roll", "capture_sim/msg/Roll", (), Rate.EVENT, depth=10, latched=True, stamp=Stamp.NONE
+    "bench/roll",
+    "capture_sim/msg/Roll",
+    (),
+    Rate.EVENT,
+    depth=10,
+    transient_local=True,
+    stamp=Stamp.NONE,
 )
 
 #: All topics of a run, in the order in which a sample's messages are sent.

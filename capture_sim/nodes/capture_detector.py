@@ -30,7 +30,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.follower import Follower, Run, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
 from capture_sim.nodes.process import run
@@ -94,7 +94,7 @@ class CaptureDetectorNode(BenchNode):
             self.get_logger().info(f"evaluated by {self._scene.name} until Ctrl-C")
         return self._follower.work()
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Start anew for the scene of this run."""
         criteria = self._criteria()
         scene = replace(run.scene, detector=replace(run.scene.detector, **criteria))
@@ -114,7 +114,7 @@ class CaptureDetectorNode(BenchNode):
             )
             self.get_logger().info(f"{run.name}: evaluated by {given}; else by the scene")
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Publish the criteria."""
         del run
         self.publish(self._telemetry.begin(self._criteria_in_force))
@@ -123,7 +123,7 @@ class CaptureDetectorNode(BenchNode):
         """Return True: besides its streams the detector waits for nothing."""
         return True
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Send the final verdict, and report how much was sent."""
         statuses = self._detector.finish(cut=self._follower.was_cut)
         self._send_all(statuses)

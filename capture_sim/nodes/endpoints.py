@@ -13,7 +13,7 @@ from capture_sim.errors import MessageError
 from capture_sim.messages.topics import CLOCK, Rate, Topic
 
 #: The last message, for subscribers that come later.
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @cache
@@ -23,18 +23,21 @@ def message_class(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def qos_of(topic: Topic, *, latched: bool | None = None) -> QoSProfile:
+def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
     """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
 
-    ``latched``: whether a subscriber wants what a latched topic keeps; as the topic unless given.
+    ``transient_local``: whether a subscriber wants what such a topic keeps; as the topic unless
+    given.
     """
-    latched = topic.latched if latched is None else latched
-    keeps_last = (topic.latched and latched) or topic.rate is Rate.CONTROL
+    transient_local = topic.transient_local if transient_local is None else transient_local
+    keeps_last = (topic.transient_local and transient_local) or topic.rate is Rate.CONTROL
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL
+        if transient_local
+        else DurabilityPolicy.VOLATILE,
     )
 
 

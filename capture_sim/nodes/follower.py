@@ -68,7 +68,7 @@ class RunEnd:
 
 
 @dataclass(frozen=True)
-class Run:
+class AnnouncedRun:
     """A run that is announced: its RunInfo and scene."""
 
     info: Any
@@ -103,16 +103,16 @@ class Run:
 class RunPart(Protocol):
     """What a node does with a run."""
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Get ready: messages may come from now on.  CaptureSimError if that is not possible."""
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Begin to publish: all participants are ready."""
 
     def is_complete(self) -> bool:
         """Return True if, after the followed streams, nothing else is waited for."""
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """End the run: publish what is left, close files, say what is missing."""
 
 
@@ -135,7 +135,7 @@ class Follower:
         on_roll: bool = True,
     ) -> None:
         self.roll: Roll
-        self.run: Run | None = None  # that is announced or on
+        self.run: AnnouncedRun | None = None  # that is announced or on
         self._node = node
         self._role = role
         self._part = part
@@ -150,7 +150,7 @@ class Follower:
         self._begun = False
         self._last_message = -math.inf
         self._last_key = ""  # of the last run that was announced
-        self._next: Run | None = None
+        self._next: AnnouncedRun | None = None
         self._logged: set[str] = set()  # problems of the run
         self._ignored: set[str] = set()  # announcers that have been named in a line
 
@@ -232,7 +232,7 @@ class Follower:
                 self.run = None
             gc.collect()
 
-    def _take_part(self, run: Run) -> None:
+    def _take_part(self, run: AnnouncedRun) -> None:
         """Join a run, follow it to its end and leave it."""
         self._received.clear()
         self._counts, self._ended, self._closed, self._begun = None, False, False, False
@@ -269,7 +269,7 @@ class Follower:
             self._logged.add(problem)
             self._node.get_logger().error(one_line(f"{self.run.name}: {problem}"))
 
-    def _await_participants(self, run: Run) -> None:
+    def _await_participants(self, run: AnnouncedRun) -> None:
         """Report that this node is ready, and wait until all others are; then begin."""
         participants = list(run.info.participants)
         self._node.wait(lambda: self._ended or self.roll.heard(participants), JOIN_TIMEOUT)
@@ -283,7 +283,7 @@ class Follower:
             self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
         self.begin()
 
-    def _await_end(self, run: Run, limit: float = math.inf) -> RunEnd:
+    def _await_end(self, run: AnnouncedRun, limit: float = math.inf) -> RunEnd:
         """Follow a run until it is over; return how it has ended."""
         deadline = time.monotonic() + limit
         gone_since = math.inf
@@ -348,7 +348,7 @@ class Follower:
             self._ignore(info, f"takes part in {self.run.name}")
         else:
             self._last_key = run_key(info)
-            self._next = Run(info, scene)
+            self._next = AnnouncedRun(info, scene)
 
     def _ignore(self, info: Any, reason: str) -> None:
         if info.announcer not in self._ignored:
@@ -374,7 +374,7 @@ class Follower:
             source=RunSource.TRIAL,
             announcer=self.roll.id,
         )
-        self._next = Run(self._node.messages.run_info(run), scene)
+        self._next = AnnouncedRun(self._node.messages.run_info(run), scene)
 
 
 def _scene_of(info: Any) -> Scene:

@@ -33,7 +33,7 @@ try:
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-#: A subscriber of a latched topic keeps this many messages until its callback has run.
+#: A subscriber of a transient-local topic keeps this many messages until its callback has run.
 MIN_DEPTH = 100
 #: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
 POLL = 0.1
@@ -131,7 +131,7 @@ class BenchNode(ParameterNode):
         topic: Topic,
         callback: Callable[[Any], None],
         *,
-        latched: bool | None = None,
+        transient_local: bool | None = None,
         raw: bool = False,
         **options: Any,
     ) -> None:
@@ -148,7 +148,7 @@ class BenchNode(ParameterNode):
             except (MessageError, *_ODD_CONTENTS) as error:
                 self.reject(topic, error)
 
-        qos = qos_of(topic, latched=latched)
+        qos = qos_of(topic, transient_local=transient_local)
         if topic.rate is not Rate.CONTROL:  # a queue would only delay the newest message
             qos.depth = max(qos.depth, MIN_DEPTH)
         self._subscribe(topic, self.guarded(take), qos, **options)

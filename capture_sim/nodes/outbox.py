@@ -190,7 +190,7 @@ class Outbox:
         """Replace the publishers by ones that do not wait for a reader."""
         self.report_stalled(topic)
         for stream, sender in list(self._senders.items()):
-            if not stream.latched:
+            if not stream.transient_local:
                 readers = sender.get_subscription_count()
                 self._retired.append(sender)  # other readers may still be sent what it keeps
                 kind = message_class(stream.type_name)

@@ -229,7 +229,7 @@ class PlayerNode(BenchNode):
             self._outlets[topic_name](data)
         # measured before the others close their files
         spent = max(self._control.pacer.wall, 1e-9)
-        self._control.pacer.hold()
+        self._control.pacer.pause()
         self.outbox.drain(CLOSING_TIME if self._wait_for else LAST)
         if run is not None:
             self._await_done(run, is_ended)

@@ -30,7 +30,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.endpoints import from_bytes, is_own
-from capture_sim.nodes.follower import EndKind, Follower, Run, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -84,10 +84,10 @@ class RecorderNode(BenchNode):
         self.create_service(Trigger, "~/pause", self.guarded(partial(self._pause, True)))
         self.create_service(Trigger, "~/resume", self.guarded(partial(self._pause, False)))
         self._sources = SourceDiagnostics(self)
-        self._kept: dict[Topic, bytes] = {}  # last message of topics of others that are latched
+        self._kept: dict[Topic, bytes] = {}  # last message of transient-local topics of others
         for topic in {*self._topics, STREAM_COUNTS} - {RUN_INFO}:
             # what is kept for latecomers may be of a run before
-            self.listen(topic, partial(self._record, topic), latched=False, raw=True)
+            self.listen(topic, partial(self._record, topic), transient_local=False, raw=True)
             if not is_own(topic) and wanted:
                 self._sources.watch(topic)
         self._follower.join()
@@ -104,7 +104,7 @@ class RecorderNode(BenchNode):
         """Take part in runs until the process is to end; return the exit status."""
         return self._follower.work()
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Open the file and write the run's description."""
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
@@ -119,14 +119,14 @@ class RecorderNode(BenchNode):
         if not self._failure:
             self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Publish nothing: a recorder has no stream."""
 
     def is_complete(self) -> bool:
         """Return True if all publishers have ended the run and all their messages have come."""
         return bool(self._failure) or (self._recorder is not None and self._recorder.done)
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Close the file and report what is missing."""
         problems = [f"{name}: no message" for name in sorted(self._sought)]
         path = None if self._recorder is None else self._recorder.path
@@ -188,10 +188,17 @@ class RecorderNode(BenchNode):
                     self.get_logger().warning(f"{name}: {type_name} is not installed: not recorded")
                     continue
                 ends = self.get_publishers_info_by_topic(name)
-                latched = any(
+                transient_local = any(
                     end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for end in ends
                 )
-                topic = Topic(name, type_name, (), Rate.EVENT, latched=latched, stamp=Stamp.NONE)
+                topic = Topic(
+                    name,
+                    type_name,
+                    (),
+                    Rate.EVENT,
+                    transient_local=transient_local,
+                    stamp=Stamp.NONE,
+                )
                 self.listen(topic, partial(self._record, topic), raw=True)
                 self._sources.watch(topic)
                 self._topics.append(topic)
@@ -207,7 +214,7 @@ class RecorderNode(BenchNode):
 
     def _record(self, topic: Topic, data: bytes) -> None:
         self._sources.note(topic)
-        if topic.latched and not topic.publishers:
+        if topic.transient_local and not topic.publishers:
             self._kept[topic] = data
         if self._recorder is None or self.run is None:
             return

@@ -15,7 +15,7 @@ from capture_sim.messages.urdf import (
     static_transforms,
     urdf,
 )
-from capture_sim.nodes.endpoints import LATCHED, message_class
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.scene.parts import Scene
 
@@ -29,7 +29,9 @@ class RobotModel:
     def __init__(self, node: BenchNode) -> None:
         self._node = node
         self._string = message_class("std_msgs/msg/String")
-        self._description = node.create_publisher(self._string, "robot_description", LATCHED)
+        self._description = node.create_publisher(
+            self._string, "robot_description", TRANSIENT_LOCAL
+        )
         self._moving: Any = None
         self._scene: Scene | None = None
         try:
@@ -38,7 +40,7 @@ class RobotModel:
             return
         self._stamped = message_class("geometry_msgs/msg/TransformStamped")
         self._moving = node.create_publisher(self._tf, "tf", 100)
-        self._static = node.create_publisher(self._tf, "tf_static", LATCHED)
+        self._static = node.create_publisher(self._tf, "tf_static", TRANSIENT_LOCAL)
 
     def begin(self, scene: Scene) -> None:
         """Show the parts of this scene, at its start."""

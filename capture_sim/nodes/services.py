@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from capture_sim.control.simulation import Answer, Code, SimulationControl
+from capture_sim.control.simulation import Code, Reply, SimulationControl
 from capture_sim.nodes.node import BenchNode
 
-#: A response arrives within this long, s (wall).
-ANSWER_TIMEOUT = 0.5
+#: A reply arrives within this long, s (wall).
+REPLY_TIMEOUT = 0.5
 
 
 def definitions() -> str:
@@ -32,7 +32,7 @@ class SimulationServices:
 
     def __init__(self, node: BenchNode, control: SimulationControl) -> None:
         self._control = control
-        self._answered = 0.0  # s (wall), when the last answer was given
+        self._replied_at = 0.0  # s (wall), when the last reply was sent
         module = importlib.import_module(f"{definitions()}.srv")
         callbacks: dict[str, Callable[[Any, Any], Any]] = {
             "GetSimulationState": self._get_state,
@@ -44,12 +44,12 @@ class SimulationServices:
             node.create_service(service, f"~/{_snake(name)}", node.guarded(callback))
 
     def close(self) -> None:
-        """Give the last answer time to arrive."""
-        time.sleep(max(0.0, self._answered + ANSWER_TIMEOUT - time.monotonic()))
+        """Give the last reply time to arrive."""
+        time.sleep(max(0.0, self._replied_at + REPLY_TIMEOUT - time.monotonic()))
 
     def _get_state(self, _: Any, response: Any) -> Any:
         response.state.state = int(self._control.state)
-        return self._filled(response, Answer(Code.OK))
+        return self._filled(response, Reply(Code.OK))
 
     def _set_state(self, request: Any, response: Any) -> Any:
         return self._filled(response, self._control.set_state(request.state.state))
@@ -57,10 +57,10 @@ class SimulationServices:
     def _reset(self, request: Any, response: Any) -> Any:
         return self._filled(response, self._control.reset(request.scope))
 
-    def _filled(self, response: Any, answer: Answer) -> Any:
-        self._answered = time.monotonic()
-        response.result.result = int(answer.code)
-        response.result.error_message = answer.message
+    def _filled(self, response: Any, reply: Reply) -> Any:
+        self._replied_at = time.monotonic()
+        response.result.result = int(reply.code)
+        response.result.error_message = reply.message
         return response
 
 

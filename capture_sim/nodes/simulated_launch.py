@@ -20,7 +20,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.follower import Follower, Run, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
 from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import RunReport
@@ -77,14 +77,14 @@ class SimulatedLaunch:
 
     # a run, see RunPart
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Plan the launch."""
         settings = self._settings
         self._launcher = Launcher(run.scene, settings.tolerance, aborts=settings.aborts)
         self._telemetry = LauncherTelemetry(self._node.messages, run.id)
         self._parts, self._has_touched, self._deviation = {}, False, ""
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Arm."""
         assert self._launcher is not None
         launcher, plan = self._launcher, self._launcher.plan
@@ -101,7 +101,7 @@ class SimulatedLaunch:
         """Return True: besides its streams the launcher waits for nothing."""
         return True
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Report the counts."""
         del run
         self._node.publish(self._telemetry.end(complete=not end.reason, reason=end.reason))

@@ -94,7 +94,7 @@ class LauncherLink:
     def receive(self, command: Any) -> None:
         """Take a LaunchCommand; MessageError if it cannot be used."""
         if command.run_id != self._run_id or self._scene is None:
-            return  # latched by an earlier run
+            return  # kept from an earlier run, for late subscribers
         if command.action == LaunchAction.ARM:
             try:
                 _plan(self._scene, command)
@@ -311,8 +311,8 @@ class SimulatorNode(BenchNode):
         cut: CutKind | None = None
         try:
             self._announcer.await_nodes(scene.name, self._start_timeout)
-            telemetry, launched_by_hand = self._begin_run(scene)
-            if launched_by_hand:
+            telemetry, has_launcher = self._begin_run(scene)
+            if has_launcher:
                 self._announcer.await_none(scene.name, self._launcher.pending, None)
             bench = Bench(scene, _plan(scene, self._launcher.armed))
             failure = self._simulate(bench, telemetry)

@@ -58,7 +58,7 @@ class Stepping:
         except (RunCut, KeyboardInterrupt):
             self._telemetry.cut(made, sent)
             raise
-        self._control.pacer.hold()
+        self._control.pacer.pause()
         return failure
 
     def _block(self) -> int:

@@ -51,7 +51,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.endpoints import LATCHED, full_name, message_class, qos_of
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_class, qos_of
 from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.requested_scene import load_requested
@@ -133,9 +133,9 @@ class TrialServer:
         self._awaited = b""  # id of the goal whose result a client has asked for last
         self._hold: HoldOutput | None = None
         if settings.has_actuator:
-            # latched, so that a driver which starts late holds from its first message on
+            # transient local, so that a driver which starts late holds from its first message on
             kind = message_class("std_msgs/msg/Bool")
-            output = node.create_publisher(kind, HOLD, LATCHED)
+            output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
             self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
             self._output_hold()
         self._force = Numbers(

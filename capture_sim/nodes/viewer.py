@@ -32,7 +32,7 @@ from capture_sim.messages.topics import (
     Topic,
 )
 from capture_sim.nodes.endpoints import from_bytes
-from capture_sim.nodes.follower import Follower, Run, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -115,20 +115,20 @@ class ViewerNode(BenchNode):
         """Show runs until the process is to end; return the exit status."""
         return self._follower.work()
 
-    def prepare(self, run: Run) -> None:
+    def prepare(self, run: AnnouncedRun) -> None:
         """Begin to show the run that is announced."""
         self._unannounced = False
         self._scene = run.scene
         self._start(run.name)
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: AnnouncedRun) -> None:
         """Publish nothing."""
 
     def is_complete(self) -> bool:
         """Return True: what is missing is not waited for."""
         return True
 
-    def end(self, run: Run, end: RunEnd) -> RunReport:
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Show the rest of the run; that something was not shown is no failure."""
         self._show_pending()
         self._show_verdict()

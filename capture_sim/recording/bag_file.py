@@ -134,10 +134,10 @@ class BagFile:
 def qos_profile(topic: Topic) -> dict[str, object]:
     """Return a topic's quality of service as rosbag2 writes it."""
     return {
-        "history": "keep_last" if topic.latched else "keep_all",
+        "history": "keep_last" if topic.transient_local else "keep_all",
         "depth": topic.depth,
         "reliability": "reliable",
-        "durability": "transient_local" if topic.latched else "volatile",
+        "durability": "transient_local" if topic.transient_local else "volatile",
         "deadline": _UNLIMITED,
         "lifespan": _UNLIMITED,
         "liveliness": "automatic",

@@ -13,7 +13,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER
-from capture_sim.recording.scan import UNPACKED_RATIO, Block, Damage, scan
+from capture_sim.recording.scan import UNPACKED_RATIO, Damage, RecordContents, scan
 
 #: Encoding of ROS 2 messages.
 CDR = "cdr"
@@ -127,9 +127,9 @@ class _Reader:
         # messages and log times by channel; those that are left out are discarded
         self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
 
-    def add(self, block: Block) -> None:
+    def add(self, record: RecordContents) -> None:
         """Add the contents of a record."""
-        for entry in block.entries:
+        for entry in record.entries:
             if isinstance(entry, Schema):
                 self._schemas[entry.id] = entry
             elif isinstance(entry, Channel):
@@ -139,7 +139,7 @@ class _Reader:
             elif isinstance(entry, Metadata):
                 self._contents.metadata[entry.name] = dict(entry.metadata)
         lists = self._lists
-        for channel, log_time, message, _, _ in block.messages:
+        for channel, log_time, message, _, _ in record.messages:
             messages, times = lists[channel]
             messages.append(message)
             times.append(log_time)

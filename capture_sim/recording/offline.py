@@ -106,10 +106,10 @@ def _is_repeatable(path: Path, run: RunDescription | None) -> bool:
     With a run, only if the file is that run, of the same scene and software.
     """
     with suppress(Exception):  # whatever it is, it is no such file
-        for block in scan(path, 1.0):
-            if isinstance(block, Damage) or block.messages:
+        for part in scan(path, 1.0):
+            if isinstance(part, Damage) or part.messages:
                 break
-            for entry in block.entries:
+            for entry in part.entries:
                 if isinstance(entry, Metadata) and entry.name == RUN_METADATA:
                     made_by = ("scene_sha256", "software")
                     return entry.metadata.get("origin") == SIMULATED and (

@@ -80,7 +80,7 @@ class Playback:
         """Return the index of the first message of a topic that is played from a time on (ns)."""
         first = bisect_left(self._contents.log_times[name], begin)
         topic = topic_named(name)
-        return max(0, first - topic.depth) if topic is not None and topic.latched else first
+        return max(0, first - topic.depth) if topic is not None and topic.transient_local else first
 
 
 class PlayedCounts:

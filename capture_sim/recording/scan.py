@@ -58,7 +58,7 @@ _INCOMPLETE = (
 )
 
 
-class Block(NamedTuple):
+class RecordContents(NamedTuple):
     """What a record of the data section contains; a chunk contains several."""
 
     entries: Sequence[Schema | Channel | Attachment | Metadata]
@@ -83,7 +83,7 @@ class Damage(NamedTuple):
         return text + (f", the last {self.duration:.3f} s after the first" if self.messages else "")
 
 
-def scan(path: Path, ratio: float) -> Iterator[Block | Damage]:
+def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
     """Yield the contents of an MCAP file's data section; last its damage, if it has any.
 
     ``ratio`` is how many times its size the file may unpack to.  RecordingError if the file cannot
@@ -97,12 +97,14 @@ def scan(path: Path, ratio: float) -> Iterator[Block | Damage]:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 raise RecordingError(f"{path}: not an MCAP file")
             file.seek(0)
-            yield from _blocks(file, os.fstat(file.fileno()).st_size, ratio)
+            yield from _contents_of_file(file, os.fstat(file.fileno()).st_size, ratio)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
 
 
-def _blocks(file: IO[bytes], file_size: int, ratio: float) -> Iterator[Block | Damage]:
+def _contents_of_file(
+    file: IO[bytes], file_size: int, ratio: float
+) -> Iterator[RecordContents | Damage]:
     remaining = int(max(UNPACKED_LEAST, ratio * file_size))
     channels: set[int] = set()
     first, last, count = _TIME_LIMIT, 0, 0
@@ -114,18 +116,18 @@ def _blocks(file: IO[bytes], file_size: int, ratio: float) -> Iterator[Block | D
         for record in reader.records:
             in_index = in_index or isinstance(record, DataEnd)
             if not in_index:
-                block = _block(record, remaining)
+                contents = _contents_of_record(record, remaining)
                 size = record.uncompressed_size if isinstance(record, Chunk) else 0
-                remaining -= size + _MESSAGE_COST * len(block.messages)
+                remaining -= size + _MESSAGE_COST * len(contents.messages)
                 if remaining < 0:
                     raise ValueError("it unpacks to more than is accepted for the file")
-                channels.update(each.id for each in block.entries if isinstance(each, Channel))
-                if block.messages:
-                    times = [message[1] for message in block.messages]
-                    _check(block.messages, times, channels)
+                channels.update(each.id for each in contents.entries if isinstance(each, Channel))
+                if contents.messages:
+                    times = [message[1] for message in contents.messages]
+                    _check(contents.messages, times, channels)
                     first, last = min(first, *times), max(last, *times)
                     count += len(times)
-                yield block
+                yield contents
             end = file.tell()
         end = file.tell()
         if end < file_size:
@@ -136,15 +138,15 @@ def _blocks(file: IO[bytes], file_size: int, ratio: float) -> Iterator[Block | D
         yield Damage(end, file_size, reason, count, written, duration, in_index)
 
 
-def _block(record: McapRecord, limit: int) -> Block:
+def _contents_of_record(record: McapRecord, limit: int) -> RecordContents:
     """Return what a record contains; at most ``limit`` bytes are unpacked."""
     if isinstance(record, Chunk):
         return _records_in(_unpacked(record, limit))
     if isinstance(record, Message):
         fields = (record.channel_id, record.log_time, record.data)
-        return Block((), [(*fields, record.publish_time, record.sequence)])
+        return RecordContents((), [(*fields, record.publish_time, record.sequence)])
     is_used = isinstance(record, Schema | Channel | Attachment | Metadata)
-    return Block((record,) if is_used else ())  # type: ignore[arg-type]
+    return RecordContents((record,) if is_used else ())  # type: ignore[arg-type]
 
 
 def _unpacked(chunk: Chunk, limit: int) -> bytes:
@@ -168,7 +170,7 @@ def _unpacked(chunk: Chunk, limit: int) -> bytes:
     return records
 
 
-def _records_in(data: bytes) -> Block:
+def _records_in(data: bytes) -> RecordContents:
     """Return definitions and messages of a chunk."""
     definitions: list[Schema | Channel] = []
     messages: list[StoredMessage] = []
@@ -192,7 +194,7 @@ def _records_in(data: bytes) -> Block:
             if opcode in kinds:
                 record = BytesIO(data[start + _HEAD.size : position])
                 definitions.append(kinds[opcode].read(ReadDataStream(record)))
-    return Block(definitions, messages)
+    return RecordContents(definitions, messages)
 
 
 def _check(messages: Sequence[StoredMessage], times: Sequence[int], channels: set[int]) -> None:

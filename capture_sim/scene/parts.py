@@ -45,7 +45,7 @@ CONTACT_LAWS = (
 )
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
-REACH = Range(0.0, 1.0, low_open=True)
+DETECTOR_LENGTH = Range(0.0, 1.0, low_open=True)
 #: Largest number of points of a measured curve.
 MAX_TABLE_POINTS = 64
 METHODS = ("dop853", "dopri5", "rk4")
@@ -449,16 +449,22 @@ class Detector(Checked):
     """Criteria of the verdicts captured, rebound, missed and stuck."""
 
     capture_radius: float = quantity(
-        "m", REACH, default=0.005, doc="radius of the capture zone around BE"
+        "m", DETECTOR_LENGTH, default=0.005, doc="radius of the capture zone around BE"
     )
     min_dwell: float = quantity(
         "s", NOT_NEGATIVE, default=0.2, doc="time in the capture zone that is a capture"
     )
     max_contact_gap: float = quantity(
-        "m", REACH, default=2e-4, doc="gap to a wall below which the tip counts as in contact"
+        "m",
+        DETECTOR_LENGTH,
+        default=2e-4,
+        doc="gap to a wall below which the tip counts as in contact",
     )
     min_retreat: float = quantity(
-        "m", REACH, default=0.02, doc="retreat from the closest approach that is a rebound"
+        "m",
+        DETECTOR_LENGTH,
+        default=0.02,
+        doc="retreat from the closest approach that is a rebound",
     )
     max_still_speed: float = quantity(
         "m/s",

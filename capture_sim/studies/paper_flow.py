@@ -42,7 +42,7 @@ from capture_sim.studies.outcome import (
 )
 
 #: Relative error of a stroke at which the search for springs ends, and up to which it is met.
-CLOSE, ACCEPTED = 2e-5, 0.01
+CONVERGED_ERROR, ACCEPTED_ERROR = 2e-5, 0.01
 #: Dampers that are tried first: none, and these shares of the critical damping of both
 #: vehicles on the axial spring.
 SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
@@ -138,7 +138,9 @@ class FirstContactDesign:
         """The limits that the whole run exceeds: the target leaves room for that."""
         if self.outcome is None:
             return ()
-        wider = [Limit(each.key, each.value * (1.0 + ACCEPTED)) for each in self.target.limits]
+        wider = [
+            Limit(each.key, each.value * (1.0 + ACCEPTED_ERROR)) for each in self.target.limits
+        ]
         names = exceeded(wider, self.outcome.loads)
         return tuple(limit for limit in self.target.limits if limit.key in names)
 
@@ -155,7 +157,7 @@ class Springs:
     @property
     def met(self) -> bool:
         """Whether both strokes are as required."""
-        return self.error <= ACCEPTED
+        return self.error <= ACCEPTED_ERROR
 
     def in_scene(self, scene: Scene, c_A: float) -> Scene:
         """Return a scene with these springs and a damper (N s/m)."""
@@ -186,7 +188,7 @@ class _Damper:
         return float(self.outcome.loads["max_normal_force"])
 
 
-class _CloseError(Exception):
+class _ConvergedError(Exception):
     """A search has come close enough."""
 
 
@@ -284,8 +286,8 @@ def find_springs(
         if response.failure:
             r[0] = max(r[0], 1.0)  # the probe went in up to its tip: far too soft
         tried.append(Springs(k_A, k_T, response, float(np.abs(np.expm1(r)).max())))
-        if tried[-1].error <= CLOSE:
-            raise _CloseError
+        if tried[-1].error <= CONVERGED_ERROR:
+            raise _ConvergedError
         return r
 
     def residual(z: np.ndarray) -> np.ndarray:
@@ -318,7 +320,7 @@ def find_springs(
                     method="Nelder-Mead",
                     options={"initial_simplex": corners, "maxfev": _MOST_SIMPLEX},
                 )
-    except _CloseError:
+    except _ConvergedError:
         pass
     return min(tried, key=error)
 
@@ -480,10 +482,11 @@ def _refused(
 def _no_springs(target: FirstContactTarget, springs: Springs) -> str:
     found = springs.response
     return (
-        f"no springs give, within {ACCEPTED:.0%}, strokes of {target.axial_stroke * 1e3:.4g} mm "
-        f"and {target.torsion * 1e3:.4g} mrad: the nearest, k_A = {springs.k_A:.4g} N/m and "
-        f"k_T = {springs.k_T:.4g} N m/rad, give {found.axial_stroke * 1e3:.4g} mm and "
-        f"{found.torsion * 1e3:.4g} mrad" + (f" ({found.failure})" if found.failure else "")
+        f"no springs give, within {ACCEPTED_ERROR:.0%}, strokes of "
+        f"{target.axial_stroke * 1e3:.4g} mm and {target.torsion * 1e3:.4g} mrad: "
+        f"the nearest, k_A = {springs.k_A:.4g} N/m and k_T = {springs.k_T:.4g} N m/rad, "
+        f"give {found.axial_stroke * 1e3:.4g} mm and {found.torsion * 1e3:.4g} mrad"
+        + (f" ({found.failure})" if found.failure else "")
     )
 
 

@@ -78,7 +78,7 @@ def test_time_stands_still_while_it_is_held():
     pacer, clock = paced(2.0)
     pacer.tick(0.0)
     clock.now += 0.5
-    pacer.hold()
+    pacer.pause()
     clock.now += 60.0
     assert pacer.delay(3.0) == pytest.approx(1.0)  # two seconds of three are left, at 2 x
     assert pacer.wall == pytest.approx(0.5)

@@ -30,7 +30,7 @@ def pushed(force, preload, k_A=500.0):
     inwards = Wrench(-force * math.cos(heading), force * math.sin(heading))
     strokes = []
     for _ in range(500):
-        stage.go(inwards)
+        stage.take_step(inwards)
         strokes.append(stage.q[4] - scene.rest_length)
     return scene, stage, np.array(strokes)
 

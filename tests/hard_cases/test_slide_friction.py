@@ -94,7 +94,7 @@ def pushed(force, preload, friction):
     inwards = Wrench(-force * math.cos(heading), force * math.sin(heading))
     strokes = []
     for _ in range(300):
-        stage.go(inwards)
+        stage.take_step(inwards)
         strokes.append(stage.q[4] - scene.rest_length)
     return scene, stage, np.array(strokes)
 

@@ -163,7 +163,7 @@ def test_a_stop_in_the_first_loaded_step_reports_what_was_added():
     guard = Guard(LoopStage(SCENE), WIDE._replace(energy=1e-3))
     guard.note_free_motion()
     with pytest.raises(SafeStopError, match=r"after 0\.000\d+ J added: must be <= 0\.001"):
-        guard.go(Wrench(700.0))
+        guard.take_guarded_step(Wrench(700.0))
     assert 0.5e-3 < guard.excess <= 1e-3
     assert guard.withheld > 1e-3
 
@@ -175,7 +175,7 @@ def test_a_wrench_is_scaled_to_the_energy_that_is_left(push, is_correction):
     guard = Guard(stage, WIDE._replace(energy=0.02))
     guard.note_free_motion()
     with contextlib.suppress(SafeStopError):
-        guard.go(Wrench(push), is_correction=is_correction)
+        guard.take_guarded_step(Wrench(push), is_correction=is_correction)
     most = 2e-5 if is_correction else 0.02
     assert 0.0 <= stage.energy <= guard.excess <= most * (1.0 + 1e-9)
     assert (guard.withheld > 0.0) == (push > 10.0 or is_correction)

@@ -46,7 +46,7 @@ def test_a_wrench_moves_four_bodies_summed_one_by_one():
         expected = np.linalg.solve(mass_matrix(scene, q), generalised)
 
         stage = LoopStage(scene, 1e-7, (q, v))
-        stage.go(Wrench(fx, fy, tz=torque))
+        stage.take_step(Wrench(fx, fy, tz=torque))
         found = (stage.v - v) / stage.step
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
 
@@ -60,7 +60,7 @@ def test_momentum_is_kept_and_the_energy_is_the_work_of_the_wrench():
     for _ in range(200):
         wrench = rng.normal(size=3) * [3, 3, 0.1]
         start = np.array(stage.tip[4:])
-        stage.go(Wrench(*wrench[:2], tz=wrench[2]))
+        stage.take_step(Wrench(*wrench[:2], tz=wrench[2]))
         end = np.array(stage.tip[4:])
         work += wrench @ (0.5 * (start + end)) * stage.step
     assert momentum(scene, stage.q, stage.v) == pytest.approx(before, abs=1e-9)
@@ -74,7 +74,7 @@ def test_the_peak_within_a_step_counts():
     yields = 1.0 / scene.probe.mass + 1.0 / (scene.chaser_total_mass - scene.probe.mass)
     period = 2 * math.pi / math.sqrt(scene.buffer.k_A * yields)
     stage = LoopStage(scene, period, (scene.initial_coordinates()[0], np.zeros(8)))
-    stage.go(Wrench(-200.0))
+    stage.take_step(Wrench(-200.0))
     assert stage.peak_energy > 3.0 * stage.energy > 0.0
 
 
@@ -87,7 +87,7 @@ def test_a_law_can_only_take_energy():
         stage.set_law(law)
         energies = [0.0]
         for _ in range(100):
-            stage.go()
+            stage.take_step()
             energies.append(stage.energy)
         assert max(energies) <= 1e-9
         assert lost <= -energies[-1] <= max(1e4 * lost, 1e-8)
@@ -102,7 +102,7 @@ def test_energy_is_that_of_the_bodies():
         springs = b.k_A * (q[4] - scene.rest_length) ** 2 + b.k_T * (q[3] - q[2]) ** 2
         return kinetic(scene, q, v) + 0.5 * springs
 
-    stage.go(Wrench(10.0, 30.0, tz=1.0))
+    stage.take_step(Wrench(10.0, 30.0, tz=1.0))
     assert stage.energy == pytest.approx(energy(stage.q, stage.v) - energy(q, v), rel=1e-6)
 
 
@@ -121,8 +121,8 @@ def test_closing_speed_and_mass_are_those_of_the_rigid_vehicles():
         speed = -(stage.tip.vx * n[0] + stage.tip.vy * n[1])
         assert stage.closing_speed(*n) == pytest.approx(speed, rel=1e-12)
         pushed, free = (LoopStage(scene, 1e-4, (q, v)) for _ in range(2))
-        pushed.go(Wrench(1e3 * n[0], 1e3 * n[1]))
-        free.go()
+        pushed.take_step(Wrench(1e3 * n[0], 1e3 * n[1]))
+        free.take_step()
         gained = free.closing_speed(*n) - pushed.closing_speed(*n)
         assert gained == pytest.approx(0.1 / stage.contact_mass(*n), rel=1e-3)
 
@@ -134,7 +134,7 @@ def test_a_buffer_that_rings_does_not_change_the_closing_speed():
     stage, speeds = LoopStage(scene, 2e-4, (q, v)), []
     for _ in range(50):
         speeds.append(stage.closing_speed(-1.0, 0.0))
-        stage.go()
+        stage.take_step()
     assert np.ptp(speeds) < 1e-9
 
 
@@ -144,12 +144,12 @@ def test_a_stage_goes_back_to_a_saved_state():
     stage = LoopStage(scene)
     stage.set_law(WallLaw(scene.contact_stiffness, 1.5))
     for _ in range(30):
-        stage.go()
+        stage.take_step()
     saved, found = stage.saved(), []
     for _ in range(2):
         stage.restore(saved)
         for k in range(50):
-            stage.go(Wrench(0.1 * k))
+            stage.take_step(Wrench(0.1 * k))
         found.append((stage.t, *stage.q, *stage.v, stage.energy))
         stage.set_law(NO_LAW)
     assert found[0] == found[1]
@@ -159,11 +159,11 @@ def test_a_bench_that_cannot_go_on_says_why():
     """A state that is not finite is not blamed on the stroke."""
     stage = LoopStage(load_scene("_loop"))
     with pytest.raises(SafeStopError, match="no longer finite"):
-        stage.go(Wrench(math.nan))
+        stage.take_step(Wrench(math.nan))
     soft = LoopStage(load_scene("_loop", ["buffer.k_A=1.0"]))
     with pytest.raises(SafeStopError, match="pushed in up to its tip"):
         for _ in range(1000):
-            soft.go(Wrench(-100.0))
+            soft.take_step(Wrench(-100.0))
 
 
 def test_supports_are_rejected():
@@ -182,7 +182,7 @@ def test_the_loop_begins_behind_the_rail():
     assert stage.v == pytest.approx(end.v)
     steps = math.floor((touch.t - end.t) / 1e-3)
     for _ in range(steps):
-        stage.go()
+        stage.take_step()
     (there,) = simulate(scene, t_end=end.t + steps * 1e-3).q[-1:]
     assert stage.q == pytest.approx(there, abs=1e-7)
 
@@ -227,7 +227,7 @@ def test_a_tip_in_the_zone_of_the_latch_is_caught_in_the_first_step():
     (caught,) = [e for e in simulate(scene, t_end=0.01).events if e.kind is EventKind.LATCHED]
     assert caught.t == 0.0
     stage = LoopStage(scene, 1e-5)
-    stage.go()
+    stage.take_step()
     assert stage.latched
 
 
@@ -249,7 +249,7 @@ def test_the_law_in_the_vehicles_steps_is_the_law():
             held = walls.wrench(law, inside.tip)
             assert held.force > 0.0
             inside.set_law(law)
-            inside.go()
+            inside.take_step()
             outside.set_law(NO_LAW)
-            outside.go(held)
+            outside.take_step(held)
             assert inside.v - state[1] == pytest.approx(outside.v - state[1], rel=1e-4, abs=1e-12)

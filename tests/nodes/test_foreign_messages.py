@@ -175,7 +175,7 @@ def test_odd_messages_end_no_node(bench, foreign):
             publishers[topic] = foreign.create_publisher(
                 message_class(topic.type_name),
                 f"loop/{topic.name}" if topic is TIP_WRENCH else topic.name,
-                qos_of(topic, latched=topic.latched),
+                qos_of(topic, transient_local=topic.transient_local),
             )
         publishers[topic].publish(message)
 

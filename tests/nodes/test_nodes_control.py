@@ -9,7 +9,7 @@ from threads import threads
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
 from capture_sim.messages.topics import BENCH_STATE
-from capture_sim.nodes.endpoints import LATCHED
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
 from tests.nodes.bench_client import Client, Simulation, wait_until
 
 OVERRIDES = ["run.t_end=0.4"]
@@ -210,7 +210,9 @@ def test_description_of_the_bench_is_there_for_latecomers(stopped):
     stopped.set(State.PLAYING)
     stopped.await_end()
     found = []
-    stopped.client.subscribe("std_msgs/msg/String", "robot_description", found.append, LATCHED)
+    stopped.client.subscribe(
+        "std_msgs/msg/String", "robot_description", found.append, TRANSIENT_LOCAL
+    )
     wait_until(lambda: found)
     links = {link.get("name") for link in ET.fromstring(found[-1].data).iter("link")}
     assert {"chaser/base_link", "target/cone", "chaser/tip"} <= links

@@ -16,7 +16,7 @@ from threads import threads
 
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.topics import CAPTURE_STATUS
-from capture_sim.nodes.endpoints import LATCHED
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client, wait_until
 
@@ -64,7 +64,9 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
     best_effort = (WrenchStamped, qos_profile_sensor_data)
     with Client("drivers") as client:
         client.node.create_publisher(PoseStamped, "motion_capture/chaser", qos_profile_sensor_data)
-        client.node.create_publisher(Bool, "launcher/hold", LATCHED).publish(Bool(data=True))
+        client.node.create_publisher(Bool, "launcher/hold", TRANSIENT_LOCAL).publish(
+            Bool(data=True)
+        )
         statuses, rates = {}, []  # s (wall) and Hz
 
         def take(message):

@@ -82,7 +82,7 @@ def test_what_is_latched_is_played_before_an_offset(path):
     ],
 )
 def test_late_start_plays_what_the_publisher_would_have_kept(path, topic, depth):
-    """As a subscriber that comes late is sent it: of a stream nothing, of latched ones the last."""
+    """As a late subscriber gets it: nothing of streams, the last of transient-local topics."""
     run = read_bag(path)
     earlier = sum(run.log_times(topic) < 4 * 10**9)
     assert earlier > 1
@@ -155,7 +155,7 @@ def test_what_the_recording_lacks_is_missed_still(path):
     after = dict(zip(told.topics, told.counts.tolist(), strict=True))
     # what is promised does not hang on what the file holds: 3000 states come before 3 s
     assert after["bench/state"] == before["bench/state"] - 3000
-    assert after["bench/event"] == before["bench/event"]  # latched: played from the start
+    assert after["bench/event"] == before["bench/event"]  # transient local: played from the start
     assert "bench/buffer" not in after
 
 
@@ -215,7 +215,7 @@ def test_pause_resume_and_latched_topics(path, start):
         wait_until(lambda: len(states) > 100)
         assert ask("pause")
         assert is_still()
-        # a late subscriber gets what is latched, and nothing else moves
+        # a late subscriber gets the transient-local messages, and nothing else moves
         late = client.listen(RUN_INFO)
         wait_until(lambda: late)
         assert [info.source for info in (*announced, *late)] == ["replay"] * 2

@@ -29,7 +29,7 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
 )
 from capture_sim.nodes import simulator as simulator_module
-from capture_sim.nodes.endpoints import LATCHED, message_class, qos_of
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import run_of
@@ -173,7 +173,7 @@ def test_nodes_and_offline_run_launch_alike(start):
         if sent.topic is LAUNCHER_PHASE
     ]
     with Client() as client:
-        phases = client.listen(LAUNCHER_PHASE, qos=qos_of(LAUNCHER_PHASE, latched=False))
+        phases = client.listen(LAUNCHER_PHASE, qos=qos_of(LAUNCHER_PHASE, transient_local=False))
         launcher = start("launcher")
         client.await_answers_of("/launcher")
         overrides = f"[{', '.join(changes)}]"
@@ -401,7 +401,7 @@ def test_launcher_with_an_actuator_follows_no_simulator(start):
     with Client() as client:
         launcher = start("launcher", actuator="output", scene="tilt_0")
         holds = []
-        client.subscribe("std_msgs/msg/Bool", HOLD, holds.append, LATCHED)
+        client.subscribe("std_msgs/msg/Bool", HOLD, holds.append, TRANSIENT_LOCAL)
         wait_until(lambda: holds)
         assert start("simulator", rtf=0.0, overrides=SHORT).status() == 0
         launcher.wait_for("announces tilt_0 (simulation): ignored")

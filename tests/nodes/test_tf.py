@@ -5,7 +5,7 @@ from threads import Client, threads, wait_until
 
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import BENCH_STATE
-from capture_sim.nodes.endpoints import LATCHED
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
 from tf2_msgs.msg import TFMessage
 
 
@@ -13,7 +13,7 @@ def test_frames_of_a_run():
     with threads() as start, Client() as client:
         moving, static = [], []
         client.node.create_subscription(TFMessage, "tf", moving.append, 1000)
-        client.node.create_subscription(TFMessage, "tf_static", static.append, LATCHED)
+        client.node.create_subscription(TFMessage, "tf_static", static.append, TRANSIENT_LOCAL)
         client.listen(BENCH_STATE)  # frames are waited for by no run
         options = {"overrides": "[run.t_end=1]", "wait_for": "[experimenter]"}
         simulator = start("simulator", rtf=1.0, **options)

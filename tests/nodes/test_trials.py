@@ -17,7 +17,7 @@ from threads import threads
 
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import CHASER_POSE, HOLD, RUN_INFO
-from capture_sim.nodes.endpoints import LATCHED
+from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.bag_file import BagFile
 from capture_sim.recording.offline import write_run
@@ -117,7 +117,9 @@ def test_a_replay_of_a_trial_plays_no_hold(start, client, tmp_path):
     assert "/launcher/hold" in read_bag(result.recording).types
     session.launcher.end()
     held = []
-    client.subscribe("std_msgs/msg/Bool", HOLD, lambda message: held.append(message.data), LATCHED)
+    client.subscribe(
+        "std_msgs/msg/Bool", HOLD, lambda message: held.append(message.data), TRANSIENT_LOCAL
+    )
     player = start("player", bag=result.recording, rtf=0.0)
     assert player.status() == 0
     assert "/launcher/hold: not played" in player.text
@@ -175,7 +177,7 @@ def test_two_sources_of_one_sensor_refuse(start, client, tmp_path):
 def test_by_hand_with_poses_that_begin_late(start, client, tmp_path):
     """Let go by hand; the poses begin when the vehicle is captured already."""
     session = Session(start, client, tmp_path, actuator="none")
-    hold = client.node.create_publisher(Bool, HOLD, LATCHED)
+    hold = client.node.create_publisher(Bool, HOLD, TRANSIENT_LOCAL)
     assert session.holds == []
     with session.bench(camera_begin=5.0, outcomes="[captured]") as rig:
         goal = session.goal(0.0, name="by hand")

@@ -206,7 +206,7 @@ def test_rosbags_knows_quality_of_service_and_types(path):
             for connection in reader.connections
             if connection.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL
         }
-        assert durable == {topic.absolute_name for topic in TOPICS if topic.latched}
+        assert durable == {topic.absolute_name for topic in TOPICS if topic.transient_local}
         for connection in reader.connections:
             qos = connection.ext.offered_qos_profiles[0]
             topic = next(t for t in TOPICS if t.absolute_name == connection.topic)
