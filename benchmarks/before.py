@@ -1,6 +1,6 @@
 """What users' commands and the parts of a run cost, beside an earlier state, in turn with it.
 
-    .venv/bin/python -m benchmarks.before --before CHECKOUT    # twenty minutes, parts: three
+    python -m benchmarks.before --before CHECKOUT    # twenty minutes, parts: three
 
 CHECKOUT has a .venv of its own.  Shows three tables: the least of some rounds, and processor time
 wherever that is what counts.

@@ -1,6 +1,6 @@
 """Designs over random scenes, each answer checked by runs that the design did not make.
 
-    .venv/bin/python -m benchmarks.design    # ten minutes; --scenes 2 for a look
+    python -m benchmarks.design    # ten minutes; --scenes 2 for a look
 
 Writes the parts of docs/random_scenes.md and the figures.  A buffer for limits is compared with a
 grid of 20^3 buffers around it, and with the grid over the whole ranges where none was found.  A

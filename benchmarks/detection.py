@@ -1,6 +1,6 @@
 """Error rates of the capture detector on noisy replays; writes them into docs/detection_checked.md.
 
-.venv/bin/python -m benchmarks.detection    # --replays 10 --sweep 1 --injections 1 for a look
+python -m benchmarks.detection    # --replays 10 --sweep 1 --injections 1 for a look
 
 It needs no ROS: from a source tree, with numpy, scipy, numba and PyYAML, PYTHONPATH=. will do.
 """

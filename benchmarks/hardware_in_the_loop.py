@@ -1,6 +1,6 @@
 """Restitution, energy and load of a rig in the loop; writes docs/hardware_checked.md.
 
-.venv/bin/python -m benchmarks.hardware_in_the_loop    # half an hour, in one process
+python -m benchmarks.hardware_in_the_loop    # half an hour, in one process
 """
 
 from __future__ import annotations

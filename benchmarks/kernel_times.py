@@ -1,6 +1,6 @@
 """What the integration of whole runs takes, beside an earlier state, in turn with it.
 
-    .venv/bin/python -m benchmarks.kernel_times --before CHECKOUT      # two minutes
+    python -m benchmarks.kernel_times --before CHECKOUT      # two minutes
 
 Only ``Bench.advance`` is timed, in one process per state; both stay alive.  In a round each
 state takes the least processor time of some runs of every scene.  The table has medians over the

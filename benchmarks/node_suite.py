@@ -1,7 +1,7 @@
 """The node suite as measured: start, pace, loss, same bits, memory, killed nodes.
 
-    .venv/bin/python -m benchmarks.node_suite                       # all parts, about 25 minutes
-    .venv/bin/python -m benchmarks.node_suite paced kills --kills 5
+    python -m benchmarks.node_suite                       # all parts, about 25 minutes
+    python -m benchmarks.node_suite paced kills --kills 5
 
 Starts the real nodes, each in a process of its own, over real DDS on loopback; writes the parts of
 docs/node_suite.md.

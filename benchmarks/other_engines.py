@@ -1,6 +1,6 @@
 """Other engines on the paper's scene, configured as closely as possible: docs/engines.md.
 
-    .venv/bin/python -m benchmarks.other_engines
+    python -m benchmarks.other_engines
 
 Needs the packages of the extra ``benchmark``; what is not installed is skipped.
 """

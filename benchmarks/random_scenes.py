@@ -1,7 +1,7 @@
 """How exact the default run is over random benches, and how well a run knows its own error.
 
-    .venv/bin/python -m benchmarks.random_scenes                  # about 40 minutes
-    .venv/bin/python -m benchmarks.random_scenes narrow --scenes 100
+    python -m benchmarks.random_scenes                  # about 40 minutes
+    python -m benchmarks.random_scenes narrow --scenes 100
 
 writes the parts of docs/random_scenes.md.  The tests assert the same of the first 200 benches, and
 of some of the wider ones to 30 ms.

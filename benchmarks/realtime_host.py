@@ -1,6 +1,6 @@
 """How late a host in C wakes at 1 kHz, and how long a step takes; writes a part of docs/fmu.md.
 
-.venv/bin/python -m benchmarks.realtime_host
+python -m benchmarks.realtime_host
 """
 
 from __future__ import annotations

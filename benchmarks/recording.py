@@ -1,7 +1,7 @@
 """Recording, replay and identification; writes the parts of docs/node_suite.md.
 
-.venv/bin/python -m benchmarks.recording                  # all parts, about six minutes
-.venv/bin/python -m benchmarks.recording write live
+python -m benchmarks.recording                  # all parts, about six minutes
+python -m benchmarks.recording write live
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,14 @@ def physics_of(scene: Scene) -> dict[str, Any]:
     return {name: part for name, part in as_mapping(scene).items() if name not in _NO_PHYSICS}
 
 
-def _given(part: Any) -> Any:
-    """Return a part of a scene as plain data, without the fields that are null."""
-    if not isinstance(part, dict):
-        return part
-    return {name: _given(value) for name, value in part.items() if value is not None}
+def _completed(recorded: Any, part: Any) -> Any:
+    """Return a recorded part of a scene with the default of each field that did not exist then."""
+    if not isinstance(recorded, dict) or not is_dataclass(part):
+        return recorded
+    defaults = {f.name: f.default for f in fields(part) if f.default is not MISSING}
+    return defaults | {
+        name: _completed(value, getattr(part, name, None)) for name, value in recorded.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,8 @@ def load_reference(name: str, scene: Scene | None = None) -> Reference:
     data = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     if scene is not None:
         wanted, there = json.loads(json.dumps(physics_of(scene))), data["physics"]
-        # a field that did not exist then changes nothing where it is null
-        if changed := [key for key in wanted if _given(wanted[key]) != _given(there.get(key))]:
+        recorded = {key: _completed(there.get(key), getattr(scene, key)) for key in wanted}
+        if changed := [key for key in wanted if wanted[key] != recorded[key]]:
             raise SceneError(
                 f"{scene.name}: {', '.join(changed)} differ from the reference {name}; make it "
                 f"again: python -m benchmarks.references.generate {name}"

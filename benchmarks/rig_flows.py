@@ -1,6 +1,6 @@
 """Trials of the example's rig over DDS: verdict, `detect`, loads, and what the recording holds.
 
-    .venv/bin/python -m benchmarks.rig_flows                        # about 3 minutes
+    python -m benchmarks.rig_flows                        # about 3 minutes
 
 Starts the real nodes and the bench of examples/, each in a process of its own; twelve goals of
 launcher/run_trial.  Writes the table in docs/node_suite.md.

@@ -1,6 +1,6 @@
 """Sweeps: how much slower than their kernels, and how far their verdicts can be trusted.
 
-    .venv/bin/python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
+    python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
 
 writes the parts of docs/random_scenes.md, in six minutes.  ``before`` needs ``--before FOLDER``,
 the work tree of an earlier state, e.g. of ``git worktree add``.

@@ -1,7 +1,7 @@
 """What looking at runs costs: rerun files, pictures, the report, the live viewer.
 
-    .venv/bin/python -m benchmarks.viewing             # about three minutes
-    .venv/bin/python -m benchmarks.viewing live --seconds 6
+    python -m benchmarks.viewing             # about three minutes
+    python -m benchmarks.viewing live --seconds 6
 
 Writes the parts of docs/node_suite.md.  The live part runs the real nodes at real time, with and
 without the viewer, and reads from the operating system what their processes took.
