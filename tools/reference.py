@@ -68,9 +68,9 @@ Measure these lengths in your CAD model or on the bench, in the plane of motion:
 | beta | `cone.half_angle` | angle of a wall to the cone's axis |
 | L_T | `cone.L_T` | target's centre of mass to the plane of BE |
 
-`chaser.mass` and `chaser.inertia` apply to the vehicle without probe and cylinder; those of the probe
-are computed from its density. Start from a packaged scene with `extends` and replace one part after the
-other.
+`chaser.mass` and `chaser.inertia` apply to the vehicle without probe and cylinder; mass and
+inertia of the probe are computed from its density. Start from a packaged scene with `extends` and
+replace one part after the other.
 
 """
 RULES = """
