@@ -116,9 +116,9 @@ def standard(asked, _):
         total = by_verdict.setdefault(result.verdict, [0, 0])
         total[0] += wrong
         total[1] += asked.replays
-    head = ["run", "verdict", "nearest mm", "wrong", "later by s: median", "worst"]
+    head = ["run", "verdict", "closest approach mm", "wrong", "later by s: median", "worst"]
     return [
-        f"{asked.replays} replays of each run, every one with other noise:",
+        f"{asked.replays} replays of each run, each with different noise:",
         "",
         table(head, rows),
         "",

@@ -76,10 +76,11 @@ def methods(_, __):
         f"A plate against {MASS:.2f} kg at 0.1 m/s, in one process at 1 kHz. Soft and hard: an",
         "elastic touch lasts T = 200 ms and 20 ms; dissipative: e = 0.5. Rig: load cell and",
         "transport with their defaults, wall 20 um nearer than the scene's, servo of 100 Hz and of",
-        "10 Hz; the delay is the servo's. `model` starts with half the stiffness, and its row is",
-        "the second touch; the others' is the first. Energy: the most that vehicles, buffer and",
-        "law had above their energy at the touch; energy_limit 1 J, force_limit 2000 N. The",
-        "rig's e is that of the same vehicles simulated on the rig's wall.",
+        "10 Hz; the delay is the servo's. `model` starts with half the stiffness; its rows show",
+        "the second touch, the rows of the other methods the first. Energy: largest increase of",
+        "the energy of vehicles, buffer and law over its lowest value before the contact;",
+        "energy_limit 1 J, force_limit 2000 N. The rig's e is that of the same vehicles, simulated",
+        "on its wall.",
         "",
         *parts,
     ]
@@ -127,9 +128,9 @@ def map_of_methods(_, __):
             rows.append(row)
     head = ["method", "servo", "lag / T <= 0.1", "0.1 to 0.35", "0.35 to 1", "1 to 2"]
     return f"""\
-Touches with e = 1 and 0.3, the wall 20 um nearer or farther. Each cell: how many were
-within 5 % of the rig's restitution; of the others, how many the loop stopped at, or reported
-as not held or not known.
+Touches with e = 1 and 0.3, the wall 20 um nearer or farther. Each cell: number of touches
+within 5 % of the rig's restitution; number of the others at which the loop stopped, or which
+it reported as not held or not known.
 
 {table(head, rows)}""".splitlines()
 

@@ -216,7 +216,7 @@ def measure_unpaced(options: Namespace, folder: Path) -> list[str]:
         f"real time, lost: {'; '.join(lost) or 'none'}. CPU time of the nodes in the last run, "
         f"s: {shares}.",
         "",
-        f"Beside two busy processes, {options.suites} suites of two runs each (tilt_0, tilt_p10): "
+        f"With two busy processes, {options.suites} suites of two runs each (tilt_0, tilt_p10): "
         f"{short} recordings, lost: {'; '.join(missing) or 'none'}.",
     ]
 

@@ -49,8 +49,8 @@ RESTITUTIONS = (0.2, 0.4, 0.5)
 #: How the damping of a touch follows from its speed, by name: overrides of the scene.
 DAMPING = {
     "by the touch's first approach (the model's)": (),
-    "the same, with the factor that returns e exactly": ("contact.law=exact",),
-    "without memory: of the first impact for every touch": ("contact.min_approach_speed=0.1",),
+    "by the first approach, with the factor that returns e exactly": ("contact.law=exact",),
+    "without memory: by the first impact, for every touch": ("contact.min_approach_speed=0.1",),
 }
 
 _SPEED = 0.1  # m/s

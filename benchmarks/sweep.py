@@ -164,7 +164,7 @@ def before(asked: Namespace, _: Path) -> list[str]:
         rows.append([name, f"{earlier:.2f}", f"{now:.2f}", f"{earlier / now:.2f}"])
     head = [f"{runs} runs", "before, ms", "now, ms", "ratio"]
     return [
-        f"CPU time of a run, the least of {_ROUNDS} rounds in turn, each state with its default "
+        f"CPU time of a run, the minimum of {_ROUNDS} rounds in turn, each state with its default "
         "tolerance:",
         "",
         table(head, rows),

@@ -1,4 +1,4 @@
-"""What looking at runs costs: rerun files, pictures, the report, the live viewer.
+"""What looking at runs costs: rerun files, plots, the report, the live viewer.
 
     python -m benchmarks.viewing             # about three minutes
     python -m benchmarks.viewing live --seconds 6
@@ -37,8 +37,8 @@ def files(_: Namespace, folder: Path) -> list[str]:
     rows = []
     for what, make, path in (
         ("`.rrd` of three runs of 20 s at 1 kHz", lambda p: save_rrd(long, p), folder / "a.rrd"),
-        ("picture of one run", lambda p: save(draw_run(short[1]), p), folder / "a.png"),
-        ("picture of three runs", lambda p: save(draw_overview(short), p), folder / "b.png"),
+        ("plot of one run", lambda p: save(draw_run(short[1]), p), folder / "a.png"),
+        ("plot of three runs", lambda p: save(draw_overview(short), p), folder / "b.png"),
         ("report of three runs", lambda p: save_report(opened, p), folder / "a.html"),
     ):
         took = repeated(lambda make=make, path=path: make(path), REPEATS)

@@ -134,12 +134,12 @@ class Bench:
     scene
         Scene of the run.
     plan
-        Launch plan; None for that of :func:`capture_sim.launch.scenes.check_scene`.
+        Launch plan; None for the plan of :func:`capture_sim.launch.scenes.check_scene`.
     trace
         True to keep the contact at the integrator's own steps, see :attr:`trace`;
         ``scene.run.trace`` does the same.
     memory
-        Memory for this bench alone, which may share its room for samples; None for new memory.
+        Memory for this bench alone; its space for samples may be shared.  None for new memory.
 
     Examples
     --------
@@ -353,7 +353,7 @@ class Bench:
         """Replace the contact of both walls by F = delta^exponent (stiffness + chi delta').
 
         ``offset`` (m) moves the walls towards the tip, which must not touch them now.  ``mu`` and
-        ``v_eps`` (m/s) are those of the friction law "tanh".  Without stiffness nothing acts.
+        ``v_eps`` (m/s) are parameters of the friction law "tanh".  Without stiffness nothing acts.
         """
         par = self._system["par"]
         par["K"], par["exponent"], par["chi"], par["hysteresis"] = stiffness, exponent, chi, 0.0

@@ -142,9 +142,9 @@ def _empty(dtype: np.dtype) -> Callable[[], np.ndarray]:
 class Run:
     """One run, whatever it comes from; times are s since the release, units SI.
 
-    Fields hold what is known of the run, empty or None where it is not; the properties
-    ``samples``, ``touches``, ``events``, ``statuses``, ``loads`` and ``summary`` are derived from
-    these, once, and exist for every run that has a scene and poses.
+    A field is empty or None if it is not known of the run.  The properties ``samples``,
+    ``touches``, ``events``, ``statuses``, ``loads`` and ``summary`` are computed from the fields,
+    once, and exist for every run that has a scene and poses.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class Run:
     logged_events : sequence of Event
         Events in order, each with time and state.
     received : sequence of Received or None
-        Measurements that the detector decides by, as they arrived; None to take the series.
+        Measurements for the detector, as they arrived; None to use the series.
     reported_statuses : sequence of CaptureStatus
         Statuses that a detector reported during the run.
     criteria : Detector or None
@@ -243,7 +243,7 @@ class Run:
 
     @cached_property
     def made_by(self) -> dict[str, Any]:
-        """What made the run: source, scene, overrides, hash of the scene, seed, software."""
+        """How the run was made: source, scene, overrides, hash of the scene, seed, software."""
         made_by: dict[str, Any] = {"source": self.origin.path or "simulated"}
         if self.given_scene is not None:
             made_by |= scene_origin(self.given_scene)

@@ -70,7 +70,7 @@ def simulate(
     -------
     Run
         Samples, touches and events with times in s since the release, the detector's verdict,
-        loads and summary.  :func:`capture_sim.read_run` returns the same of a recording.
+        loads and summary.  :func:`capture_sim.read_run` returns such a run from a recording.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A recording into pandas, by libraries that know nothing of capture_sim."""
+"""Read a recording into pandas with third-party libraries, without capture_sim."""
 
 import sys
 

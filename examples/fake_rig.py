@@ -1,6 +1,6 @@
-"""A bench that knows nothing of capture_sim: cameras, encoders and a load cell, in plain rclpy.
+"""A bench without code of capture_sim: cameras, encoders and a load cell, in plain rclpy.
 
-It shows what a driver of yours has to do: publish what it measures, and obey launcher/hold.
+It shows what your driver must do: publish its measurements, and obey launcher/hold.
 disturbed_rig.py is the same bench with the faults of real sensors.
 """
 

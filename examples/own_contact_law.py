@@ -1,12 +1,12 @@
 """Two ways to add a contact law of your own.
 
-1. A law of the form F = K delta^1.5 (1 + a(e) delta' / v_0), as most in the literature are, is its
-   hysteresis factor a(e) alone.  Whatever a is, the law `exact` with the restitution that a really
-   returns is that law, in everything that capture_sim does.
-2. Any other force is computed here, step by step, and given to vehicles and buffer as a wrench on
-   the tip.  Its limits: no supports, of a rail only its end (docs/hardware_in_the_loop.md), touches
-   are not located, and the wrench is held over a step, which acts as a delay of half a step and
-   generates energy: halve the step and compare.
+1. Most laws in the literature are F = K delta^1.5 (1 + a(e) delta' / v_0), and differ only in their
+   hysteresis factor a(e).  For any a, the law `exact` with the law's effective restitution
+   reproduces it, in everything that capture_sim does.
+2. Any other force is computed here, step by step, and applied to vehicles and buffer as a wrench on
+   the tip.  Limits: no supports; a scene with a rail begins at its end
+   (docs/hardware_in_the_loop.md); touches are not located; the wrench is held over a step, which
+   acts as a delay of half a step and generates energy, so halve the step and compare.
 """
 
 import math
@@ -33,7 +33,7 @@ def lining(delta, rate):
 
 
 def first_peak(scene, law, step):
-    """Return the largest force (N) of the first touch by a law, with steps of ``step`` s."""
+    """Return the peak force (N) of the first touch by a law, with steps of ``step`` s."""
     stage, walls = LoopStage(scene, step), Walls(scene)
     peak = 0.0
     while stage.t < scene.run.t_end:

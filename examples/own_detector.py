@@ -1,4 +1,4 @@
-"""A detector of your own: a plain rclpy node that the simulator waits for, and misses no sample.
+"""A detector of your own: a plain rclpy node.  The simulator waits for it, so it misses no sample.
 
 python examples/own_detector.py
 capture-sim-simulator --ros-args -p "wait_for:=[own_detector]" -p rtf:=0.0

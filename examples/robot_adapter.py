@@ -4,8 +4,8 @@
 constants, and keep the rest.  Start this first, then `loop_simulator`.
 
 The loop begins with a position at rest and repeats it: this robot drives there slowly.  Then the
-positions run up to the vehicles' first speed and go on with each step.  The robot holds if the loop
-says so on loop/hold, if positions stay away, and if one is too far from where the robot is.
+positions run up to the vehicles' first speed and continue with each step.  The robot holds if the
+loop sends a reason on loop/hold, if positions stop, and if a position is too far from the robot.
 """
 
 import contextlib
@@ -21,11 +21,11 @@ from std_msgs.msg import String
 
 #: target/cone in the robot's base: x, y (m) and yaw (rad), from a measurement of your cone.
 CONE_X, CONE_Y, CONE_YAW = 0.8, 0.1, math.pi
-#: The robot holds if no position has come for so long, s: some steps of the loop.
+#: The robot holds if no position has arrived for this time, s: some steps of the loop.
 HEARTBEAT = 0.02
-#: It follows no position farther from where it is, m.
+#: Largest distance of a position that it follows, m.
 MAX_JUMP = 0.01
-#: Speed of the way to the first position, m/s.
+#: Speed of the motion to the first position, m/s.
 HOMING_SPEED = 0.05
 
 

@@ -13,9 +13,9 @@ captured = table["verdict"] == "captured"
 
 figure, axes = plt.subplots(layout="constrained")
 for rows, marker, label in ((captured, "o", "captured"), (~captured, "x", "not captured")):
-    nearest = table["nearest_distance"][rows] * 1e3
-    axes.plot(table["buffer.c_A"][rows], nearest, marker, label=label)
-axes.set(xlabel="c_A in N s/m", ylabel="nearest distance to BE in mm")
+    closest = table["nearest_distance"][rows] * 1e3
+    axes.plot(table["buffer.c_A"][rows], closest, marker, label=label)
+axes.set(xlabel="c_A in N s/m", ylabel="closest approach to BE in mm")
 axes.legend()
 figure.savefig("sweep_damping.png")
 print(f"captured {captured.sum()} of {len(table)}")

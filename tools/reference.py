@@ -68,9 +68,9 @@ Measure these lengths in your CAD model or on the bench, in the plane of motion:
 | beta | `cone.half_angle` | angle of a wall to the cone's axis |
 | L_T | `cone.L_T` | target's centre of mass to the plane of BE |
 
-`chaser.mass` and `chaser.inertia` are those of the vehicle without probe and cylinder; the probe's
-follow from its density. Start from a packaged scene with `extends` and replace one part after the
-other.
+`chaser.mass` and `chaser.inertia` apply to the vehicle without probe and cylinder; mass and
+inertia of the probe are computed from its density. Start from a packaged scene with `extends` and
+replace one part after the other.
 
 """
 RULES = """
@@ -107,8 +107,8 @@ def default_of(field: Field[Any]) -> str:
 
 def range_of(what: Declared) -> str:
     """Return what a field must be, as text."""
-    kinds = {bool: "true or false", str: "text", tuple: "three points [x, y]"}
-    return str(what.allowed or ", ".join(what.options) or kinds[what.kind])
+    kinds = {bool: "true or false", str: "text"}
+    return str(what.allowed or what.points or ", ".join(what.options) or kinds[what.kind])
 
 
 def description(part: type, *, is_optional: bool) -> str:

@@ -113,7 +113,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     Raises
     ------
     SceneError
-        If no mass or height gives the wanted speed; it says which bound is met.
+        No mass or height gives the wanted speed; the message names the limit that is reached.
     """
     if scene.string is None:
         return _unlaunched(scene)

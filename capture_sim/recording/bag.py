@@ -93,10 +93,10 @@ def read_bag(
     path
         The file or folder.
     ratio
-        How many times a file's size it may unpack to.
+        Upper limit of the unpacked size, as a multiple of the file's size.
     remaps
-        Names in the file of topics that do not have the bench's, by the bench's
-        (``{"chaser/odom": "/mocap/rb1/odom"}``), beside those that the recorder has noted.
+        Recorded names of topics by the bench's names, e.g.
+        ``{"chaser/odom": "/mocap/rb1/odom"}``, in addition to those that the recorder has noted.
     release
         Release time, s after the first pose; None to find it, see :attr:`Bag.clock`.
 

@@ -40,8 +40,8 @@ def read_run(
     scene
         Scene of the run; None for the recorded one.
     remaps
-        Names in the file of topics that do not have the bench's, by the bench's
-        (``{"chaser/odom": "/mocap/rb1/odom"}``), beside those that the recorder has noted.
+        Recorded names of topics by the bench's names, e.g.
+        ``{"chaser/odom": "/mocap/rb1/odom"}``, in addition to those that the recorder has noted.
     release
         Release time, s after the first pose; None to find it.
 

@@ -191,7 +191,7 @@ def design_buffer(
     Parameters
     ----------
     scene
-        Vehicles, cone, contact and approach; its own free values do not matter.
+        Scene with vehicles, cone, contact and approach; its values of free parameters are ignored.
     requirements
         Limits, and the dispersions under which they must hold.
     free
@@ -208,7 +208,7 @@ def design_buffer(
     Returns
     -------
     Design
-        With a buffer, or with the reason why there is none among those tried.
+        Its buffer, or the reason why no candidate meets the requirements.
 
     Raises
     ------

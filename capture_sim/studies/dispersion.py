@@ -1,4 +1,4 @@
-"""What the table of a sweep says: probability of capture, percentiles, worst runs, what matters."""
+"""Statistics of a sweep: probability of capture, percentiles, worst runs, main influences."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def hold_probability(table: pandas.DataFrame) -> Probability:
 
 
 def limit_probability(table: pandas.DataFrame, limits: Sequence[Limit]) -> Probability:
-    """Return the probability that all of some limits are met."""
+    """Return the probability that all given limits are met."""
     return _probability(table, lambda rows: ~_exceeds(rows, limits))
 
 
 def success_probability(table: pandas.DataFrame, limits: Sequence[Limit]) -> Probability:
-    """Return the probability of a capture with all of some limits met."""
+    """Return the probability of a capture with all given limits met."""
     return _probability(table, lambda rows: (rows["verdict"] == CAPTURED) & ~_exceeds(rows, limits))
 
 
@@ -126,7 +126,7 @@ class Quantile(NamedTuple):
 def quantiles(values: np.ndarray, shares: Sequence[float] = QUANTILES) -> list[Quantile]:
     """Return quantiles of a sample, with intervals between order statistics.
 
-    The intervals hold for any distribution: the number of values below a quantile is binomial.
+    The intervals apply to any distribution: the number of values below a quantile is binomial.
     """
     from scipy.stats import binom
 
@@ -151,7 +151,7 @@ def quantiles(values: np.ndarray, shares: Sequence[float] = QUANTILES) -> list[Q
 def rank_correlations(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
     """Return Spearman's rank correlation of each input that varies with each main load.
 
-    A last column ``captured`` has that with capture, 1 or 0; NaN where a load does not vary.
+    The last column ``captured`` has the correlation with capture (1 or 0).  NaN: no variation.
     """
     plain = computed_rows(plain_rows(table))
     results = plain[[*MAIN_LOADS]].assign(captured=(plain["verdict"] == CAPTURED).astype(float))
@@ -194,10 +194,10 @@ def sobol_indices(
 
 
 def main_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
-    """Return by how much each main load changes over the values of each input of a grid.
+    """Return the change of each main load over the values of each input of a grid.
 
-    The effect of an input is the range of the load's mean at each of its values; the column
-    ``captured`` has that of the share of captures.  NaN where no run has the load.
+    The effect of an input is the range of the load's mean at each of its values; in the column
+    ``captured``, the range of the share of captures.  NaN where no run has the load.
     """
     import pandas
 
@@ -208,7 +208,7 @@ def main_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataF
 
 
 def wilks_runs(share: float, confidence: float = _CONFIDENCE, failures: int = 0) -> int:
-    """Return how many runs with so many failures show a probability at a confidence (Wilks).
+    """Return the number of runs, ``failures`` of them failed, that shows a probability (Wilks).
 
     59 runs without a failure show 0.95 at 95 %.
     """

@@ -83,39 +83,40 @@ def identify(
     starts: int = 10,
     seed: int = 0,
 ) -> Fit:
-    """Fit parameters of a scene to what was measured in one run.
+    """Fit parameters of a scene to the measurements of one run.
 
     Parameters
     ----------
     scene
-        With the values where the search begins.
+        Scene with the initial values of the search.
     run
-        The measured run.  Its sampled force is not used, see above.  Its launch is that which was
-        commanded, whatever the parameters; without a command that of the scene.
+        The measured run.  Its sampled force is not used: samples hit or miss a touch by chance.
+        The simulated launch is the commanded one, for all parameters; without a recorded command
+        it is the launch of the scene.
     names
-        ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, or fields as ``buffer.k_A``; and
-        :data:`RELEASE`, where that is not known exactly.
+        ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, or fields, e.g. ``buffer.k_A``; also
+        :data:`RELEASE` if the release time is not known exactly.
     touches
-        The first touches; None does without.  Those found in a force that is sampled too
-        slowly for touches as the scene has them are not used.
+        The first touches; None to fit without touches.  Touches from a force that is sampled too
+        slowly for the touches of the scene are not used.
     noise
-        Standard deviations by series, one for each of its parts; what is missing is estimated
-        from the series' own scatter.
+        Standard deviations by series, one for each of its parts; a missing one is estimated from
+        the noise of the series.
     until
-        s; what was measured later is not used.
+        End of the measurements that are used, s.
     starts
-        Searches at most, the best counts, and some round it in the end.  The first begins
-        at the scene's values; where more is left than noise explains, others begin within
-        a factor of two of them.  With 1 it is that one alone.
+        Maximum number of searches; the best one counts, and some start near it in the end.  The
+        first search begins at the scene's values.  If its residuals exceed the noise floor,
+        further searches begin within a factor of two of these values.
     seed
-        Of the other places.
+        Seed of the starting points of further searches.
 
     Raises
     ------
     SceneError
         A name is unknown or given twice, nothing was measured, or a noise is not positive.
     SimulationError
-        The scene cannot be simulated where the search begins.
+        The scene cannot be simulated with the initial values.
     """
     compile_kernels()
     if touches is not None:

@@ -1,4 +1,4 @@
-"""Plots of one run, or of several drawn over each other.
+"""Plots of one run, or of several runs overlaid.
 
 Every function takes runs (:class:`capture_sim.Run`, one or a sequence) and returns a figure of
 matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
@@ -211,7 +211,7 @@ def load_stroke(
 def energies(
     runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
 ) -> Figure:
-    """Draw where the energy that was put in is, layer on layer, a panel for each run."""
+    """Draw the energies of each run as stacked layers, one panel for each run."""
     shown = plotted_runs(runs, labels, window=window)
     columns = columns_for(len(shown))
     rows = -(-len(shown) // columns)
@@ -241,19 +241,19 @@ def snapshots(
     count: int = 6,
     labels: Sequence[str] | None = None,
 ) -> Figure:
-    """Draw a run as a strip of pictures from above, or several as strips side by side.
+    """Draw a run as a strip of views from above, or several runs as strips side by side.
 
     Parameters
     ----------
     runs
         One, or several.
     times
-        Of the pictures, s since the start; None chooses them for each run: the start, the
+        Times of the views, s since the start; None chooses them for each run: the start, the
         first touch, and the rest evenly spread up to the verdict.
     count
-        Pictures of each run, at least 2, where no times are given.
+        Number of views of each run, at least 2, if no times are given.
     labels
-        One for each run; None takes the scenes' names.
+        One name for each run; None for the names of the scenes.
     """
     shown = plotted_runs(runs, labels)
     instants = [
@@ -305,7 +305,7 @@ def snapshots(
 
 
 def snapshot_times(run: Run, count: int) -> np.ndarray:
-    """Return times worth a picture, (count,), s: start, first touch, evenly to the verdict."""
+    """Return the times of views, (count,), s: start, first touch, evenly to the verdict."""
     start, end = float(run.samples["t"][0]), time_window(run)[1]
     touch = first_touch(run.events)
     if touch is None or touch.t - start < 0.02:

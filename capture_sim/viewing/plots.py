@@ -49,14 +49,14 @@ _OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_perform
 
 
 def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
-    """Return the figure of one run, or of several drawn over each other.
+    """Return a plot of one run, or of several runs overlaid, as a matplotlib figure.
 
     Parameters
     ----------
     runs
-        Of :func:`capture_sim.simulate`, or of :func:`capture_sim.read_run`.
+        Runs from :func:`capture_sim.simulate` or :func:`capture_sim.read_run`.
     labels
-        Their names, one each; None takes the scenes'.
+        One name for each run; None for the names of the scenes.
 
     Raises
     ------
