@@ -103,6 +103,8 @@ class Client:
         self.stop()
         self._executor.remove_node(self.node)  # else its endpoints stay
         self._executor.shutdown()
+        for part in list(self.node.waitables):  # of an action: destroy_node leaves them
+            getattr(part, "destroy", lambda: None)()
         self.node.destroy_node()
         give_back(self._context)
 

@@ -38,7 +38,7 @@ def printed(capfd, *words):
 def test_a_recorded_trial_through_every_command(start, tmp_path, capfd):
     with Client() as client:
         session = Session(start, client, tmp_path / "trials")
-        with session.bench(script="fake_rig.py", outcomes="[captured]"):
+        with session.bench(is_disturbed=False, outcomes="[captured]"):
             status, result = session.goal(name="c3", note="walk").result()
         assert (status, result.verdict, result.complete) == (SUCCEEDED, "captured", True)
         path = result.recording
