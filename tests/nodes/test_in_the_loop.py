@@ -36,6 +36,9 @@ from capture_sim.nodes.endpoints import message_class, qos_of
 PLATE = 2e4  # N/m; a touch from 0.05 to 0.124 s
 #: A busy machine does not decide.
 PATIENT = {"timeout": 10.0, "lateness_limit": 10.0, "late_share_limit": 1.0}
+#: A step has 20 ms, so that a busy machine answers most of them in time, as these fits require; a
+#: residual that is late now and then makes a command jump.
+UNHURRIED = {**PATIENT, "rtf": 0.05, "acceleration_limit": 1e4}
 WIDE = {
     **PATIENT,
     "energy_limit": 1e3,
@@ -111,7 +114,7 @@ def test_a_rig_of_the_real_kind_is_measured_and_held(start, tmp_path):
     report = tmp_path / "report.json"
     law = {"compensation": "model", "stiffness": 1e4, "exponent": 1.0}
     law["overrides"] = "[run.t_end=0.5]"
-    loop = start("loop_simulator", report=report, rtf=0.2, **law, **PATIENT)
+    loop = start("loop_simulator", report=report, **law, **UNHURRIED)
     assert loop.status() == 0, loop.text
     found = json.loads(report.read_text())
     assert found["load_cell"]["bias"][:3] == pytest.approx([0.5] * 3, abs=0.05)
@@ -211,11 +214,11 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     """The first ends in contact, the second finds the law, the third begins with it."""
     start("contact_rig", damping=3.0)
     report = tmp_path / "report.json"
-    wall = {"exponent": 1.0, "compensation": "model", "rtf": 0.2, "report": report}
+    wall = {"exponent": 1.0, "compensation": "model", "report": report}
     wall["record"] = tmp_path / "runs"
-    first = start("loop_simulator", overrides="[run.t_end=0.1]", **wall, stiffness=1e3, **PATIENT)
+    first = start("loop_simulator", overrides="[run.t_end=0.1]", **wall, stiffness=1e3, **UNHURRIED)
     assert first.status() == 0, first.text
-    second = start("loop_simulator", **wall, stiffness=1e3, **PATIENT)
+    second = start("loop_simulator", **wall, stiffness=1e3, **UNHURRIED)
     assert second.status() == 0, second.text
     found = json.loads(report.read_text())
     assert found["load_cell"]["bias"][:3] == pytest.approx([0.5] * 3, abs=0.05)
@@ -224,7 +227,7 @@ def test_runs_after_each_other_on_one_rig(start, tmp_path):
     law = dict(re.findall(r"-p (\w+):=(\S+)", pasted))
     names = {name.replace("wall_", ""): float(value) for name, value in law.items()}
     assert names == pytest.approx({name: found["law"][name] for name in names}, rel=1e-8)
-    third = start("loop_simulator", **{**wall, **law}, **PATIENT)
+    third = start("loop_simulator", **{**wall, **law}, **UNHURRIED)
     assert third.status() == 0, third.text
     on_the_rig = found["contacts"][0]["rig_restitution"]
     found = json.loads(report.read_text())
@@ -270,7 +273,7 @@ def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, plate):
         make = Messages()
         left = LoopStage(plate).tip
         left = left._replace(x=left.x + 0.02)
-        loop = start("loop_simulator", BEGIN_WITH_PUBLISHER, start_timeout=1.0)
+        loop = start("loop_simulator", BEGIN_WITH_PUBLISHER, start_timeout=5.0)
         tips, wrenches = (
             client.node.create_publisher(message_class(topic.type_name), topic.name, 10)
             for topic in (RIG_TIP, TIP_WRENCH)
@@ -280,7 +283,7 @@ def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, plate):
             wrenches.publish(wrench_message(make, -0.2, Wrench(-18.4)))
             time.sleep(0.02)
         assert loop.status() == 1
-        assert "distance of loop/rig_tip from the first position = 30 mm after 1 s" in loop.text
+        assert "distance of loop/rig_tip from the first position = 30 mm after 5 s" in loop.text
         assert "Traceback" not in loop.text
 
 
