@@ -249,7 +249,8 @@ def plotted_runs(
         inside = _inside(run, window)
         touching = in_contact(run)[inside]
         samples = run.samples[inside]
-        shown.append(PlottedRun(run, name, style.run_colour(i), origin, samples, touching, marker))
+        label = name.lstrip("_") or name  # Matplotlib leaves labels with "_" out of legends
+        shown.append(PlottedRun(run, label, style.run_colour(i), origin, samples, touching, marker))
     return shown
 
 

@@ -28,7 +28,7 @@ from capture_sim.viewing.curves import (
     plotted_runs,
     split,
 )
-from capture_sim.viewing.figures import snapshot_times, state_at
+from capture_sim.viewing.figures import load_stroke, snapshot_times, state_at
 from capture_sim.viewing.plots import key_moments
 from capture_sim.viewing.shapes import (
     state_shapes,
@@ -207,6 +207,12 @@ def test_a_window_restricts_what_is_drawn_and_leaves_the_run_whole(runs):
         assert values.tolist() == whole[np.isin(whole_t, t)].tolist()
     with pytest.raises(CaptureSimError, match="no sample from 90 to 91 s"):
         plotted_runs(run, window=(90.0, 91.0))
+
+
+def test_a_run_of_the_loop_is_in_the_legend(undamped):
+    """Matplotlib leaves out labels with an underscore in front, as the loop's scene has."""
+    [legend] = load_stroke(undamped, labels=["_loop"]).legends
+    assert legend.get_texts()[0].get_text().startswith("loop: ")
 
 
 def test_labels_must_fit_the_runs(runs):
