@@ -47,6 +47,13 @@ def test_the_textbook_integrator_finds_the_touches_of_the_reference():
     assert found.event_time < 1e-6
 
 
+def test_a_run_with_more_touches_than_there_is_room_for_fails(monkeypatch):
+    """Compiled code does not check where it writes: a run that chatters filled other memory."""
+    monkeypatch.setattr(textbook, "_ROOM", 6)
+    job, read = textbook.prepare(own.with_run(load_scene("paper_designed"), t_end=0.35, rtol=1e-9))
+    assert read(job()).failure == "more than 6 touches"
+
+
 @pytest.fixture(scope="module")
 def results():
     """A quick benchmark that runs each trial once."""

@@ -32,6 +32,7 @@ METHODS = {"Adams": 1, "BDF": 2}
 _NORMAL, _ROOT_RETURN = 1, 2
 _MAX_STEPS = 1_000_000
 _ROOM = 4096  # touches
+_FULL = -1000  # status of a run that has more; CVODE's own are above
 #: What CVODE hands to the C functions: the system, and room for one evaluation.
 _DATA = np.dtype([("system", SYSTEM), ("f", "f8", (N_TOTAL,))], align=True)
 
@@ -116,6 +117,8 @@ def _compiled() -> tuple[Any, Any, Any]:
                     touch[wall].on = 0
                     touch[wall].chi = 0.0
                     touches[latest[wall], 1] = t[0]
+                elif n_touches == _ROOM:
+                    return _FULL, n_touches, total
                 else:
                     _, rate = wall_gap(y, system.par, wall)
                     touch[wall].on = 1
@@ -190,6 +193,8 @@ def prepare(scene: Scene, method: str) -> tuple[Callable[[], Any], Callable[[Any
 
     def read(result: tuple[int, int, int]) -> Outcome:
         status, n_touches, evaluations = result
+        if status == _FULL:
+            return Outcome.failed(f"more than {_ROOM} touches", evaluations)
         if status < 0:
             return Outcome.failed(f"CVODE stopped with status {status}", evaluations)
         rows = np.zeros(n_touches, TOUCHED)

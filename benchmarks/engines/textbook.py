@@ -91,9 +91,9 @@ def interpolate(y, F, x, y_inside):
 def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room, work):
     """Integrate from 0 to ``t_end`` (s); return the number of touches and of evaluations.
 
-    The number of touches is -1 if the step falls below 1e-15 s.
+    The number of touches is -1 if the step falls below 1e-15 s, -2 if ``touches`` is full.
 
-    ``y`` (N_TOTAL,) holds the state and is changed; ``room`` (3, 16, N_TOTAL) and ``work``
+    ``y`` (N_TOTAL,) holds the state and is changed; ``room`` (2, 16, N_TOTAL) and ``work``
     (3, N_TOTAL) are overwritten; ``touches`` receives rows of start, end and wall,
     ``latest`` (2,) the number of each wall's last touch.
     """
@@ -164,6 +164,8 @@ def solve_textbook(systems, y, atol, t_end, A, D, E3, E5, touches, latest, room,
                 touch[wall].on = 0
                 touch[wall].chi = 0.0
                 touches[latest[wall], 1] = t
+            elif n_touches == len(touches):
+                return -2, count
             else:
                 _, rate = wall_gap(y, par, wall)
                 touch[wall].on = 1
@@ -208,7 +210,8 @@ def prepare(scene: Scene) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
     def read(found: tuple[int, int]) -> Outcome:
         count, evaluations = found
         if count < 0:
-            return Outcome.failed("the step fell below 1e-15 s", evaluations)
+            reason = "the step fell below 1e-15 s" if count == -1 else f"more than {_ROOM} touches"
+            return Outcome.failed(reason, evaluations)
         rows = np.zeros(count, TOUCHED)
         rows["start"], rows["end"], rows["wall"] = touches[:count].T
         rows["peak_force"] = np.nan
