@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench, Memory, drive
+from capture_sim.bench import Bench, Memory, drive, to_the_end
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.exact import ExactDetector
 from capture_sim.errors import SimulationError
@@ -59,7 +59,7 @@ def run_to_verdict(scene: Scene) -> Outcome:
     at most 20 measurements of the detector later than the verdict.
     """
     run = StudyRun(scene)
-    run.integrate(to_verdict=True)
+    run.integrate_to_verdict()
     return run.outcome()
 
 
@@ -84,18 +84,26 @@ class StudyRun:
         self._times = _measured_at(scene.run.t_end, scene.run.rate)
         self._energy_residual, self._failure = 0.0, ""
 
-    def integrate(self, *, to_verdict: bool = False) -> None:
-        """Run to the end, or only to the verdict."""
-        detector = self._detector
-        block = _BLOCK if to_verdict else self._times.size
-        for piece in drive(self._bench, self._times, block=block):
-            residual = np.abs(piece.samples["energy_residual"])
-            self._energy_residual = float(residual.max(initial=self._energy_residual))
+    def integrate(self) -> None:
+        """Run to the end."""
+        try:
+            samples = self._bench.finish(self._times)
+        except SimulationError as error:
+            samples, self._failure = error.partial, str(error)
+        self._detector.to_end(samples)
+        self._note_residual(samples)
+
+    def integrate_to_verdict(self) -> None:
+        """Run to the verdict, or to the end."""
+        for piece in drive(self._bench, self._times[:-1], block=_BLOCK):
+            self._note_residual(piece.samples)
             self._failure = str(piece.failure or "")
-            if not to_verdict:
-                detector.to_end(piece.samples)
-            elif detector.until_verdict(piece.samples) and detector.final:
+            if self._detector.until_verdict(piece.samples) and self._detector.final:
                 return
+
+    def _note_residual(self, samples: np.ndarray) -> None:
+        residual = np.abs(samples["energy_residual"])
+        self._energy_residual = float(residual.max(initial=self._energy_residual))
 
     def outcome(self) -> Outcome:
         """Return the verdict and the loads of what was integrated."""
@@ -116,9 +124,12 @@ class StudyRun:
 
 @lru_cache(maxsize=4)
 def _measured_at(t_end: float, rate: float) -> np.ndarray:
-    """Return the times of the detector's measurements, s; most runs of a study share them."""
+    """Return the times of the detector's measurements, s, and that of :func:`to_the_end`.
+
+    Most runs of a study share them.
+    """
     times: np.ndarray = np.arange(math.floor(t_end * rate) + 2) / rate
-    return times[times <= t_end]
+    return to_the_end(times[times <= t_end])
 
 
 @dataclass(frozen=True)

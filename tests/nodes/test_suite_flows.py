@@ -2,7 +2,6 @@
 
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -385,7 +384,7 @@ def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
 
     def heavier(scene, armed):
         plan = plan_of(scene, armed)
-        return replace(plan, hanging_mass=1.5 * plan.hanging_mass)
+        return plan._replace(hanging_mass=1.5 * plan.hanging_mass)
 
     monkeypatch.setattr(simulator_module, "_plan", heavier)
     launcher = start("launcher")
