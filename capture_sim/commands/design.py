@@ -192,7 +192,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design
 
-        echo(f"image in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"plot in {save(draw_design(design), options.out / 'design.png')}")
     return OK if design.met else FAILED
 
 
@@ -427,7 +427,7 @@ def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
         from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
 
         path = options.out / "design.png"
-        echo(f"image in {save(draw_first_contact_design(design), path)}")
+        echo(f"plot in {save(draw_first_contact_design(design), path)}")
         if designs:
             echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED

@@ -163,6 +163,11 @@ def add_out(
     )
 
 
+def folder_beside(source: str) -> Path:
+    """Return the folder that holds a recording, or the current one for a scene."""
+    return Path(source).parent if is_recording(source) else Path()
+
+
 def add_overrides(parser: argparse.ArgumentParser) -> None:
     """Add ``--set PART.FIELD=VALUE``."""
     parser.add_argument(

@@ -215,10 +215,10 @@ def _picture_jobs(runs: Sequence[Run], labels: Sequence[str], folder: Path) -> I
     for run, label in zip(runs, labels, strict=True):
         # the label is the overview's name
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        yield _Job("image in", _save_picture, (draw_run, run, label, folder / name))
+        yield _Job("plot in", _save_picture, (draw_run, run, label, folder / name))
     if len(runs) > 1:
         yield _Job(
-            "side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
+            "plots side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
         )
 
 

@@ -202,7 +202,7 @@ def run(options: argparse.Namespace) -> int:
 
         for name, figure in draw_sweep(table, samples.axes, scene.name, indices, limits).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
-            echo(f"image in {save(figure, path)}")
+            echo(f"plot in {save(figure, path)}")
     return OK
 
 

@@ -62,6 +62,11 @@ class Topic:
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
 
     @property
+    def holds_state(self) -> bool:
+        """True if only the newest message counts: DDS may replace one before it is delivered."""
+        return self.transient_local and self.depth == 1 and self.rate is Rate.EVENT
+
+    @property
     def absolute_name(self) -> str:
         """The name in the root namespace, as bags have it."""
         return f"/{self.name.lstrip('/')}"
