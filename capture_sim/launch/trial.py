@@ -132,6 +132,7 @@ class Trial:
         self._interlocks, self._limits = interlocks, interlocks.limits
         interlocks.begin()
         self._has_actuator = has_actuator
+        self.set_launch(launcher.tolerance, aborts=launcher.aborts)
         self._lacks_client = needs_client
         self._silent = -math.inf  # s, when a silence of launcher/hold was last noted,
         self._silence = ""  # ... and one after the release
@@ -275,6 +276,11 @@ class Trial:
         if not self.holds:
             self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
 
+    def set_launch(self, tolerance: float, *, aborts: bool) -> None:
+        """Use other settings of the launch, see :class:`Launcher`; by hand none aborts."""
+        self.launcher.tolerance = tolerance
+        self.launcher.aborts = aborts and self._has_actuator
+
     def cancel(self, reason: str = CANCELLED) -> None:
         """End the trial and hold the chaser, at the next :meth:`advance`."""
         self._cancelled = self._cancelled or reason
@@ -347,7 +353,7 @@ class Trial:
             if is_at_cone or may_touch or self.verdict == _CONTACT:
                 self._watch.note_contact()
                 self._enter(TrialPhase.CONTACT, now)
-            elif self._has_actuator and self.launcher.status.state is LauncherPhase.ABORTED:
+            elif self.launcher.status.state is LauncherPhase.ABORTED:
                 return self._fail(self.launcher.status.reason, now)
             elif reason or self._silence:
                 return self._fail(reason or self._silence, now)

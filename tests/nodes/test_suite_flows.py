@@ -204,9 +204,11 @@ def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["my_detector", "/lab/my_detector"])
-def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start):
+def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start, monkeypatch):
     """It has the name that the simulator waits for, and starts after it."""
+    monkeypatch.setattr("capture_sim.nodes.announcer._REPORT_PERIOD", 0.1)
     simulator = start("simulator", rtf=0.0, wait_for=f"[{name}]", overrides=SHORT)
+    simulator.wait_for(f"waiting for {name} to start")
     with Client("my_detector", namespace="/lab") as client:
         received = {}
         for topic in (BENCH_STATE, TARGET_ODOMETRY):
