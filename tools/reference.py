@@ -147,9 +147,9 @@ def catalogue() -> list[str]:
     lines = [
         "## Packaged scenes",
         "",
-        "Path of the tip's centre in the cone, from above: black while free, orange while it touches",
-        "a wall, blue once it is latched. The circle is the capture zone. `capture-sim scenes` lists",
-        "them, `capture-sim show NAME` prints one.",
+        "Path of the tip's centre in the cone, from above: black while free, orange while it",
+        "touches a wall, blue once it is latched. The circle is the capture zone.",
+        "`capture-sim scenes` lists them, `capture-sim show NAME` prints one.",
         "",
         "| scene | title | path of the tip |",
         "|---|---|---|",
