@@ -298,7 +298,7 @@ def _draw_frame(plotted: PlottedRun, t: float, window: tuple[float, float]) -> I
     draw_shapes(bench, [*rail_shapes(scene), *state_shapes(scene, q, plotted.colour)])
     middle = scene.initial.target.x
     bench.set(xlim=(middle - 0.66, middle + 0.24), ylim=(-0.18, 0.17), aspect="equal")
-    _draw_scale(bench, (middle - 0.35, -0.165), 0.1, "100 mm")
+    draw_scale(bench, (middle - 0.35, -0.165), 0.1, "100 mm")
     word = verdict(run) if t >= window[1] else f"1/{_SLOWER} of real time"
     bench.set_title(f"{scene.name}, {t:.2f} s: {word}", fontsize=14, loc="left")
     _draw_buffer(buffer, scene, q, plotted.colour)
@@ -310,7 +310,7 @@ def _draw_frame(plotted: PlottedRun, t: float, window: tuple[float, float]) -> I
     draw_shapes(cone, [Shape(outline, style.BLACK, 1.0, plotted.colour, order=3.0)], 1e3)
     cone.set(xlim=(-85, 40), ylim=(-80, 80), aspect="equal")
     cone.set_title("the tip in the cone", fontsize=14)
-    _draw_scale(cone, (10.0, -72.0), 20.0, "20 mm")
+    draw_scale(cone, (10.0, -72.0), 20.0, "20 mm")
     _draw_force(force, plotted, t, window)
     for axes in (bench, buffer, cone):
         axes.set_axis_off()
@@ -319,7 +319,7 @@ def _draw_frame(plotted: PlottedRun, t: float, window: tuple[float, float]) -> I
     return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
 
 
-def _draw_scale(axes: Axes, start: tuple[float, float], length: float, text: str) -> None:
+def draw_scale(axes: Axes, start: tuple[float, float], length: float, text: str) -> None:
     """Draw a bar of a length in the units of the axes, with its name."""
     x, y = start
     axes.plot([x, x + length], [y, y], color=style.BLACK, lw=3.0, solid_capstyle="butt")
@@ -350,7 +350,7 @@ def _draw_buffer(axes: Axes, scene: Scene, q: np.ndarray, colour: str) -> None:
     draw_shapes(axes, [Shape(rest_tip, style.GREY, 1.2, dashed=True, order=3.5), *chaser])
     hinge = scene.buffer.hinge_offset
     axes.set(xlim=(hinge - 0.07, hinge + 0.26), ylim=(-0.05, 0.05), aspect="equal")
-    _draw_scale(axes, (hinge + 0.15, -0.045), 0.02, "20 mm")
+    draw_scale(axes, (hinge + 0.15, -0.045), 0.02, "20 mm")
     stroke, torsion = (q[H] - scene.rest_length) * 1e3, in_chaser[THETA_P] * 1e3
     text = f"the buffer: stroke {stroke:+.1f} mm, torsion {torsion:+.1f} mrad"
     axes.set_title(text, fontsize=14, loc="left")
