@@ -9,15 +9,13 @@ import math
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections import deque
 from pathlib import Path
 
 import pytest
 import rclpy
-from bench_processes import Client, wait_until
+from bench_processes import Client, Started, fresh, wait_until
 from plate import SPEED, STEP, ideal_rig
 from rclpy.qos import HistoryPolicy, QoSProfile
 from threads import PATIENCE, threads
@@ -240,27 +238,28 @@ def test_a_stiff_rig_stops_the_vehicles(lockstep):
 def test_a_step_that_is_late_is_never_caught_up_with(start, tmp_path):
     """The loop's process is stopped for half a second: the run ends that much later, or at once."""
     start("contact_rig", ideal="true")
-    took = {}
+    found = {}
     report = tmp_path / "report.json"
-    for limit in (10.0, 0.05):
+    for limit, status in ((10.0, 0), (0.05, 1)):
         limits = {**WIDE, "lateness_limit": limit, "report": report}
         loop = start("loop_simulator", overrides="[run.t_end=1]", **limits)
         loop.wait_for("the loop is closed")
-        time.sleep(0.3)
-        began = time.monotonic()
         os.kill(loop.process.pid, signal.SIGSTOP)
         time.sleep(0.5)
         os.kill(loop.process.pid, signal.SIGCONT)
-        took[limit] = loop.status(), time.monotonic() - began
-    assert took[10.0][0] == 0, loop.text
-    assert took[10.0][1] >= 1.1
-    assert took[0.05][0] == 1
+        assert loop.status() == status, loop.text
+        found[limit] = json.loads(report.read_text())
+    shifted = found[10.0]
+    assert shifted["largest_lateness"] >= 0.4
+    # by the loop's own clock: all its steps have their time, and what one was late comes on top
+    n_steps = shifted["steps"] + 200  # with the run-up
+    assert n_steps / shifted["rate"] >= 1e-3 * n_steps + 0.99 * shifted["largest_lateness"]
     assert "lateness of a step = " in loop.text
-    assert json.loads(report.read_text())["largest_lateness"] >= 0.05
+    assert found[0.05]["largest_lateness"] >= 0.05
 
 
 def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
-    """It keeps all, and is never asked for any: 8000 positions, more than DDS holds for it.
+    """It keeps all, and is never asked for any: 6000 positions, more than DDS holds for it.
 
     They are sent as fast as the machine can.
     """
@@ -269,7 +268,7 @@ def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
         qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_ALL)
         idle.create_subscription(message_class(TIP.type_name), TIP.name, print, qos)
         start("contact_rig", ideal="true")
-        loop = start("loop_simulator", overrides="[run.t_end=0.8]", rate=10000.0, **WIDE)
+        loop = start("loop_simulator", overrides="[run.t_end=0.4]", rate=10000.0, **WIDE)
         assert loop.status() == 0, loop.text
         idle.destroy_node()
 
@@ -402,17 +401,18 @@ def test_the_robot_of_the_example_drives_to_the_start_serves_a_loop_and_holds(st
     """It also holds when the loop's process is killed: positions stay away."""
     example = Path(__file__).parents[2] / "examples" / "robot_adapter.py"
     code = example.read_text().replace("HEARTBEAT = 0.02", "HEARTBEAT = 1.0")  # a busy machine
-    rig = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    code = code.replace("HOMING_SPEED = 0.05", "HOMING_SPEED = 0.5")
+    rig = Started(fresh(code, []))
     wide = {**WIDE, "rtf": 0.2}
-    loop = start("loop_simulator", overrides="[run.t_end=0.04]", **wide)
-    assert loop.status() == 0, loop.text
-    loop = start("loop_simulator", overrides="[run.t_end=30]", **wide)
-    loop.wait_for("the loop is closed")
-    time.sleep(0.5)
-    loop.process.kill()
-    time.sleep(2.0)
-    rig.send_signal(signal.SIGINT)
-    _, text = rig.communicate(timeout=30.0)
-    assert rig.returncode == 0
-    reasons = re.findall(r"hold: (.*)", text)
-    assert reasons == ["end of the run", "no position for 1 s"], text
+    try:
+        loop = start("loop_simulator", overrides="[run.t_end=0.04]", **wide)
+        assert loop.status() == 0, loop.text
+        loop = start("loop_simulator", overrides="[run.t_end=30]", **wide)
+        loop.wait_for("the loop is closed")
+        loop.process.kill()
+        rig.wait_for("no position for 1 s")
+        assert rig.end() == 0
+    finally:
+        rig.process.kill()
+    reasons = re.findall(r"hold: (.*)", rig.text)
+    assert reasons == ["end of the run", "no position for 1 s"], rig.text
