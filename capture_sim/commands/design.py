@@ -67,7 +67,8 @@ DESCRIPTION = (
     "Find the buffer that captures within limits with the least peak force. If none does, print "
     "the buffer that comes closest among the ones tried (exit status 1). Limits apply to the "
     "whole run, including the latched phase. Without limits, the strokes of the scene's own "
-    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the first contact."
+    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the "
+    "first contact."
 )
 EXAMPLE = """\
   capture-sim design paper_designed --stroke-limit 7.5 --torsion-limit 2

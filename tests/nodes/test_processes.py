@@ -188,7 +188,7 @@ def test_stalled_disk_ends_the_recording_and_no_run(start_all):
     nodes = start_all(_STALLED_DISK)
     found = statuses(nodes)
     assert found == {"simulator": 0, "launcher": 0, "capture_detector": 0, "recorder": 1}
-    assert "the disk has written nothing for 2 s" in nodes["recorder"].text
+    assert "the disk wrote nothing for 2 s" in nodes["recorder"].text
 
 
 def test_own_detector_of_the_page_misses_no_sample(start):
