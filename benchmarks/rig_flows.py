@@ -56,10 +56,9 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
         poses = [f"/{topic}" for topic in ODOMETRY] if is_odometry else POSES
         with processes() as start, Client() as client:
             session = Session(start, client, folder / str(number), poses=poses, **remaps)
-            words = [word for pair in remaps.items() for word in ("-r", ":=".join(pair))]
             named = [word for pair in remaps.items() for word in ("--remap", ":=".join(pair))]
             listed = f"[{', '.join(OUTCOMES)}]"
-            with session.bench(*words, pace=options.pace, outcomes=listed, **bench):
+            with session.bench(remaps, pace=options.pace, outcomes=listed, **bench):
                 for outcome in OUTCOMES:
                     _, result = session.goal(expected=outcome).result()
                     found = detected(result.recording, *named) if result.recording else "none"

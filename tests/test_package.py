@@ -47,8 +47,38 @@ def test_manifest_and_project_agree():
     assert PROJECT["dynamic"] == ["version"]  # the package's: it has none of its own
     assert MANIFEST.findtext("name") == PROJECT["name"] == "capture_sim"
     assert MANIFEST.findtext("license") == PROJECT["license"] == "Apache-2.0"
+    description = PROJECT["description"]
+    assert MANIFEST.findtext("description") == description
     maintainer = MANIFEST.find("maintainer")
     assert PROJECT["authors"] == [{"name": maintainer.text, "email": maintainer.get("email")}]
+
+
+def test_the_project_is_described_once(capsys):
+    """In the index of packages, README, the site, a citation, `help` and `import`."""
+    description = PROJECT["description"]
+    assert description.startswith("Simulation of ")
+    readme = (ROOT / "README.md").read_text().split("\n\n")
+    assert readme[:2] == ["# capture_sim", f"{description}."]
+    site = re.search(r"^site_description: (.*)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    assert site[1] == description
+    [title] = re.findall(r'^title: "capture_sim: (.*)"$', (ROOT / "CITATION.cff").read_text(), re.M)
+    assert title == description[0].lower() + description[1:]
+    assert capture_sim.__doc__.splitlines()[0] == f"{description}."
+    assert cli.main(["--help"]) == 0
+    assert description in capsys.readouterr().out
+
+
+def test_addresses_belong_to_nobody():
+    """Those of RFC 2606, which nobody can register: an invented one may be somebody's."""
+    names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
+    reserved = re.compile(r"example\.(com|net|org)|.*\.(example|invalid|test|localhost)")
+    for name in names:
+        try:
+            text = (ROOT / name).read_text()
+        except UnicodeDecodeError:
+            continue  # a picture
+        for host in re.findall(r"\b[\w.+-]+@((?:[a-z0-9-]+\.)+[a-z]{2,})\b", text):
+            assert reserved.fullmatch(host), f"{name}: {host}"
 
 
 def test_interface_dependencies_are_declared():

@@ -182,8 +182,7 @@ class TrialServer:
     def settings_changed(self) -> None:
         """Use settings that have been changed, also in the trial that is on."""
         if self._trial is not None:
-            self._trial.launcher.tolerance = self._launch.tolerance
-            self._trial.launcher.aborts = self._launch.aborts and self._settings.has_actuator
+            self._trial.set_launch(self._launch.tolerance, aborts=self._launch.aborts)
 
     # what comes in, in callbacks
 
@@ -321,11 +320,7 @@ class TrialServer:
             trial = Trial(
                 goal,
                 scene,
-                Launcher(
-                    scene,
-                    self._launch.tolerance,
-                    aborts=self._launch.aborts and self._settings.has_actuator,
-                ),
+                Launcher(scene, self._launch.tolerance, aborts=self._launch.aborts),
                 self._interlocks,
                 has_actuator=self._settings.has_actuator,
                 needs_client=self._settings.needs_client,
@@ -419,7 +414,7 @@ class TrialServer:
 
 
 def _feedback(trial: Trial, now: float) -> Any:
-    """Return what the operator sees of a trial."""
+    """Return the feedback of a trial for its operator."""
     return RunTrial.Feedback(
         phase=int(trial.phase),
         waiting_for=trial.waiting_for(now),

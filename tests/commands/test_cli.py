@@ -88,7 +88,7 @@ def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys
     assert (recording.read_bytes(), picture.read_bytes()) == before
     assert (tmp_path / "tilt_p10_2.mcap").is_file()
     assert (tmp_path / "tilt_p10_2.png").stat().st_size > 50_000
-    assert f"image in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
+    assert f"plot in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
 
 
 def test_command_that_made_no_run_leaves_earlier_results(tmp_path, capsys, monkeypatch):

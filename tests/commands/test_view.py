@@ -36,6 +36,28 @@ def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     assert (tmp_path / "overview.png").read_text() == "of earlier runs"
 
 
+def test_plots_and_reports_go_next_to_the_recording(recorded, tmp_path, monkeypatch):
+    """Not into the current folder; and what `run` has drawn stays as it is."""
+    pytest.importorskip("rerun", reason="needs rerun")
+    folder, elsewhere = tmp_path / "runs", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    for path in recorded:
+        shutil.copy(path, folder)
+    for name in ("tilt_0.png", "overview.png", "runs.rrd"):
+        (folder / name).write_text("of earlier runs")
+    before = set(folder.iterdir())
+    monkeypatch.chdir(elsewhere)
+    paths = ["../runs/tilt_0.mcap", "../runs/tilt_p10.mcap"]
+    assert [main([command, *paths]) for command in ("view", "compare", "report")] == [0, 0, 0]
+    assert not list(elsewhere.iterdir())
+    new = {file.name for file in set(folder.iterdir()) - before}
+    assert new == {"plots", "tilt_0_vs_tilt_p10.png", "report.html"}
+    assert (folder / "plots" / "overview.png").is_file()
+    for name in ("tilt_0.png", "overview.png", "runs.rrd"):
+        assert (folder / name).read_text() == "of earlier runs"
+
+
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):
     """Two folders with files of the same name, which has blanks."""
     pytest.importorskip("rerun", reason="needs rerun")

@@ -112,8 +112,7 @@ def test_noise_and_bias_do_not_decide(noise, bias):
 # model
 
 
-@pytest.mark.parametrize("true", [1.0, 0.6, 0.3])
-@pytest.mark.parametrize("offset", [2e-5, -2e-5])
+@pytest.mark.parametrize("true, offset", [(1.0, -2e-5), (0.6, 2e-5), (0.3, -2e-5)])
 @pytest.mark.parametrize(
     "servo, duration, factor",
     [
@@ -127,7 +126,7 @@ def test_noise_and_bias_do_not_decide(noise, bias):
     ],
 )
 def test_the_model_holds_the_restitution_from_the_second_touch_on(
-    servo, duration, factor, offset, true
+    servo, duration, factor, true, offset
 ):
     """Lag up to one touch, noise 0.1 N, bias 0.5 N; from a stiffness wrong by two."""
     assert servo.lag <= duration

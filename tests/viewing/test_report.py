@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
-import os
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from browser import needs_chromium, open_page
 from PIL import Image
 
 import capture_sim
@@ -156,34 +154,12 @@ def test_scenes_are_run_and_a_folder_gets_the_page(tmp_path, capsys):
 # in a browser
 
 
-def chromium(page, folder, *options):
-    """Open a page in headless Chromium that can reach nothing; return what it reported."""
-    command = [
-        *("chromium", "--headless", "--disable-gpu", "--no-first-run", "--hide-scrollbars"),
-        f"--user-data-dir={folder / 'profile'}",
-        "--host-resolver-rules=MAP * ~NOTFOUND",
-        "--disable-background-networking",
-        "--enable-logging=stderr",
-        *(("--no-sandbox",) if os.geteuid() == 0 else ()),
-        *options,
-        page.as_uri(),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
-
-
-needs_chromium = pytest.mark.skipif(
-    shutil.which("chromium") is None, reason="needs Debian's chromium to open the page"
-)
-
-
 @needs_chromium
 @pytest.mark.parametrize("width", [500, 1240])
 def test_page_opens_on_a_phone_and_a_screen_without_errors(text, folder, tmp_path, width):
     shot = tmp_path / "page.png"
     size = (f"--window-size={width},3000", f"--screenshot={shot}")
-    assert chromium(folder / "report.html", tmp_path, *size) == []
+    assert open_page(folder / "report.html", tmp_path, *size) == []
     image = np.asarray(Image.open(shot).convert("RGB"), int)
     assert not (image.min(axis=-1) < 204)[:, -4:].any()  # nothing runs out at the right
     for colour in style.RUNS[:3]:
@@ -194,7 +170,7 @@ def test_page_opens_on_a_phone_and_a_screen_without_errors(text, folder, tmp_pat
 def test_page_prints_on_a4_and_forbids_requests(text, tmp_path):
     altered, printed = tmp_path / "altered.html", tmp_path / "page.pdf"
     altered.write_text(text.replace("<h1>", '<img src="http://example.org/x.png"><h1>'))
-    lines = chromium(altered, tmp_path, f"--print-to-pdf={printed}", "--no-pdf-header-footer")
+    lines = open_page(altered, tmp_path, f"--print-to-pdf={printed}", "--no-pdf-header-footer")
     assert any("Content Security Policy" in line for line in lines)
     data = printed.read_bytes()
     assert 4 <= len(re.findall(rb"/Type\s*/Page[^s]", data)) <= 15
