@@ -35,7 +35,7 @@ from capture_sim.studies.axes import declaration_of
 from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.executors import InProcess, answers
 from capture_sim.studies.limits import Limit
-from capture_sim.studies.outcome import CAPTURED, NO_CEILINGS, Outcome, run_to_end
+from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
 from capture_sim.studies.sampling import Correlations
 from capture_sim.studies.sweep import FAILED, GIVEN_UP, Recipe, result_columns, run_rows, samples_of
 
@@ -345,7 +345,7 @@ class _Search:
         self.history: list[Candidate] = []
         self.n_runs = 0
         #: Loads beyond which a buffer is of no use to the present pass.
-        self._ceilings = NO_CEILINGS
+        self._ceilings: Mapping[str, float] | None = None
         #: The loads that are limited, and the force that is to be small.
         self._keys = tuple(dict.fromkeys([OBJECTIVE, *(x.key for x in requirements.limits)]))
         self._columns = result_columns(check=False, limited=False)
@@ -418,7 +418,7 @@ class _Search:
             columns = np.atleast_2d(shares.T)
             self._ceilings = self._ceilings_of(self.history[n_before:], size)
             candidates = evaluate([self._values(row) for row in columns.tolist()])
-            self._ceilings = NO_CEILINGS
+            self._ceilings = None
             self.history += candidates
             return np.array([candidate.merit for candidate in candidates])
 
@@ -444,7 +444,7 @@ class _Search:
         found = self.history[n_before:]
         return min(found, key=lambda candidate: candidate.merit)
 
-    def _ceilings_of(self, found: Sequence[Candidate], size: int) -> Mapping[str, float]:
+    def _ceilings_of(self, found: Sequence[Candidate], size: int) -> Mapping[str, float] | None:
         """Return the loads of the worst of the best buffers of a pass, of the population's size.
 
         A buffer beyond them is not among the best whatever its further run.  There are none before
@@ -453,7 +453,7 @@ class _Search:
         """
         merits = sorted(candidate.merit for candidate in found)[:size]
         if len(merits) < size or merits[-1] >= _INFEASIBLE or self._requirements.under is not None:
-            return NO_CEILINGS
+            return None
         limits = {limit.key: limit.value for limit in self._requirements.limits}
         return {**limits, OBJECTIVE: merits[-1]}
 

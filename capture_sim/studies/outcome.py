@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,9 +29,6 @@ _BLOCK = 20
 
 _RATE = 2000.0  # Hz, of the samples of a first contact: the buffer's force
 _CONTACT_BLOCK = 200  # samples per call into the engine
-
-#: Ceilings of loads: none.
-NO_CEILINGS: Mapping[str, float] = MappingProxyType({})
 
 #: The verdict of a capture.
 CAPTURED = CaptureState.CAPTURED.label
@@ -92,11 +88,11 @@ class StudyRun:
         self._given_up = False
 
     def integrate(
-        self, *, to_verdict: bool = False, ceilings: Mapping[str, float] = NO_CEILINGS
+        self, *, to_verdict: bool = False, ceilings: Mapping[str, float] | None = None
     ) -> None:
         """Run to the end, or only to the verdict.
 
-        The run is given up soon after a load exceeds its ceiling, by its name in results, SI.
+        The run is given up soon after a load exceeds its ceiling, SI, by its name in results.
         """
         detector = self._detector
         block = _BLOCK if to_verdict or ceilings else self._times.size

@@ -30,7 +30,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import make_axis
 from capture_sim.studies.executors import answers, open_executor
 from capture_sim.studies.limits import Limit, exceeded, make_limits
-from capture_sim.studies.outcome import NO_CEILINGS, Outcome, StudyRun
+from capture_sim.studies.outcome import Outcome, StudyRun
 from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samples
 
 if TYPE_CHECKING:
@@ -355,7 +355,7 @@ def run_rows(
     check: bool,
     limits: Sequence[Limit],
     rows: Sequence[tuple[Any, ...]],
-    ceilings: Mapping[str, float] = NO_CEILINGS,
+    ceilings: Mapping[str, float] | None = None,
 ) -> list[tuple[Any, ...]]:
     """Return the results of some runs, each in the order of :func:`result_columns`.
 
