@@ -170,7 +170,7 @@ class LoopSimulatorNode(BenchNode):
             raise
 
     def _hand_over_answers(self) -> None:
-        """Give the loop what has arrived."""
+        """Pass the wrenches that have arrived to the loop."""
         while self._inbox:
             arrival, stamp, wrench = self._inbox.popleft()
             key = round(stamp, 9) if math.isfinite(stamp) else 0.0
@@ -185,7 +185,7 @@ class LoopSimulatorNode(BenchNode):
     def work(self) -> int:
         """Run the loop to the scene's end; return the exit status."""
         gc.collect()
-        gc.freeze()  # later collections need not look at what is there now: 20 ms
+        gc.freeze()  # exclude existing objects from later collections, which then take 20 ms less
         stopped, hold = "", "interrupted"
         self._hold("")
         try:
@@ -207,7 +207,7 @@ class LoopSimulatorNode(BenchNode):
         return FAILED if stopped else OK
 
     def _write_record(self, stopped: str) -> None:
-        """Write the run with what was exchanged with the rig; RecordingError if that fails."""
+        """Write the run with all messages exchanged with the rig; RecordingError if that fails."""
         if self._record is None or self._record_path is None:
             return
         make, run = self.messages, self._record.run(stopped)
@@ -290,7 +290,7 @@ class LoopSimulatorNode(BenchNode):
         self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
-        """Log what was measured and write the report; RecordingError if that fails."""
+        """Log the results and write the report; RecordingError if that fails."""
         report = report_of(self._loop, self._pacer, self._timing, stopped)
         for line in summary(self._loop, report):
             self.get_logger().info(line)

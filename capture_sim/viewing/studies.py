@@ -227,7 +227,7 @@ _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 
 def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) -> Figure:
-    """Draw what was measured in two runs over each other, and where the vehicles went.
+    """Draw the measurements of two runs over each other, and the vehicles' paths.
 
     A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
     peak, with a bar under it that is as wide as the touch and whose area is its impulse.  Only

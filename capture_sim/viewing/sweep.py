@@ -85,7 +85,7 @@ def draw_sweep(
     indices: Sequence[Indices] = (),
     limits: Sequence[Limit] = (),
 ) -> dict[str, Figure]:
-    """Return the figures of a sweep by name, those that its axes allow.
+    """Return the figures of a sweep that its axes allow, by name.
 
     ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
     of the scene.  ``limits`` are marked.
@@ -185,7 +185,7 @@ def draw_map(
 
     A cross marks each run that exceeds a limit.
 
-    The two with the most values are across and up; each combination of the others has a panel.
+    The two with the most values are the x and y axes; each combination of the others has a panel.
     """
     across, up = sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]
     across, up = (axis for axis in axes if axis in (across, up))

@@ -534,9 +534,7 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
     stalled = stalling_at(lambda _, topic: topic is STREAM_COUNTS, monkeypatch)
     recorder = record(tmp_path, sent)
-    with pytest.raises(
-        RecordingError, match=r"written nothing for 0.3 s: the recording ends there"
-    ):
+    with pytest.raises(RecordingError, match=r"wrote nothing for 0.3 s: the recording ends there"):
         recorder.close()
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
