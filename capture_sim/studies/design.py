@@ -39,7 +39,15 @@ from capture_sim.studies.executors import InProcess, answers
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
 from capture_sim.studies.sampling import Correlations
-from capture_sim.studies.sweep import FAILED, GIVEN_UP, RTOL, Recipe, result_columns, run_rows, samples_of
+from capture_sim.studies.sweep import (
+    FAILED,
+    GIVEN_UP,
+    RTOL,
+    Recipe,
+    result_columns,
+    run_rows,
+    samples_of,
+)
 
 #: Values that are searched unless others are named.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
@@ -383,7 +391,6 @@ class _Search:
         The force jumps where the sequence of touches changes, so the simplices begin with several
         sizes.
         """
-
         n_before = len(self.history)
 
         def merit(shares: np.ndarray) -> float:
