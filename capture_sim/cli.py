@@ -189,7 +189,7 @@ def _interrupted(state: str = "") -> int:
 
 
 def _flushed(status: int) -> int:
-    """Flush standard output; return the status, or that of bad input if the flush fails."""
+    """Flush standard output; return the status, or BAD_INPUT if the flush fails."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:

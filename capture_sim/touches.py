@@ -35,7 +35,7 @@ _COLUMNS = ("start", "peak", "lasted", "peak_time", "impulse", "wall")
 
 @dataclass(frozen=True)
 class Touches:
-    """Touches of a run, (n,) each, in order; what is not known of one is NaN (wall: 0)."""
+    """Touches of a run, (n,) each, in order; unknown values are NaN (wall: 0)."""
 
     start: np.ndarray  # s
     peak: np.ndarray  # N, of the normal force, or of the magnitude where that was measured
@@ -58,12 +58,12 @@ class Touches:
         return replace(self, start=self.start + by, peak_time=self.peak_time + by)
 
     def within(self, contact: float, window: float) -> Touches:
-        """Return those that begin in the window after a first contact, which becomes t = 0."""
+        """Return the touches within the window after a first contact, which becomes t = 0."""
         shifted = self.later(-contact)
         return shifted.of((shifted.start >= -TICK) & (shifted.start <= window))
 
     def with_noise(self, start: float, peak: float) -> Touches:
-        """Return the touches with a sensor's noise, s and N, added to that of its sampling."""
+        """Return the touches with a sensor's noise, s and N, added to the sampling's."""
         start_noise = math.hypot(self.start_noise, start)
         return replace(self, start_noise=start_noise, peak_noise=max(self.peak_noise, peak))
 

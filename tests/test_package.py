@@ -124,14 +124,6 @@ def test_all_that_is_imported_is_declared():
     assert {n: path for n, path in used.items() if not {n, n.lower()} & (ros | pip)} == {}
 
 
-def test_every_field_of_a_message_is_explained():
-    """On its own line; the phrase of a standard type may say it all."""
-    for path in INTERFACES:
-        for line in path.read_text().splitlines():
-            field, _, comment = line.partition("#")
-            assert comment.strip() or field.strip() in ("", "---", "std_msgs/Header header"), path
-
-
 def test_executables_exist():
     executables = cmake_list("executables")
     for name in executables:

@@ -237,7 +237,7 @@ def log_tail(lines):
 
 
 def last_line():
-    """Return the log's last line that says something, in short."""
+    """Return the log's last line that is not empty, shortened."""
     said = [line.strip() for line in log_tail(5) if line.strip() and not line.startswith("===")]
     return said[-1][:60] if said else ""
 
@@ -271,7 +271,7 @@ def install(progress, title, packages):
     index = pip_index()
     if index:
         env.setdefault("UV_DEFAULT_INDEX", index)
-    # with bytecode: the nodes are many processes, and each would compile it anew where
+    # with bytecode: the nodes are many processes, and each would compile it again where
     # Python may not write it
     uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
     try:

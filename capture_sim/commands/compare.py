@@ -124,7 +124,7 @@ def _simulated(run: Run) -> Run:
 
 
 def _print_agreement(found: Agreement, recorded: Run) -> None:
-    """Print how far the samples of a recording are those of its scene simulated again."""
+    """Print how far the samples of a recording agree with its scene simulated again."""
     echo(f"{found.compared} of {recorded.state.size} samples compared")
     if found.foreign:
         echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
@@ -317,7 +317,7 @@ def _difference(value: float, sign: str = "+") -> str:
 
 
 def _percent(mine: float, theirs: float, shown: float, digits: int = 1) -> str:
-    """Return the difference in percent of ``mine``; ``-`` where that says nothing.
+    """Return the difference in percent of ``mine``; ``-`` where it has no meaning.
 
     That is where ``mine`` is zero as ``shown`` (its last digit), or is a tenth of the difference.
     """

@@ -64,10 +64,11 @@ from capture_sim.studies.paper_flow import (
 from capture_sim.tables import print_table
 
 DESCRIPTION = (
-    "Find the buffer that captures within limits with the least peak force, or say what is nearest "
-    "to that among the buffers tried (exit status 1). Limits apply to the whole run, including the "
-    "latched phase. Without limits, the strokes of the scene's own buffer are the limits. With "
-    "--first-contact, design as in the paper: for strokes of the first contact."
+    "Find the buffer that captures within limits with the least peak force. If none does, print "
+    "the buffer that comes closest among the ones tried (exit status 1). Limits apply to the "
+    "whole run, including the latched phase. Without limits, the strokes of the scene's own "
+    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the "
+    "first contact."
 )
 EXAMPLE = """\
   capture-sim design paper_designed --stroke-limit 7.5 --torsion-limit 2
@@ -286,7 +287,7 @@ def _candidate_line(candidate: Candidate) -> str:
     )
     return (
         f"{values}  {candidate.peak_force:8.1f} N  {candidate.verdict}"
-        f"{'' if candidate.feasible else f', off by {candidate.violation:.3g}'}"
+        f"{'' if candidate.feasible else f', violates the limits by {candidate.violation:.3g}'}"
     )
 
 
@@ -336,7 +337,7 @@ def _print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) ->
     if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
         warn(text)
     if outcome.failure:
-        echo("the loads are those until the run stopped: the design is not shown to hold")
+        echo("the run stopped early: loads until then do not show that limits are kept")
     if outcome.left_again:
         echo("the tip leaves the capture zone again; a latch would hold it")
 

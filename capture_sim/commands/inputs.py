@@ -135,7 +135,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs"),
         help="write the results to this folder (default: runs). A recording of the nodes or of a "
-        "bench is never overwritten: the new one and its image get a number after their name. "
+        "bench is never overwritten: the new one and its plot get a number after their name. "
         "results.txt, results.json, overview.png and runs.rrd are replaced by every command that "
         "completes a run",
     )
@@ -182,7 +182,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
-    """Add recordings or scenes to look at, and what the recording of a bench may lack."""
+    """Add recordings or scenes to look at, and options for data that a recording may lack."""
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help="recorded .mcap files, folders of bags, or scenes"
     )

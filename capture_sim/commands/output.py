@@ -120,7 +120,7 @@ def write_json(path: Path, data: Any) -> Path:
 
 @contextmanager
 def reported_if_interrupted(state: str) -> Iterator[None]:
-    """After Ctrl-C, let the command's last line say what is written and what is not."""
+    """After Ctrl-C, let the command's last line name the files that are complete."""
     try:
         yield
     except KeyboardInterrupt:
@@ -128,7 +128,7 @@ def reported_if_interrupted(state: str) -> Iterator[None]:
 
 
 @contextmanager
-def drawing(lacking: str = "no image: {error}") -> Iterator[None]:
+def drawing(lacking: str = "no plot: {error}") -> Iterator[None]:
     """Continue without the image, and print so, if a library that draws is not installed."""
     try:
         yield
@@ -181,7 +181,7 @@ def draw(
         return
     jobs: list[_Job] = []
     if pictures:
-        with drawing("no images: {error}"):
+        with drawing("no plots: {error}"):
             jobs += _picture_jobs(runs, labels, folder)
     path = folder / RRD if rrd is None else rrd
     jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels, window)))

@@ -71,8 +71,8 @@ if TYPE_CHECKING:
 DESCRIPTION = (
     "Run a scene over values, distributions or the rows of a table. Print the probability of "
     "capture and of keeping the limits, the percentiles of the loads, the worst runs and the most "
-    "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts are "
-    "those of the exact motion, without the noise of the scene's sensors."
+    "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts "
+    "evaluate the exact motion, without the noise of the scene's sensors."
 )
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
@@ -249,7 +249,7 @@ def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> li
 def _indices(
     samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
 ) -> list[Indices]:
-    """Return the Sobol indices of the main loads, where the runs are those of Saltelli's design."""
+    """Return the Sobol indices of the main loads, if the runs are a Saltelli design."""
     if options.sample != "saltelli":
         return []
     drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
@@ -351,7 +351,7 @@ def _probability_text(condition: str, found: Probability) -> str:
 
 
 def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: bool) -> None:
-    """Print how often each limit is met, and what is left of it in the worst 5 and 1 % of runs."""
+    """Print how often each limit is met, and its margin in the worst 5 and 1 % of runs."""
     cells = []
     for limit in limits:
         found = limit_probability(table, [limit])

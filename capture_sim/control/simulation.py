@@ -77,7 +77,7 @@ class CutKind(Enum):
 
 
 class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
-    """The run that is on must end; the text says why."""
+    """The current run must end; the text gives the reason."""
 
     def __init__(self, kind: CutKind, reason: str = "") -> None:
         super().__init__(reason or kind.value)

@@ -84,7 +84,7 @@ class MeasuredLoads:
     _rest_count: int = 0
 
     def add_force(self, force: tuple[float, float, float], *, is_released: bool) -> None:
-        """Note a force, N; the mean of those before the release is the sensor's offset."""
+        """Note a force, N; the mean force before the release is the sensor's offset."""
         if not all(map(math.isfinite, force)):
             return
         if not is_released:
@@ -174,7 +174,7 @@ class Trial:
 
     @property
     def impact_speed(self) -> float:
-        """Speed of the chaser at the first contact, m/s; NaN if nobody measured it."""
+        """Speed of the chaser at the first contact, m/s; NaN if not measured."""
         status = self.launcher.status
         is_delivered = status.state is LauncherPhase.DELIVERED
         return status.measured_speed if is_delivered else math.nan
@@ -288,7 +288,7 @@ class Trial:
     # decisions
 
     def advance(self, now: float) -> list[TrialStep]:
-        """Decide by what is known at ``now``, s; return what the caller has to do, in order."""
+        """Decide at ``now``, s; return the actions for the caller, in order."""
         steps: list[TrialStep] = []
         while True:
             before = self._phase, self._is_announced

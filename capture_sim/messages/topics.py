@@ -25,7 +25,7 @@ class RunSource(StrEnum):
     TRIAL = "trial"  # of a real bench
 
 
-#: Output of the launcher for a real release, std_msgs/Bool, true holds; nobody else publishes it.
+#: Output of the launcher for a real release, std_msgs/Bool, true holds; no other node publishes it.
 HOLD = "launcher/hold"
 
 

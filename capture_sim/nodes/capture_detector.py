@@ -95,7 +95,7 @@ class CaptureDetectorNode(BenchNode):
         return self._follower.work()
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Start anew for the scene of this run."""
+        """Restart for the scene of this run."""
         criteria = self._criteria()
         scene = replace(run.scene, detector=replace(run.scene.detector, **criteria))
         self._criteria_in_force = scene.detector
@@ -157,7 +157,7 @@ class CaptureDetectorNode(BenchNode):
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def _diagnose(self, topic: Topic, data: bytes) -> None:
-        """Note a measurement of a bench; the diagnostics report what is new, and its clock."""
+        """Note a measurement of a bench; the diagnostics report its age and its clock."""
         stamp, values = self._readers[topic](data)
         now = time.monotonic()
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3

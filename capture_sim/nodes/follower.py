@@ -81,7 +81,7 @@ class AnnouncedRun:
 
     @property
     def key(self) -> str:
-        """By what the roll knows the run."""
+        """Key of the run in the roll."""
         return run_key(self.info)
 
     @property
@@ -113,7 +113,7 @@ class RunPart(Protocol):
         """Return True if, after the followed streams, nothing else is waited for."""
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """End the run: publish what is left, close files, say what is missing."""
+        """End the run: publish the rest, close files, report missing messages."""
 
 
 class Follower:

@@ -169,7 +169,7 @@ class LoopSimulatorNode(BenchNode):
             raise
 
     def _hand_over_answers(self) -> None:
-        """Give the loop what has arrived."""
+        """Pass the wrenches that have arrived to the loop."""
         while self._inbox:
             arrival, stamp, wrench = self._inbox.popleft()
             key = round(stamp, 9) if math.isfinite(stamp) else 0.0
@@ -205,7 +205,7 @@ class LoopSimulatorNode(BenchNode):
         return FAILED if stopped else OK
 
     def _write_record(self, stopped: str) -> None:
-        """Write the run with what was exchanged with the rig; RecordingError if that fails."""
+        """Write the run with all messages exchanged with the rig; RecordingError if that fails."""
         if self._record is None or self._record_path is None:
             return
         make, run = self.messages, self._record.run(stopped)
@@ -288,7 +288,7 @@ class LoopSimulatorNode(BenchNode):
         self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
-        """Log what was measured and write the report; RecordingError if that fails."""
+        """Log the results and write the report; RecordingError if that fails."""
         report = report_of(self._loop, self._pacer, self._timing, stopped)
         for line in summary(self._loop, report):
             self.get_logger().info(line)

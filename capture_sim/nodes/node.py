@@ -93,7 +93,7 @@ class BenchNode(ParameterNode):
             has_served = True
 
     def serve(self, limit: float = 0.0) -> None:
-        """Run the callbacks of what comes first, if anything comes within ``limit`` s (wall)."""
+        """Run the callbacks of the first event within ``limit`` s (wall), if any."""
         if self.callback_executor is None:
             self.callback_executor = EventsExecutor(context=self.context)
             self.callback_executor.add_node(self)

@@ -76,7 +76,7 @@ class PlayerNode(BenchNode):
             allowed="TOPIC:=RECORDED_TOPIC each",
             check=lambda texts: dict(map(remap_of, texts)),
         )
-        wanted = self.declare("topics", list, "those that are played; all unless given")
+        wanted = self.declare("topics", list, "topics to play (default: all)")
         paused = self.declare("paused", False, "start paused")
         self._wait_for = self.declare(
             "wait_for",

@@ -131,7 +131,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
 
 
 def _usage(make: Callable[..., object]) -> str:
-    """Return how this process's node is called, what it does, and which parameters it has."""
+    """Return the help of this process's node: usage, purpose and parameters."""
     program = Path(sys.argv[0]).name
     name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
     file = config_dir() / "nodes.yaml"

@@ -65,7 +65,7 @@ class RecorderNode(BenchNode):
         wanted = self.declare(
             "topics",
             list,
-            "those that are recorded, of the bench or others, whose types are found when they are "
+            "topics of the bench or the rig to record; their types are found when they are "
             "published; the bench's unless given",
         )
         bench_names = {topic.absolute_name: topic for topic in TOPICS}
@@ -134,7 +134,7 @@ class RecorderNode(BenchNode):
         return bool(self._failure) or (self._recorder is not None and self._recorder.done)
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Close the file and report what is missing."""
+        """Close the file and report missing messages."""
         problems = [f"{name}: no message" for name in sorted(self._sought)]
         path = None if self._recorder is None else self._recorder.path
         try:
@@ -184,7 +184,7 @@ class RecorderNode(BenchNode):
         self._follower.fail(self._failure)
 
     def _seek(self) -> None:
-        """Subscribe to those of the other topics that are published by now."""
+        """Subscribe to the other topics that are published by now."""
         for name, (type_name, *_) in self.get_topic_names_and_types():
             if name in self._sought:
                 self._sought.remove(name)

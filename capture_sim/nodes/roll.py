@@ -4,7 +4,7 @@ Every node that takes part publishes its part on bench/roll, transient local.  P
 subscription of the roll are the last that a node creates.  DDS announces them in that order, so a
 node that has a message of another's roll is matched with it in both directions: the other knows all
 its subscriptions, and it knows all publishers of the other.  A node is ready when it has a message
-of each participant; the first message of a run comes when all are ready, so nobody misses it.
+of each participant; the first message of a run is sent when all are ready, so no node misses it.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Part:
 
     @property
     def number(self) -> str:
-        """Unique number of the node; that of an older one is smaller."""
+        """Unique number of the node, which increases with its start time."""
         return number_of(self.id)
 
     @property
@@ -89,7 +89,7 @@ def number_of(participant: str) -> str:
 
 
 def run_key(info: Any) -> str:
-    """Return by what the roll knows a run, from its RunInfo or description.
+    """Return the key of a run in the roll, from its RunInfo or description.
 
     A recorded run can be announced by several players.
     """
@@ -156,7 +156,7 @@ class Roll:
         )
 
     def not_ready(self, run: str, participants: Sequence[str]) -> list[str]:
-        """Return the nodes that have yet to join a run; those that have gone do not."""
+        """Return the nodes that have yet to join a run, without nodes that have left."""
         return self._pending(participants, lambda part: part.is_ready(run))
 
     def not_done(self, run: str, participants: Sequence[str]) -> list[str]:

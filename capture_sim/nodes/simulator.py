@@ -1,4 +1,4 @@
-"""The node that runs the bench and publishes what it measures."""
+"""The node that runs the bench and publishes its measurements."""
 
 from __future__ import annotations
 
@@ -377,7 +377,7 @@ class SimulatorNode(BenchNode):
         self.publish(telemetry.end(complete=not reason, reason=reason, extremes=extremes))
 
     def _await_participants(self, name: str) -> str:
-        """Wait until the other nodes have received and written the run; return what failed."""
+        """Wait until the other nodes have received and written the run; return their failures."""
         try:
             self._announcer.await_done()
         except CaptureSimError as error:
@@ -408,7 +408,7 @@ def _load(
     overrides: Sequence[str],
     load: Callable[[str, list[str]], Scene],
 ) -> list[Scene]:
-    """Return the scenes; rejects those that could not be launched later."""
+    """Return the scenes; reject a scene that could not be launched."""
     if not names:
         raise ParameterError("parameter scenes = []: must be names of scenes, one at least")
     scenes = [load(name, list(overrides)) for name in names]

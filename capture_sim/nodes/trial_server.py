@@ -400,7 +400,7 @@ class TrialServer:
 
 
 def _feedback(trial: Trial, now: float) -> Any:
-    """Return what the operator sees of a trial."""
+    """Return the feedback of a trial for its operator."""
     return RunTrial.Feedback(
         phase=int(trial.phase),
         waiting_for=trial.waiting_for(now),

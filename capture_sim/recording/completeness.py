@@ -37,7 +37,7 @@ MAX_GAPS = 100
 
 
 class Completeness:
-    """Counts messages by topic, follows their sequence, and compares with what was sent.
+    """Counts messages by topic, follows their sequence, and compares with the counts sent.
 
     Of a topic that holds a state (:attr:`Topic.holds_state`) the last message must come: earlier
     ones may be replaced by it on their way, and are in the topic's stream.

@@ -27,7 +27,7 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.completeness import Completeness, TopicCount
 from capture_sim.recording.write import RunWriter
 
-#: What the metadata record says of a live recording's origin.
+#: Origin of a live recording, in the metadata record.
 LIVE = "live"
 #: Bytes that may wait for the disk; beyond them take() waits.
 QUEUE_BYTES = 64 * 1024 * 1024
@@ -279,4 +279,4 @@ class _WriteQueue:
 
 
 def _stall_error(limit: float) -> RecordingError:
-    return RecordingError(f"the disk has written nothing for {limit:g} s: the recording ends there")
+    return RecordingError(f"the disk wrote nothing for {limit:g} s: the recording ends there")

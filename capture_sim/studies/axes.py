@@ -39,7 +39,7 @@ class Axis:
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:
-    """Return what a field of a scene, or of the approach, may be; SceneError if there is none."""
+    """Return the declaration of a field of scene or approach; SceneError if there is none."""
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
@@ -82,7 +82,7 @@ def _valued(what: Declared, name: str, values: list[Any], text: str) -> Axis:
 
 
 def _brief(text: str) -> str:
-    """Return what was given, in a length that fits a message."""
+    """Return a value as given, shortened to fit a message."""
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 

@@ -34,7 +34,7 @@ from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
 from capture_sim.series import PARTS, Series, series_in
 from capture_sim.touches import Touches
 
-#: Name of a parameter that stands in no scene: when the chaser was really released, s after the
+#: Name of a parameter that is in no scene: the actual time of the release, s after the
 #: time that is taken for it.
 RELEASE = "release"
 #: Its scale, s.
@@ -51,7 +51,7 @@ _FAILED = 1e3
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit gave; units are those of the scene's fields."""
+    """Result of a fit, in the units of the scene's fields."""
 
     names: tuple[str, ...]  # of the parameters
     values: np.ndarray  # (k,)
@@ -154,7 +154,7 @@ def identify(
 
 
 def is_explained(fit: Fit) -> bool:
-    """Whether what is left of the measurements is no larger than noise makes it."""
+    """True if the residuals are no larger than the noise floor."""
     # chi2 of so many freedoms scatters by sqrt(2 / freedom); noise is known to some 10 %
     return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)
 
@@ -223,7 +223,7 @@ class _Problem:
         return scene
 
     def simulate(self, x: np.ndarray) -> tuple[dict[str, Series], np.ndarray]:
-        """Return what would be measured, and the touches; times are s since the release at x."""
+        """Return predicted measurements and touches; times are s since the release at x."""
         self.evaluations += 1
         scene = self.scene_at(x)
         times = np.unique(self._since_release(self._times, x))

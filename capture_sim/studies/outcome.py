@@ -64,7 +64,7 @@ def run_to_verdict(scene: Scene) -> Outcome:
 
 
 def run_to_end(scene: Scene) -> Outcome:
-    """Run a scene to its end; the verdict is that of :func:`run_to_verdict`."""
+    """Run a scene to its end, with the verdict of :func:`run_to_verdict`."""
     run = StudyRun(scene)
     run.integrate()
     return run.outcome()
@@ -98,7 +98,7 @@ class StudyRun:
                 return
 
     def outcome(self) -> Outcome:
-        """Return the verdict and the loads of what was integrated."""
+        """Return the verdict and the loads up to the last integrated step."""
         bench = self._bench
         status = self._detector.finish(cut=bool(self._failure))
         first_touches = bench.times_of(EventKind.TOUCH)[:1]

@@ -36,7 +36,7 @@ from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samp
 if TYPE_CHECKING:
     import pandas
 
-#: Verdict of a run that could not be computed; ``failure`` says why.
+#: Verdict of a run that could not be computed; ``failure`` gives the reason.
 FAILED = "failed"
 #: Runs that a worker does in one go.
 _CHUNK = 20
@@ -266,7 +266,7 @@ def run_samples(
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> pandas.DataFrame:
-    """Run samples; return their table, or after Ctrl-C that of those that are done."""
+    """Run samples; return their table, or after Ctrl-C the rows that are done."""
     try:
         import pandas
     except ImportError:

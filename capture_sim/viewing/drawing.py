@@ -147,7 +147,7 @@ def _draw_cone(axes: Axes, scene: Scene) -> None:
 def draw_path(
     axes: Axes, scene: Scene, samples: np.ndarray, holds: np.ndarray, colour: str
 ) -> None:
-    """Draw the path of the tip's centre; its line tells what holds the tip."""
+    """Draw the path of the tip's centre; the line's style shows contact, free and latched."""
     path = tip_in_cone(samples) * _MM
     near = _in_frame(scene, path, margin=50.0)  # beyond, no line is needed
     for name, part in split(path[near], holds[near]).items():

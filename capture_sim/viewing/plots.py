@@ -350,7 +350,7 @@ def key_moments(run: Run) -> list[Moment]:
         (left, right), (low, high) = frame_bounds(run.drawn_scene)
         x, y = places[-1] * _MM
         if nearest == len(t) - 1:
-            # as of a run that was broken off: one place, one letter
+            # as in a run that ended early: one position, one letter
             found[-1] = found[-1]._replace(meaning=f"{found[-1].meaning} (end)")
         elif left < x < right and low < y < high:
             add(float(t[-1]), "end of the run")

@@ -83,7 +83,7 @@ class BenchLog:
         self._draw("way_latched", strip)
 
     def trail_piece(self, samples: np.ndarray) -> None:
-        """Log the next piece of the tip's path, drawn together with those before it."""
+        """Log the next piece of the tip's path, joined to the earlier pieces."""
         strips = [shapes.tip_in_cone(samples) * _MM]
         self._stream.columns(
             f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips

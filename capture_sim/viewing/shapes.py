@@ -1,4 +1,4 @@
-"""Shapes of the bench and the cone from above, m: what pictures, report and rerun draw.
+"""Shapes of the bench and the cone from above, m, for plots, report and rerun.
 
 Cone's frame here: x from the centre of BE along the target's +x, y along its +y.  The chaser comes
 from -x; the walls open towards it.

@@ -105,8 +105,8 @@ VERDICTS = [
     ([(0.1, 0.0, 0), *IN_ZONE, (0.05, 0.0, 0.5)], "rebound", "retreated 20 mm from 3.01 mm"),
     # past BE, inside the throat and outside of it
     ([(0.101, 0.0, 0), (-0.02, 0.0, 0.3)], "captured", "tip passed BE"),
-    ([(0.1, 0.09, 0), (-0.02, 0.09, 0.5)], "missed", "tip passed BE 90.00 mm beside the axis"),
-    ([*AWAY, (0.2, 0.0, 0.5)], "missed", "moved away without contact, 150.00 mm from BE"),
+    ([(0.1, 0.09, 0), (-0.02, 0.09, 0.5)], "missed", "tip passed BE 90.00 mm off the axis"),
+    ([*AWAY, (0.2, 0.0, 0.5)], "missed", "moved away without contact; closest"),
     # a run that ends: before and after a contact, at the wall, leaving it by 4 and by 7 mm
     ([*AWAY, (0.15, 0.0, 0.1)], "missed", "run ended without contact, tip 150.00 mm from BE"),
     ([*AWAY, (0.16, 0.0, 0.1)], "missed", "run ended without contact, tip 160.00 mm from BE"),

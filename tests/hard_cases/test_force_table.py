@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, example, given, seed, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
-from set_ups import METHODS, altered, anvil, first, in_a_row, residual, run, times
+from set_ups import altered, anvil, first, in_a_row, residual, run, runs_of_all_methods, times
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.bench import Bench
@@ -212,16 +212,8 @@ def test_error_follows_the_tolerance_over_the_points(table):
 
 @pytest.mark.parametrize("table", [RUBBER, GAS], ids=["rubber", "gas"])
 def test_every_method_closes_the_ledger(table):
-    ends = []
-    for method in METHODS:
-        changes = {"run.method": method, "run.step": 2e-6, "run.rtol": 1e-11}
-        scene = altered(load_scene("paper_designed"), changes | with_table(table))
-        result = run(scene, t_end=0.04)
-        assert result.failure == ""
-        assert residual(result) < (1e-5 if method == "rk4" else 1e-9) * result.samples["kinetic"][0]
-        ends.append(result.q[-1])
-    assert ends[0] == pytest.approx(ends[1], abs=1e-8)
-    assert ends[0] == pytest.approx(ends[2], abs=1e-5)
+    points = [list(point) for point in table]
+    runs_of_all_methods(["buffer.k_A=0", f"buffer.force_table={points}"])
 
 
 def test_the_first_force_is_the_preload_of_a_seat():
@@ -232,14 +224,6 @@ def test_the_first_force_is_the_preload_of_a_seat():
     assert result.samples["axial_stroke"].max() == 0.0
     on_seat = result.samples["axial_stroke"] == 0.0
     assert result.samples["axial_force"][on_seat].max() <= 6.0 * (1.0 + 1e-9)
-
-
-def test_no_table_changes_no_bit():
-    plain, same = (
-        simulate(load_scene("paper_designed", ["run.t_end=0.3", *changes]))
-        for changes in ([], ["buffer.force_table=null"])
-    )
-    assert plain.samples.tobytes() == same.samples.tobytes()
 
 
 # scenes

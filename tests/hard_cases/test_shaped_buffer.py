@@ -136,8 +136,16 @@ def test_a_law_that_needs_a_restitution_does_not_where_the_factor_is_given():
         load_scene("paper_designed", ["contact.hysteresis_factor=-1"])
 
 
-def test_terms_that_are_given_as_nothing_change_no_bit():
-    given = ["buffer.k_A3=0", "buffer.c_A2=0", "buffer.c_A_rebound=13", "buffer.k_T3=0"]
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["buffer.k_A3=0", "buffer.c_A2=0", "buffer.c_A_rebound=13", "buffer.k_T3=0"],
+        ["buffer.preload=0"],
+        ["buffer.friction=0"],
+        ["buffer.force_table=null"],
+    ],
+)
+def test_terms_that_are_given_as_nothing_change_no_bit(given):
     plain, same = (
         simulate(load_scene("paper_designed", ["run.t_end=0.3", *changes]))
         for changes in ([], given)

@@ -188,7 +188,7 @@ def test_stalled_disk_ends_the_recording_and_no_run(start_all):
     nodes = start_all(_STALLED_DISK)
     found = statuses(nodes)
     assert found == {"simulator": 0, "launcher": 0, "capture_detector": 0, "recorder": 1}
-    assert "the disk has written nothing for 2 s" in nodes["recorder"].text
+    assert "the disk wrote nothing for 2 s" in nodes["recorder"].text
 
 
 def test_own_detector_of_the_page_misses_no_sample(start):
@@ -222,9 +222,9 @@ def test_a_driver_holds_when_the_launcher_is_killed(start):
             goal = Goal(actions_of(client))
             goal.await_phase(RunTrial.Feedback.APPROACH)
             launcher.process.kill()
-            wait_until(lambda: node.released is None and node.trial == 1)
-            began = node.t
-            wait_until(lambda: node.t > began + 2.0)  # pulled back by then
+            wait_until(lambda: node.chaser.released is None and node.chaser.trial == 1)
+            began = node.chaser.t
+            wait_until(lambda: node.chaser.t > began + 2.0)  # pulled back by then
             assert poses[-1].pose.position.x < 0.01
             assert max(pose.pose.position.x for pose in poses) < 0.2
 

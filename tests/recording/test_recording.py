@@ -479,7 +479,7 @@ def test_waiting_messages_without_content_are_bounded_too(sent, tmp_path, monkey
     monkeypatch.setattr(live_module, "STALL_LIMIT", 0.0)
     stalled = stalling_at(lambda *_: True, monkeypatch)
     recorder = record(tmp_path, sent[:1], queue_bytes=50_000)
-    with pytest.raises(RecordingError, match="written nothing"):
+    with pytest.raises(RecordingError, match="wrote nothing"):
         for _ in range(1000):
             recorder.take(CLOCK, bytes(12))  # encapsulation and a stamp
     stalled.set()
@@ -507,9 +507,7 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
     stalled = stalling_at(lambda _, topic: topic is STREAM_COUNTS, monkeypatch)
     recorder = record(tmp_path, sent)
-    with pytest.raises(
-        RecordingError, match=r"written nothing for 0.3 s: the recording ends there"
-    ):
+    with pytest.raises(RecordingError, match=r"wrote nothing for 0.3 s: the recording ends there"):
         recorder.close()
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((tmp_path / f"{NAME}.mcap").read_bytes())
