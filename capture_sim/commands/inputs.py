@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from capture_sim.commands.output import warn
+from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.files import why_not_writable
 from capture_sim.launch.scenes import load_scene, load_scene_text
@@ -488,7 +489,8 @@ def open_runs(
 ) -> list[Run]:
     """Open recordings and print their problems, or run scenes given by name.
 
-    No two runs have the same name; a recording's is that of its file or folder.
+    No two runs have the same name; a recording's is that of its file or folder.  Of bit-identical
+    runs that were recorded again (``tilt_0.mcap``, ``tilt_0_2.mcap``), only the newest is returned.
 
     Parameters
     ----------
@@ -512,8 +514,29 @@ def open_runs(
         load_scene(scene)  # also where every recording contains its own
     sources = [file for source in sources for file in _one_run_each(source)]
     runs = [_opened(source, scene, release, remaps) for source in sources]
+    kept = _without_repetitions(runs, sources)
+    runs, sources = [runs[k] for k in kept], [sources[k] for k in kept]
     names = _distinct_names(runs, sources)
     return [run.replaced(name=name) for run, name in zip(runs, names, strict=True)]
+
+
+def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[int]:
+    """Return the places of the runs without those that a newer file repeats bit by bit.
+
+    A second ``make run`` leaves every recording twice, and ``view runs/*.mcap`` names all of them.
+    """
+    newest: dict[object, int] = {}
+    for k, (run, source) in enumerate(zip(runs, sources, strict=True)):
+        path = Path(source).resolve()
+        key: object = k
+        if run.is_exact and path.suffix == ".mcap" and path.is_file():
+            key = path.parent, re.sub(r"_\d+$", "", path.stem), run.samples.tobytes()
+        other = newest.setdefault(key, k)
+        if other != k:
+            old, new = sorted((other, k), key=lambda i: Path(sources[i]).stat().st_mtime_ns)
+            echo(f"{sources[old]}: left out, as {sources[new]} is newer and bit-identical")
+            newest[key] = new
+    return sorted(newest.values())
 
 
 def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:

@@ -144,7 +144,8 @@ class PlayerNode(BenchNode):
             for topic in topics_of(name)
             if topic is not STREAM_COUNTS
         }
-        return [name for name in names if name not in own and not name.endswith(f"/{HOLD}")]
+        self._moving = [name for name in names if name.endswith(f"/{HOLD}")]
+        return [name for name in names if name not in own and name not in self._moving]
 
     def _open(self, name: str, type_name: str) -> None:
         try:
@@ -173,9 +174,8 @@ class PlayerNode(BenchNode):
             self.get_logger().warning(f"{name}: not played: {reason}")
         for line in (*self._playback.damage, *self._not_installed):
             self.get_logger().warning(line)
-        for name in self._playback.types:
-            if name.endswith(f"/{HOLD}"):
-                self.get_logger().warning(f"{name}: not played: it moves a real chaser")
+        for name in self._moving:
+            self.get_logger().warning(f"{name}: not played: it moves a real chaser")
         try:
             count = self._play()
         finally:

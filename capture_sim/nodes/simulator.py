@@ -241,8 +241,7 @@ class SimulatorNode(BenchNode):
         """Run all scenes, as often as requested; return the exit status."""
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
-        gc.collect()
-        gc.freeze()  # objects are left out of later sweeps: over them one takes longer than a tick
+        self.freeze_objects()
         self.wait(limit=max(0.0, self.created + DISCOVERY - time.monotonic()))
         status = OK
         try:

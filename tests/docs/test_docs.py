@@ -22,6 +22,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,7 +36,7 @@ from capture_sim.cli import command_parser, main
 from capture_sim.recording.offline import write_run
 from capture_sim.samples import TOUCH
 from capture_sim.scene.parts import Scene
-from tools import reference
+from tools import reference, setup_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -330,6 +331,22 @@ def test_the_python_page_has_every_key_of_the_results(recordings):
         keys = {key if key in named else endings.sub("", key) for key in result}
         assert keys <= named
     assert set(TOUCH.names) <= named
+
+
+def test_examples_need_what_a_set_up_installs():
+    """Packages for the tests, or a reader's own, would stop him at the first line."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    installed = setup_env.requirements(project, setup_env.RUN_EXTRAS)
+    names = {re.match(r"[\w-]+", requirement)[0].replace("-", "_") for requirement in installed}
+    scripts = list((ROOT / "examples").glob("*.py"))
+    own = {"capture_sim", "rclpy", *(path.stem for path in scripts)}
+    for path in scripts:
+        trees = ast.walk(ast.parse(path.read_text()))
+        found = {node.module for node in trees if isinstance(node, ast.ImportFrom)}
+        trees = ast.walk(ast.parse(path.read_text()))
+        found |= {a.name for node in trees if isinstance(node, ast.Import) for a in node.names}
+        found = {name.partition(".")[0] for name in found} - sys.stdlib_module_names - own
+        assert {name for name in found if not name.endswith("_msgs")} <= names, path.name
 
 
 def strings_of(folder):
