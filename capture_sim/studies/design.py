@@ -37,7 +37,7 @@ from capture_sim.studies.executors import InProcess, answers
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
 from capture_sim.studies.sampling import Correlations
-from capture_sim.studies.sweep import FAILED, Recipe, result_columns, run_rows, samples_of
+from capture_sim.studies.sweep import FAILED, GIVEN_UP, Recipe, result_columns, run_rows, samples_of
 
 #: Values that are searched unless others are named.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
@@ -67,6 +67,8 @@ _INFEASIBLE = 1e9
 #: A limit is violated by the share by which it is exceeded, up to the first of these.  Every run
 #: without a capture is worse, by its distance from BE, and a run that stopped is worst.
 _MAX_EXCESS, _NO_CAPTURE, _STOPPED = 100.0, 1e4, 1e6
+#: Violation of a buffer whose run was given up, at least.
+_BEYOND = 1e-3
 #: Runs with draws are made only of candidates whose own run violates by less.
 _WORTH_DRAWS = 0.5
 #: Strokes where no limit is given, m and rad, as measures of the ranges only.
@@ -342,6 +344,8 @@ class _Search:
         self._seed, self._executor, self._report = seed, executor, report
         self.history: list[Candidate] = []
         self.n_runs = 0
+        #: Loads beyond which a buffer is of no use to the present pass.
+        self._ceilings: Mapping[str, float] | None = None
         #: The loads that are limited, and the force that is to be small.
         self._keys = tuple(dict.fromkeys([OBJECTIVE, *(x.key for x in requirements.limits)]))
         self._columns = result_columns(check=False, limited=False)
@@ -412,7 +416,9 @@ class _Search:
 
         def merits(shares: np.ndarray) -> np.ndarray:
             columns = np.atleast_2d(shares.T)
+            self._ceilings = self._ceilings_of(self.history[n_before:], size)
             candidates = evaluate([self._values(row) for row in columns.tolist()])
+            self._ceilings = None
             self.history += candidates
             return np.array([candidate.merit for candidate in candidates])
 
@@ -437,6 +443,19 @@ class _Search:
         )
         found = self.history[n_before:]
         return min(found, key=lambda candidate: candidate.merit)
+
+    def _ceilings_of(self, found: Sequence[Candidate], size: int) -> Mapping[str, float] | None:
+        """Return the loads of the worst of the best buffers of a pass, of the population's size.
+
+        A buffer beyond them is not among the best whatever its further run.  There are none before
+        so many are feasible, and none under dispersions, where buffers with more force and more
+        margin are of use.
+        """
+        merits = sorted(candidate.merit for candidate in found)[:size]
+        if len(merits) < size or merits[-1] >= _INFEASIBLE or self._requirements.under is not None:
+            return None
+        limits = {limit.key: limit.value for limit in self._requirements.limits}
+        return {**limits, OBJECTIVE: merits[-1]}
 
     def _values(self, shares: Sequence[float]) -> dict[str, float]:
         pairs = zip(self._variables, shares, strict=True)
@@ -470,7 +489,8 @@ class _Search:
         """Return verdicts, loads (n, keys) and violations (n,) of some runs."""
         size = max(min(_RUNS_OF_CHUNK, len(rows) // _CHUNKS), 1)
         chunks = [rows[k : k + size] for k in range(0, len(rows), size)]
-        work = partial(run_rows, Recipe(self._scene, tuple(names)), False, ())
+        recipe = Recipe(self._scene, tuple(names))
+        work = partial(run_rows, recipe, False, (), ceilings=self._ceilings)
         done = [row for results in answers(self._executor, work, chunks) for row in results]
         self.n_runs += len(done)
         by_name = dict(zip(self._columns, zip(*done, strict=True), strict=True))
@@ -485,7 +505,9 @@ class _Search:
         verdicts = np.array(by_name["verdict"])
         distance = np.nan_to_num(np.array(by_name["nearest_distance"], dtype=float), nan=1.0)
         closeness = np.minimum(distance / self._scene.cone.L_c, 5.0)
-        violations += np.where(verdicts == CAPTURED, 0.0, _NO_CAPTURE + closeness)
+        is_complete = verdicts != GIVEN_UP
+        violations += np.where((verdicts == CAPTURED) | ~is_complete, 0.0, _NO_CAPTURE + closeness)
+        violations = np.where(is_complete, violations, np.maximum(violations, _BEYOND))
         violations[verdicts == FAILED] = _STOPPED
         return violations
 

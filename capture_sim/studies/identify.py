@@ -7,8 +7,9 @@ problem, (J^T J)^-1, widened where the residuals are larger than the noise expla
 
 Poses, stroke and torsion depend on the parameters smoothly, through all chatter of the tip.
 A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
-it.  Instead of it the first touches serve, by the time of their start and their peak force,
-in a second stage when the fit is near enough for the touches to correspond.
+it.  Instead of it the first touches serve, by the time of their start and their impulse, in a
+second stage when the fit is near enough for the touches to correspond.  Touches that were not found
+in a sampled force, e.g. those of a simulation, serve by their peak force.
 
 On a real bench the release is seldom known as well as a touch is measured, and a millisecond of it
 moves other parameters by many of their standard errors, in fits that look good
@@ -264,8 +265,10 @@ class _Problem:
             missing = np.full(touches.start.size - n, _FAILED)
             began = touches.start[:n] - self._released(x)
             start = (began - touched["start"][:n]) / touches.start_noise
-            peak = (touches.peak[:n] - touched["peak_force"][:n]) / touches.peak_noise
-            parts += [start, missing, peak, missing]
+            expected = touched["impulse" if touches.strength == "impulse" else "peak_force"][:n]
+            measured = getattr(touches, touches.strength)[:n]
+            strength = (measured - expected) / touches.strength_noise[:n]
+            parts += [start, missing, strength, missing]
         return np.concatenate(parts)
 
     def jacobian(

@@ -7,6 +7,7 @@ These are the units of work of studies.  Contact and verdict are those of
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -45,6 +46,7 @@ class Outcome:
     loads: dict[str, Any]  # of the motion, see capture_sim.results.loads_of
     energy_residual: float  # largest of the energy ledger, J
     failure: str = ""  # why the integration had to stop
+    given_up: bool = False  # a load exceeded its ceiling; verdict and loads are of the run up to it
 
     @property
     def captured(self) -> bool:
@@ -83,11 +85,17 @@ class StudyRun:
         self._bench, self._detector = Bench(scene, memory=memory), ExactDetector(scene)
         self._times = _measured_at(scene.run.t_end, scene.run.rate)
         self._energy_residual, self._failure = 0.0, ""
+        self._given_up = False
 
-    def integrate(self, *, to_verdict: bool = False) -> None:
-        """Run to the end, or only to the verdict."""
+    def integrate(
+        self, *, to_verdict: bool = False, ceilings: Mapping[str, float] | None = None
+    ) -> None:
+        """Run to the end, or only to the verdict.
+
+        The run is given up soon after a load exceeds its ceiling, SI, by its name in results.
+        """
         detector = self._detector
-        block = _BLOCK if to_verdict else self._times.size
+        block = _BLOCK if to_verdict or ceilings else self._times.size
         for piece in drive(self._bench, self._times, block=block):
             residual = np.abs(piece.samples["energy_residual"])
             self._energy_residual = float(residual.max(initial=self._energy_residual))
@@ -96,6 +104,13 @@ class StudyRun:
                 detector.to_end(piece.samples)
             elif detector.until_verdict(piece.samples) and detector.final:
                 return
+            if ceilings and self._is_beyond(ceilings):
+                self._given_up = True
+                return
+
+    def _is_beyond(self, ceilings: Mapping[str, float]) -> bool:
+        loads = loads_of(self._bench.extremes, self._bench.touches)
+        return any((loads[key] or 0.0) > ceiling for key, ceiling in ceilings.items())
 
     def outcome(self) -> Outcome:
         """Return the verdict and the loads up to the last integrated step."""
@@ -111,6 +126,7 @@ class StudyRun:
             loads=loads_of(bench.extremes, bench.touches),
             energy_residual=self._energy_residual,
             failure=self._failure,
+            given_up=self._given_up,
         )
 
 

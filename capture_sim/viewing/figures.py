@@ -62,7 +62,7 @@ from capture_sim.viewing.source import (
     time_window,
 )
 
-_OUTSIDE = 3  # runs beyond which a legend covers too much of its axes
+_OUTSIDE = 3  # entries beyond which a legend covers too much of its axes
 _ENTRY = 2.3  # inches, about the width of an entry of a legend
 _MARGIN = 0.02  # m, round the vehicles
 _PANEL = 5.4  # inches, width of a picture of a strip
@@ -122,7 +122,8 @@ def over_time(
     _draw_over_time([axes], [PANELS[panel]], shown, window)
     contact = PANELS[panel].located is None
     if contact or len(shown) > 1:
-        _label_runs(axes, shown, contact=contact, outside=len(shown) > _OUTSIDE)
+        entries = len(shown) + (len(held_by(shown)) if contact else 0)
+        _label_runs(axes, shown, contact=contact, outside=entries > _OUTSIDE)
     return figure
 
 

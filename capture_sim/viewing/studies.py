@@ -42,7 +42,7 @@ def _draw_candidates(axes: Axes, design: Design) -> None:
         axes.set_axis_off()
         return
     parts = {
-        "no capture": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
+        "no capture, or given up": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
         "captured, a limit exceeded": (
             style.ORANGE,
             [x for x in alone if x.verdict == CAPTURED and not x.feasible],
