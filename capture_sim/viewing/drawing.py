@@ -1,4 +1,4 @@
-"""What pictures of runs are made of: the cone and the tip's path in it, quantities over time."""
+"""Parts of plots of runs: the cone and the tip's path in it, quantities over time."""
 
 from __future__ import annotations
 
