@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.files import file_name, free_path
@@ -64,22 +64,19 @@ class LiveRecorder:
     publishers' StreamCounts are written last, since they carry no time.
 
     ``topics`` are recorded, the bench's or others, and always StreamCounts; other topics are
-    ignored.  Each of ``required`` must have messages for a complete recording.
-    ``metadata`` are further entries for the file's metadata record, ``remaps`` the names in the
-    file of topics that do not have the bench's.  The waiting messages need at most ``queue_bytes``
-    of memory, and as much again while they are written.
+    ignored.  Each of ``required`` must have messages for a complete recording.  ``remaps`` are the
+    names in the file of topics that do not have the bench's.  The waiting messages need at most
+    ``queue_bytes`` of memory, and as much again while they are written.
 
-    :meth:`take` may be called from any one thread.  Use it as a context manager or call
-    :meth:`close`.  All raise RecordingError if the file cannot be written.  ``run``: the recorded
-    run; ``path``: its file; while ``paused`` is set, messages are counted but not written, except
-    StreamCounts.
+    :meth:`take` may be called from any one thread.  All raise RecordingError if the file cannot be
+    written.  ``run``: the recorded run; ``path``: its file; while ``paused`` is set, messages are
+    counted but not written, except StreamCounts.
     """
 
     def __init__(
         self,
         directory: Path | str,
         info: bytes,
-        metadata: Mapping[str, str] | None = None,
         queue_bytes: int = QUEUE_BYTES,
         *,
         topics: Sequence[Topic] = TOPICS,
@@ -99,9 +96,8 @@ class LiveRecorder:
         self._first_state: float | None = None  # s, of a steady clock
         self._last_message = 0.0
         self._report: RecordingReport | None = None
-        origin = {"origin": LIVE, **(metadata or {})}
         stamp = self._log_time(RUN_INFO, info)
-        writer = _open_new(Path(directory), self.run, origin, topics=self._topics, remaps=remaps)
+        writer = _open_new(Path(directory), self.run, topics=self._topics, remaps=remaps)
         self.path = writer.path
         self._queue = _WriteQueue(writer, queue_bytes)
         self._completeness.add(RUN_INFO, None)
@@ -148,12 +144,6 @@ class LiveRecorder:
             self._queue.close(self._closing)
         return self._report
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def _log_time(self, topic: Topic, data: bytes, arrival: int | None = None) -> int | None:
         stamp = stamp_of(topic, data) if self._simulated else arrival or time.time_ns()
         if stamp is not None and stamp < 0:
@@ -174,7 +164,7 @@ class LiveRecorder:
             )
 
 
-def _open_new(directory: Path, run: RunDescription, *arguments: Any, **options: Any) -> RunWriter:
+def _open_new(directory: Path, run: RunDescription, **options: Any) -> RunWriter:
     """Open ``<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
 
     A live recording has its name from the beginning, so that what a kill leaves is where one looks
@@ -183,7 +173,7 @@ def _open_new(directory: Path, run: RunDescription, *arguments: Any, **options: 
     while True:
         path = free_path(directory / f"{file_name(run.name)}.mcap")
         try:
-            return RunWriter(path, run, *arguments, **options)
+            return RunWriter(path, run, {"origin": LIVE}, **options)
         except RecordingError as error:
             if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
                 raise

@@ -195,9 +195,10 @@ def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
     for name in names:
         _, type_name, data = serialised(RUN_INFO, run_id="r", name=name, publishers=["simulator"])
         assert store.deserialize_cdr(data, type_name).name == name
-        with LiveRecorder(out, data) as recorder:
-            counts = messages.stream_counts("simulator", "r", {RUN_INFO.name: 1})
-            recorder.take(STREAM_COUNTS, messages.serialise(counts))
+        recorder = LiveRecorder(out, data)
+        counts = messages.stream_counts("simulator", "r", {RUN_INFO.name: 1})
+        recorder.take(STREAM_COUNTS, messages.serialise(counts))
+        recorder.close()
         assert recorder.path.parent == out
         assert read_bag(recorder.path).complete
     assert {p.name for p in tmp_path.iterdir()} == {"runs"}
