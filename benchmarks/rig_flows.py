@@ -69,8 +69,9 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
                     rows.append([*row, f"{1e3 * result.max_stroke:.2f}"])
     head = ["bench", "outcome", "verdict", "`detect`", "complete", "impact speed, m/s"]
     head += ["largest force, N", "stroke, mm"]
-    good = f"{len(rows) - wrong} of {len(rows)} trials: the bench's outcome is the live verdict and the"
-    return [f"{good} verdict of `detect`, and the recording is complete.", "", table(head, rows)]
+    good = f"{len(rows) - wrong} of {len(rows)} trials: the bench's outcome is the live verdict"
+    rest = "and the verdict of `detect`, and the recording is complete."
+    return [f"{good} {rest}", "", table(head, rows)]
 
 
 if __name__ == "__main__":
