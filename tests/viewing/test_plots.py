@@ -27,6 +27,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.studies.axes import Axis
 from capture_sim.viewing import figures, plots
 from capture_sim.viewing.canvas import save
+from capture_sim.viewing.shapes import tip_in_cone
 from capture_sim.viewing.source import every_touch, time_window
 from capture_sim.viewing.sweep import draw_map, draw_tornado
 from tools.explain import draw_geometry
@@ -167,6 +168,16 @@ def test_a_touch_in_which_the_run_ended_is_drawn_to_its_end():
     force = plots.draw_run(ended).axes[2]
     shaded = force.collections[-1].get_paths()[-1].get_extents()
     assert (shaded.x0, shaded.x1) == pytest.approx((longest["start"], last))
+
+
+@pytest.mark.parametrize("name, is_near", [("paper_undamped", False), ("paper_designed", True)])
+def test_the_end_of_a_path_is_marked_where_it_can_be_seen(name, is_near):
+    [axes] = figures.trajectory(run(name)).axes
+    assert bool(axes.child_axes) is is_near  # the surroundings of BE, enlarged
+    for each in axes.child_axes or [axes]:
+        marks = [line.get_xydata() for line in each.get_lines() if line.get_marker() == "o"]
+        end = tip_in_cone(run(name).samples)[-1] * 1e3
+        assert any(mark.tolist() == [end.tolist()] for mark in marks)
 
 
 def test_an_unwritable_folder_is_one_line(tmp_path):
