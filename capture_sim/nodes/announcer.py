@@ -15,8 +15,6 @@ from capture_sim.nodes.endpoints import full_name
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import Part, Roll, node_of, run_key
 
-#: A node that has just joined the roll is heard within this long, s (wall).
-HEARING_TIMEOUT = 2.0
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
 #: A node of the user's is there once its subscriptions have not changed for this long, s (wall).
@@ -153,7 +151,7 @@ class Announcer:
 
     def _check_trials(self) -> None:
         """Raise CaptureSimError during a trial, whose nodes would read this node's topics."""
-        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        self._roll.await_heard()
         if nodes := self._roll.in_trials():
             raise _beside(nodes)
 

@@ -108,16 +108,23 @@ class RecorderNode(BenchNode):
         """Open the file and write the run's description."""
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
-        recorder = LiveRecorder(
-            self._out, topics=self._topics, required=self._required, remaps=self._remaps
-        )
+        self._recorder, self._failure, self._first_after_end = None, "", None
+        try:
+            recorder = LiveRecorder(
+                self._out,
+                serialize_message(run.info),
+                topics=self._topics,
+                required=self._required,
+                remaps=self._remaps,
+            )
+        except RecordingError as error:
+            self._fail_recording(error)
+            return
         recorder.paused = self._paused
-        self._recorder, self._failure, self._first_after_end = recorder, "", None
-        self._write(RUN_INFO, serialize_message(run.info))
+        self._recorder = recorder
+        self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
         for topic, data in self._kept.items():
             self._write(topic, data)
-        if not self._failure:
-            self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
 
     def begin(self, run: AnnouncedRun) -> None:
         """Publish nothing: a recorder has no stream."""
@@ -154,7 +161,8 @@ class RecorderNode(BenchNode):
 
     def _close(self) -> RecordingReport:
         """Close the file; RecordingError if the disk has failed, now or before."""
-        assert self._recorder is not None
+        if self._recorder is None:
+            raise RecordingError(self._failure)
         recorder, self._recorder = self._recorder, None
         return recorder.close()
 

@@ -18,12 +18,15 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 
+from capture_sim.errors import one_line
 from capture_sim.messages.topics import ROLL, RunSource
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 
 #: Which nodes are there is looked up this often, s (wall): the look-up costs 0.1 ms.
 PRESENCE_PERIOD = 0.1
+#: A node that has just joined the roll is heard within this long, s (wall).
+HEARING_TIMEOUT = 2.0
 FREE, READY, DONE = 0, 1, 2
 
 
@@ -114,6 +117,7 @@ class Roll:
         )
         self.id = f"{node.get_fully_qualified_name()}#{started}{uuid.uuid4().hex[:8]}"
         self.parts: dict[str, Part] = {}
+        self.ignored: set[str] = set()  # announcers whose runs are ignored
         self._node = node
         self._role = role
         self._sources = [str(source) for source in sources]
@@ -171,11 +175,22 @@ class Roll:
         """Return the nodes that take part in a trial of a real bench now."""
         return [p.node for p in self.parts.values() if p.is_in_trial and self._is_there(p.id)]
 
-    def unheard(self) -> list[str]:
-        """Return the nodes that publish on the roll and have not been heard yet."""
+    def await_heard(self) -> None:
+        """Wait until all nodes that publish on the roll have been heard, for a while at most."""
         own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
-        heard = Counter(part.node for part in self.parts.values())
-        return sorted((self._nodes() - own - heard).elements())
+
+        def all_heard() -> bool:
+            return not self._nodes() - own - Counter(part.node for part in self.parts.values())
+
+        self._node.wait(all_heard, HEARING_TIMEOUT)
+
+    def report_ignored(self, info: Any, reason: str) -> None:
+        """Log that an announced run is ignored, and why, once for each announcer."""
+        if info.announcer not in self.ignored:
+            self.ignored.add(info.announcer)
+            who = node_of(info.announcer) or "a node"
+            text = f"{who} announces {info.name} ({info.source}): ignored, {reason}"
+            self._node.get_logger().warning(one_line(text))
 
     def is_present(self, participant: str) -> bool:
         """Return True if a participant, by its id, is still there."""

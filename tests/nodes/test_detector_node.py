@@ -21,6 +21,7 @@ from capture_sim.messages.topics import (
     CAPTURE_STATUS,
     CAPTURE_VERDICT,
     CHASER_POSE,
+    RUN_INFO,
     SIMULATOR,
     TARGET_POSE,
     topics_of,
@@ -116,9 +117,10 @@ def test_criteria_are_described_set_and_recorded(start, tmp_path, capfd):
     assert "within 5 mm of BE for 0.2 s" in said
     assert "recorded criterion: min_retreat = 0.03 m" in said
     # an older recording does not hold them
-    older = LiveRecorder(tmp_path / "older")
+    (info,) = run.raw(RUN_INFO)
+    older = LiveRecorder(tmp_path / "older", info)
     for topic in (*topics_of(SIMULATOR), *topics_of(CAPTURE_DETECTOR)):
-        for data in run.raw(topic) if topic is not CAPTURE_CRITERIA else ():
+        for data in run.raw(topic) if topic not in (RUN_INFO, CAPTURE_CRITERIA) else ():
             older.take(topic, data)
     old = older.close().path
     assert read_bag(old).criteria is None

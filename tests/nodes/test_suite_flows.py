@@ -254,7 +254,7 @@ def test_another_announcer_is_named_once_and_takes_nothing_away(start, tmp_path)
         for k in range(12):
             info.run_id, info.source = f"{k:032x}", ("simulation", "replay")[k % 2]
             publisher.publish(info)
-            recorder.wait_for("/elsewhere/player announces tilt_0: ignored")
+            recorder.wait_for("/elsewhere/player announces tilt_0 (simulation): ignored")
         assert client.set("simulator", rtf=0.0)[0]
     assert simulator.status() == 0
     assert recorder.end() == 0

@@ -67,24 +67,6 @@ def test_times_of_a_table_count_from_the_release(path, tmp_path):
     )
 
 
-def test_poses_before_the_release_count_by_the_clock_of_the_bench(path, tmp_path):
-    """The launcher's stamp of the release, 1 s, lies before all poses and near some."""
-    boot = 2  # s, of the bench's clock when the recording begins; the release arrives 5 s later
-
-    def change(time, message):
-        if hasattr(message, "action"):
-            yield time + 5_000_000_000, message
-        else:
-            message.header.stamp.sec += boot
-            yield time, message
-
-    topics = (*BENCH_TOPICS[:2], ("/launcher/command", "capture_sim/msg/LaunchCommand"))
-    bag = read_bag(rewritten(path, tmp_path / "bag", change, topics))
-    shifted = tables_of(read_bag(path))["/chaser/odom"].fields["t"] - 5.0
-    assert tables_of(bag)["/chaser/odom"].fields["t"] == pytest.approx(shifted, abs=1e-6)
-    assert tables_of(bag)["/launcher/command"].fields["t"].tolist() == [0.0, 0.0]
-
-
 def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
     run = read_bag(path)
     folder = tmp_path / "bag"
