@@ -1,6 +1,6 @@
 """Inputs of commands: arguments, scenes, recordings; checked before anything runs.
 
-Recordings and images need libraries that most commands do not: they are imported where they are
+Recordings and plots need libraries that most commands do not: they are imported where they are
 used.
 """
 

@@ -1,6 +1,6 @@
-"""Output of commands: lines, tables, progress, results, images.
+"""Output of commands: lines, tables, progress, results, plots.
 
-Libraries that draw are imported where they are used: a run without images does not wait for
+Libraries that draw are imported where they are used: a run without plots does not wait for
 matplotlib and rerun.
 """
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
     from capture_sim.run import Run
 
-#: Image of several runs side by side.
+#: Plot of several runs side by side.
 OVERVIEW = "overview.png"
 #: All runs for rerun.
 RRD = "runs.rrd"
 #: State of a command that was interrupted while it drew.
-IMAGES_MISSING = "the files named above are complete, other images and rerun files are missing"
+IMAGES_MISSING = "the files named above are complete, other plots and rerun files are missing"
 #: Time between two lines of progress without a terminal, s.
 _PAUSE = 10.0
 
@@ -129,7 +129,7 @@ def reported_if_interrupted(state: str) -> Iterator[None]:
 
 @contextmanager
 def drawing(lacking: str = "no plot: {error}") -> Iterator[None]:
-    """Continue without the image, and print so, if a library that draws is not installed."""
+    """Continue without the plot, and print so, if a library that draws is not installed."""
     try:
         yield
     except ImportError as error:
@@ -169,7 +169,7 @@ def draw(
     labels
         One distinct name for each run: that of its recording, as a scene may have several.
     folder
-        Folder of the images.
+        Folder of the plots.
     rrd
         File for rerun; None for ``runs.rrd`` in the folder.
     pictures

@@ -150,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/sweep.csv"),
         metavar="FILE",
-        help="write the table to FILE.csv or FILE.parquet, and images next to it (default: "
+        help="write the table to FILE.csv or FILE.parquet, and plots next to it (default: "
         "runs/sweep.csv)",
     )
 

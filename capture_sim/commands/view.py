@@ -31,7 +31,7 @@ DESCRIPTION = (
     "Draw runs: one plot of each, one of all side by side, and a file for the rerun viewer. "
     "Scenes given by name are run first."
 )
-EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
+EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out plots"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         help="write the plots to this folder (default: plots next to the first recording, where "
-        "the images of run and bench are kept; for scenes, plots in the current folder)",
+        "the plots of run and bench stay; for scenes, plots in the current folder)",
     )
     parser.add_argument(
         "--save",

@@ -52,7 +52,7 @@ CRITERION = {field.name: field for field in fields(Detector)}
 class CaptureDetectorNode(BenchNode):
     """Publishes a status for every instant at which the poses were measured.
 
-    The decisions are those of :mod:`capture_sim.detection`.
+    docs/detection.md explains the criteria.
     """
 
     # of the run that is on

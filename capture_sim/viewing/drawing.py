@@ -1,4 +1,4 @@
-"""What pictures of runs are made of: the cone and the tip's path in it, quantities over time."""
+"""Parts of plots of runs: the cone and the tip's path in it, quantities over time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,14 @@ from capture_sim.viewing.curves import (
     path_length,
     split,
 )
-from capture_sim.viewing.shapes import cone_shapes, tip_bound, tip_in_cone, wall, wall_name_place
+from capture_sim.viewing.shapes import (
+    ARC_POINTS,
+    cone_shapes,
+    tip_bound,
+    tip_in_cone,
+    wall,
+    wall_name_place,
+)
 
 _MM = 1e3
 _PATH, CURVE = 3.2, 2.1  # widths in contact, points
@@ -115,7 +122,7 @@ def _draw_cone(axes: Axes, scene: Scene) -> None:
         **beside,
     )
     # between the limit and the wall, where no path is
-    limit = tip_bound(scene.cone, scene.probe.tip_radius, 1)[39:41]
+    limit = tip_bound(scene.cone, scene.probe.tip_radius, 1)[ARC_POINTS - 1 : ARC_POINTS + 1]
     x, y = np.concatenate([limit, wall(scene.cone, 1)]).mean(axis=0) * _MM
     axes.text(
         x,

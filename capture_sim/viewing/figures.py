@@ -127,18 +127,11 @@ def over_time(
     return figure
 
 
-def sheet(
-    panels: Sequence[str],
-    runs: Runs,
-    *,
-    labels: Sequence[str] | None = None,
-    window: Window | None = None,
-    aligned: bool = False,
-) -> Figure:
-    """Draw four panels over one time."""
-    shown = plotted_runs(runs, labels, aligned=aligned)
+def sheet(panels: Sequence[str], runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
+    """Draw four panels over one time; several runs are aligned at their first touch."""
+    shown = plotted_runs(runs, labels, aligned=isinstance(runs, Sequence) and len(runs) > 1)
     figure, axes_grid = subplots(12.5, 8.2, 2, 2, sharex=True)
-    _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, window)
+    _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, None)
     for letter, axes in zip("abcd", axes_grid.flat, strict=True):
         axes.set_title(f"({letter})", fontsize=style.FONT, loc="left")
     for axes in axes_grid[0]:
@@ -236,45 +229,33 @@ def energies(
     return figure
 
 
-def snapshots(
-    runs: Runs,
-    *,
-    times: Sequence[float] | None = None,
-    count: int = 6,
-    labels: Sequence[str] | None = None,
-) -> Figure:
+def snapshots(runs: Runs, *, count: int = 6, labels: Sequence[str] | None = None) -> Figure:
     """Draw a run as a strip of views from above, or several runs as strips side by side.
+
+    The views are at the start, at the first touch, and evenly spread up to the verdict.
 
     Parameters
     ----------
     runs
         One, or several.
-    times
-        Times of the views, s since the start; None chooses them for each run: the start, the
-        first touch, and the rest evenly spread up to the verdict.
     count
-        Number of views of each run, at least 2, if no times are given.
+        Number of views of each run, at least 2.
     labels
         One name for each run; None for the names of the scenes.
     """
     shown = plotted_runs(runs, labels)
-    instants = [
-        np.asarray(times, float) if times is not None else snapshot_times(plotted.run, count)
-        for plotted in shown
-    ]
     # a single strip is laid in two columns, read line by line
-    single, height = len(shown) == 1, max(map(len, instants))
+    single = len(shown) == 1
     columns = 2 if single else columns_for(len(shown))
-    rows = -(-height // 2) if single else height * -(-len(shown) // columns)
+    rows = -(-count // 2) if single else count * -(-len(shown) // columns)
     figure, axes_grid = subplots(1.0, 1.0, rows, columns, grid=None, sharex=True, sharey=True)
     strips = [
-        axes_grid[i // columns * height : (i // columns + 1) * height, i % columns]
+        axes_grid[i // columns * count : (i // columns + 1) * count, i % columns]
         for i in range(len(shown))
     ]
     used: list[Axes] = []
-    for strip, plotted, when in zip(
-        [axes_grid.ravel()] if single else strips, shown, instants, strict=True
-    ):
+    for strip, plotted in zip([axes_grid.ravel()] if single else strips, shown, strict=True):
+        when = snapshot_times(plotted.run, count)
         for letter, axes, t in zip(string.ascii_lowercase, strip, when, strict=False):
             _draw_instant(axes, plotted, float(t), letter)
             used.append(axes)

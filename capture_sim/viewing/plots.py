@@ -51,6 +51,8 @@ _OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_perform
 def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     """Return a plot of one run, or of several runs overlaid, as a matplotlib figure.
 
+    Several runs are aligned at their first touch.
+
     Parameters
     ----------
     runs

@@ -1,4 +1,4 @@
-"""Studies in pictures: design, and two runs compared."""
+"""Plots of studies: design, and two runs compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps in pictures: curve over one axis, map over two, loads of draws, effect of the inputs."""
+"""Plots of sweeps: curve over one axis, map over two, loads of draws, effect of the inputs."""
 
 from __future__ import annotations
 

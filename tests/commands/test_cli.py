@@ -131,10 +131,10 @@ def test_scenes_and_show(capsys):
     "command, step, message",
     [
         (["run", "tilt_0", "paper_undamped"], "run.simulate", "only the recordings named above"),
-        (["run", "paper_undamped"], "run.draw", "named above are complete, other images"),
+        (["run", "paper_undamped"], "run.draw", "named above are complete, other plots"),
         (["report", "tilt_0", "--out", "x.html"], "report.save_report", "x.html is not written"),
         (["view", "tilt_0"], "view.open_runs", "nothing is written"),
-        (["view", "paper_undamped"], "view.draw", "named above are complete, other images"),
+        (["view", "paper_undamped"], "view.draw", "named above are complete, other plots"),
     ],
 )
 def test_ctrl_c_says_what_is_written(command, step, message, tmp_path, monkeypatch, capsys):

@@ -275,11 +275,6 @@ def test_energy_given_in_one_touch_is_not_given_again_in_the_next():
     assert "energy_limit" in why
 
 
-def test_default_limits_stop_nothing_on_a_soft_plate():
-    loop = Loop(LoopStage(SCENE), "model", WallLaw(1000.0), Limits())
-    assert run_in_process(loop, Rig(SCENE, WallLaw(2000.0)), 1.0) == ""
-
-
 def test_a_restitution_that_one_side_alone_has_is_not_known():
     """The wall is 5 mm farther on the rig than in the scene: only the law is in contact."""
     law = plate_law(MASS, 0.1)
