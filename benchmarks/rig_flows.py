@@ -70,7 +70,8 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
     head = ["bench", "outcome", "verdict", "`detect`", "complete", "impact speed, m/s"]
     head += ["largest force, N", "stroke, mm"]
     good = f"{len(rows) - wrong} of {len(rows)} trials: the bench's outcome is the live verdict"
-    return [f"{good} and that of `detect`, and the recording is complete.", "", table(head, rows)]
+    rest = "and the verdict of `detect`, and the recording is complete."
+    return [f"{good} {rest}", "", table(head, rows)]
 
 
 if __name__ == "__main__":

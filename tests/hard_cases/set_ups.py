@@ -190,6 +190,34 @@ def pushed(force: float, changes: dict[str, Any], steps: int) -> tuple[LoopStage
     return stage, np.array(strokes)
 
 
+#: Speed of the heavy chaser, m/s, and the share of its mass that the probe's own may change.
+SPEED, LIGHT = 0.1, 1e-3
+ELASTIC = {"contact.law": "exact", "contact.restitution": 1.0}
+
+
+def heavy_run(changes: dict[str, Any], **options: Any) -> Run:
+    """A chaser of 10 t runs against a wall that does not move: one mass on the buffer.
+
+    The buffer has neither spring nor damper unless ``changes`` give them.
+    """
+    heavy = {
+        "chaser.mass": 1e4,
+        "chaser.inertia": 1e9,  # pushed from the front, it would turn away
+        "target.mass": 1e12,
+        "initial.chaser.vx": SPEED,
+        "friction.law": "none",
+        "buffer.k_A": 0.0,
+        "buffer.c_A": 0.0,
+        "buffer.k_T": 1e5,
+        "run.t_end": 1.6,
+        "run.rtol": 1e-10,
+        "run.state_rate": 1000.0,
+        "run.rate": 1.0,
+    }
+    # the chaser stands still there
+    return run(altered(anvil(1e-6, {}), heavy | changes), **options)
+
+
 #: Contacts that are hard on a buffer.
 HARD = {
     "dead contact": ["contact.law=exact", "contact.restitution=0.001"],

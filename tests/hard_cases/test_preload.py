@@ -9,12 +9,14 @@ from elastic_loop import advanced
 from four_bodies import momentum
 from scipy.integrate import quad
 from set_ups import (
+    ELASTIC,
     HARD,
+    LIGHT,
     ON_THE_FLOOR,
     RANDOM,
-    altered,
-    anvil,
+    SPEED,
     first,
+    heavy_run,
     in_a_row,
     pushed,
     random_run,
@@ -59,34 +61,13 @@ def test_a_force_above_the_preload_swings_the_probe_about_its_balance(factor, k_
 
 # a mass that runs against a wall
 
-SPEED, STIFFNESS, PRELOAD = 0.1, 5e4, 800.0
-#: Of the chaser's mass: what the probe's own may change.
-LIGHT = 1e-3
+STIFFNESS, PRELOAD = 5e4, 800.0
 
 
-def pressed(changes=(), **options):
-    """A heavy chaser on an undamped, preloaded buffer runs against a wall that does not move."""
-    scene = anvil(
-        1e-6,
-        {
-            "chaser.mass": 1e4,
-            "chaser.inertia": 1e9,
-            "target.mass": 1e12,
-            "friction.law": "none",
-            "contact.law": "exact",
-            "contact.restitution": 1.0,
-            "buffer.preload": PRELOAD,
-            "buffer.k_A": STIFFNESS,
-            "buffer.c_A": 0.0,
-            "buffer.k_T": 1e5,
-            "run.t_end": 1.6,
-            "run.rtol": 1e-10,
-            "run.state_rate": 1000.0,
-            "run.rate": 1.0,
-        }
-        | dict(changes),
-    )
-    return run(altered(scene, {"initial.chaser.vx": SPEED}), **options)
+def pressed(**options):
+    """The run of a heavy chaser on an undamped, preloaded buffer."""
+    changes = ELASTIC | {"buffer.preload": PRELOAD, "buffer.k_A": STIFFNESS}
+    return heavy_run(changes, **options)
 
 
 def test_the_probe_leaves_its_seat_when_hertz_force_of_the_whole_mass_has_grown_to_the_preload():
