@@ -68,6 +68,20 @@ def test_the_project_is_described_once(capsys):
     assert description in capsys.readouterr().out
 
 
+def test_help_of_a_node_is_for_a_user():
+    """The docstring of its class is printed, so it names pages and not modules."""
+    nodes = []
+    for path in (ROOT / "capture_sim" / "nodes").glob("*.py"):
+        classes = [n for n in ast.parse(path.read_text()).body if isinstance(n, ast.ClassDef)]
+        nodes += [n for n in classes if "BenchNode" in map(ast.unparse, n.bases)]
+    assert len(nodes) == 8
+    for node in nodes:
+        text = ast.get_docstring(node)
+        assert not re.search(r":\w+:`|capture_sim\.", text), node.name
+        for page in re.findall(r"docs/\w+\.md", text):
+            assert (ROOT / page).is_file(), page
+
+
 def test_addresses_belong_to_nobody():
     """Those of RFC 2606, which nobody can register: an invented one may be somebody's."""
     names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()

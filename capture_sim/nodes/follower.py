@@ -246,7 +246,8 @@ class Follower:
             self._begun = False
         except KeyboardInterrupt:
             interrupted = True
-            end = self._await_end(run, RUN_END_TIMEOUT)
+            is_own = run.info.announcer == self.roll.id  # no other node ends it
+            end = self._await_end(run, 0.0 if is_own else RUN_END_TIMEOUT)
             if end.kind is EndKind.ABANDONED:
                 end = RunEnd(EndKind.REQUESTED, INTERRUPTED)
         report = self._part.end(run, end) if self._begun else RunReport((end.reason,))

@@ -55,7 +55,7 @@ class LoopSimulatorNode(BenchNode):
     It measures bias and noise of the load cell at rest. Then it sends the tip's position on
     loop/tip with every step, from rest up to the vehicles' first speed and on, and uses the newest
     wrench. A step that is late shifts all later ones. At a limit it sends the reason on loop/hold,
-    stops and exits with status 1.
+    stops and exits with status 1. docs/hardware_in_the_loop.md lists the parameters.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -47,9 +47,10 @@ class PlayerNode(BenchNode):
     """Publishes the serialised messages of a recording.
 
     Topics of the bench have their own quality of service, others are reliable and volatile.
-    Types that are not installed are left out with a warning.  The nodes named in ``wait_for`` are
-    waited for at the start and never outrun; a detector among them evaluates the run again, and
-    what it publishes itself is not played.  Recorders that are there take part as well.
+    Types that are not installed are left out with a warning.  The player waits for the nodes named
+    in ``wait_for`` at the start and never outruns them.  A detector among them evaluates the run
+    again, and the topics that it publishes are not played.  Running recorders take part as well.
+    docs/recording.md explains the options.
     """
 
     def __init__(self, **options: Any) -> None:

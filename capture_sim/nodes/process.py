@@ -139,7 +139,7 @@ def _usage(make: Callable[..., object]) -> str:
     lines = [
         f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
         "",
-        inspect.getdoc(make) or "",
+        (inspect.getdoc(make) or "").replace("``", "`"),
         "",
     ]
     for section in sections:

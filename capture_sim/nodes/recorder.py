@@ -49,10 +49,9 @@ SEEK_PERIOD = 0.5
 
 
 class RecorderNode(BenchNode):
-    """Writes the messages' bytes as they come, and checks at the end that none is missing.
+    """Writes messages to one MCAP file a run, and checks at the end that none is missing.
 
-    What it does with them is in :class:`capture_sim.recording.live.LiveRecorder`.  The services
-    ``~/pause`` and ``~/resume`` (std_srvs/Trigger) stop and continue writing.
+    The services ``~/pause`` and ``~/resume`` (std_srvs/Trigger) stop and continue writing.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -112,7 +112,7 @@ class LauncherLink:
 class SimulatorNode(BenchNode):
     """Runs scenes one after another.
 
-    Alone it launches by its own plan and publishes; a launcher that is there takes over.  The
+    Alone, it launches by its own plan; if a launcher is running, the launcher does.  The
     parameter ``wait_for`` names the nodes that a run waits for.  No subscriber with KEEP_ALL loses
     a message.  Simulated time starts at the release, so neither a delay before it nor the real-time
     factor changes a number.

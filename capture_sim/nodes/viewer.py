@@ -50,9 +50,9 @@ _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte ord
 
 
 class ViewerNode(BenchNode):
-    """Shows every run that is announced, or one of a bench that announces none.
+    """Shows every announced run live in rerun, or a bench that announces none.
 
-    What it shows and how is in :class:`capture_sim.viewing.live.LiveView`.
+    docs/looking_at_runs.md lists the parameters.
     """
 
     _scene: Scene  # of the run that is on

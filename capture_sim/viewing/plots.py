@@ -184,7 +184,7 @@ def _draw_over_time(
             _mark_verdict(axes, run, window)
             axes.set_ylabel("distance\n[mm]")
         elif quantity is STROKE:
-            inwards, outwards = (loads[f"max_axial_stroke_{way}"] * 1e3 for way in ("in", "out"))
+            inwards, outwards = (loads[f"max_axial_stroke_{side}"] * 1e3 for side in ("in", "out"))
             titles.append(f"Axial buffer: whole run {inwards:.2f} mm in, {outwards:.2f} mm out")
         else:
             largest = loads["max_torsion"] * 1e3

@@ -60,7 +60,7 @@ def _draw_candidates(axes: Axes, design: Design) -> None:
         "*",
         color=style.BLACK,
         ms=15,
-        label="design" if design.met else "nearest",
+        label="design" if design.met else "closest to the limits",
     )
     axes.axvline(across.value * across.load.factor, color=style.VERMILION, ls="--", label="limit")
     if OBJECTIVE in limits:

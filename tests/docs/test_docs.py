@@ -158,7 +158,8 @@ def test_commands_between_the_lines_are_understood(page):
     found = INLINE.findall((ROOT / page).read_text())
     for block in blocks(page):
         if block.left_out == "minutes":
-            found += re.findall(r"^capture-sim (.*)$", block.text, re.MULTILINE)
+            commands = [command for command, _ in commands_of(block)]
+            found += [c.removeprefix("capture-sim ") for c in commands if "capture-sim " in c]
     for line in found:
         command, *arguments = shlex.split(line)
         parser = command_parser(command)
@@ -168,10 +169,11 @@ def test_commands_between_the_lines_are_understood(page):
 
 def commands_of(block):
     """Return each command of a block, and the lines that it is to print."""
+    lines = re.sub(r" *\\\n *", " ", block.text).splitlines()
     if block.language == "sh":
-        return [(line, []) for line in block.text.splitlines()]
+        return [(line, []) for line in lines]
     found = []
-    for line in block.text.splitlines():
+    for line in lines:
         if line.startswith("$ "):
             found.append((line[2:], []))
         else:
@@ -288,6 +290,16 @@ def test_pages_stay_few_and_short():
     del written["scenes"]  # made by tools/reference.py, as is the part of nodes.md
     generated = re.compile(r"<!-- generated.*?<!-- end of generated -->", re.DOTALL)
     assert sum(generated.sub("", text).count("\n") for text in written.values()) <= 2600
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_command_is_wider_than_a_window(page):
+    """Long ones are broken by a backslash."""
+    for block in blocks(page):
+        if block.language in ("sh", "console"):
+            lines = block.text.splitlines()
+            typed = [n for n in lines if block.language == "sh" or n.startswith(("$ ", "    -"))]
+            assert not [line for line in typed if len(line) > 100]
 
 
 def test_one_way_to_start():

@@ -239,6 +239,7 @@ def test_help_shows_the_parameters_and_starts_nothing():
     for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
         assert word in done.stdout
     assert "launcher:" not in done.stdout  # another node's
+    assert not re.search(r"``|:\w+:`", done.stdout)  # markup of docstrings
 
 
 def test_help_into_a_closed_pipe_ends_quietly():
